@@ -1,0 +1,18 @@
+"""Light that snow, sand and rough layers send back.
+
+A *medium* (`Snow`) under a virtual *instrument* (`spectrophotometer`) gives a labelled dataset
+with standard errors.
+
+Examples
+--------
+>>> import splits
+>>> ds = splits.spectrophotometer(splits.Snow(), range(400, 2501, 10), max_stderr=0.01)
+>>> bool(ds.reflectance.sel(wavelength=500) > 0.9)
+True
+"""
+
+from splits.dataset import load, save
+from splits.instruments import spectrophotometer
+from splits.media import Readings, Snow
+
+__all__ = ["Readings", "Snow", "load", "save", "spectrophotometer"]

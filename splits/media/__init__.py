@@ -1,0 +1,7 @@
+"""What a user describes: media, turned into numbers for the kernels."""
+
+from splits.media.granular import GranularMedium
+from splits.media.readings import Readings
+from splits.media.snow import Snow
+
+__all__ = ["GranularMedium", "Readings", "Snow"]

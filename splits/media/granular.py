@@ -1,0 +1,35 @@
+"""What every granular medium hands to an instrument."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from splits.media.readings import Readings
+from splits.transport.scene import Grains
+
+
+class GranularMedium(Protocol):
+    """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
+
+    kind: str
+    depth_m: float
+    saturation: float
+    readings: Readings
+
+    def grains(self) -> Grains:
+        """Return the table of particle types."""
+        ...
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials: dry pores, wet pores, then cores."""
+        ...
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials)."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return all inputs and derived quantities, for a dataset's attributes."""
+        ...

@@ -1,0 +1,212 @@
+"""Snow: one type of ice grain in pores of air and water (SPLITSnow)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from splits.checks import in_range, numbers, refuse, suggestion
+from splits.materials import RefractiveIndex, ice_density, refractive_index
+from splits.media import grain_statistics as statistics
+from splits.media.readings import Readings
+from splits.transport.scene import Grains
+
+_AIR, _WATER, _ICE = 0, 1, 2
+_LIMITS = ("min", "max", "mean", "sd")
+
+
+@dataclass(frozen=True)
+class Snow:
+    """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
+
+    Parameters
+    ----------
+    grain_size_um : (min, max)
+        Major-axis diameter of the grains (µm), uniform between the two.
+    facetness : (min, max, mean, sd)
+        0 (smooth) to 1; normal with mean and standard deviation within [min, max].
+    sphericity : (min, max, mean, sd)
+        Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
+    saturation : float
+        Fraction of the pore space filled with water, 0 to 1.
+    density_kg_m3 : float
+        Mass of ice per volume of snow, above 0 and below the density of ice.
+    temperature_c : float
+        −40 to 0 °C; decides the density of ice.
+    depth_m : float
+        Thickness of the sample (m), at least the largest grain.
+    refractive_index : mapping, optional
+        Per material ("ice", "water") a dataset's name, a complex constant n + kj or a table; see
+        `splits.materials.refractive_index`.
+    readings : Readings or mapping, optional
+        Named readings of the papers.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names key, value and range.
+    TypeError
+        For an unknown keyword.
+
+    Examples
+    --------
+    >>> from splits import Snow
+    >>> round(Snow(density_kg_m3=450).mean_grain_distance_m, 6)
+    0.000435
+    """
+
+    kind = "snow"
+
+    grain_size_um: tuple[float, float] = (300.0, 750.0)
+    facetness: tuple[float, float, float, float] = (0.2, 0.4, 0.3, 0.072)
+    sphericity: tuple[float, float, float, float] = (0.6, 0.95, 0.798, 0.064)
+    saturation: float = 0.05
+    density_kg_m3: float = 275.0
+    temperature_c: float = -1.0
+    depth_m: float = 0.12
+    refractive_index: Mapping[str, Any] = field(default_factory=dict)
+    readings: Readings = field(default_factory=Readings)
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        smallest, largest = numbers("grain_size_um", self.grain_size_um, ("min", "max"))
+        if not 1.0 <= smallest <= largest <= 1e5:
+            raise refuse(
+                "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"
+            )
+        put("grain_size_um", (smallest, largest))
+        put("facetness", _limited("facetness", self.facetness, 0.0))
+        put("sphericity", _limited("sphericity", self.sphericity, 0.1))
+        put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
+        put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
+        ice = ice_density(self.temperature_c)
+        put(
+            "density_kg_m3",
+            in_range(
+                "density_kg_m3",
+                self.density_kg_m3,
+                0.0,
+                ice,
+                "kg/m3",
+                open_low=True,
+                open_high=True,
+                hint=f"ice at {self.temperature_c:g} °C has {ice:g} kg/m3",
+            ),
+        )
+        put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
+        put("readings", _readings(self.readings))
+        if self.depth_m < self._diameters_m[1]:
+            raise refuse(
+                "depth_m",
+                self.depth_m,
+                f"at least the largest grain, {self._diameters_m[1]:g} m",
+                "no such grain fits between the boundaries",
+            )
+        if not isinstance(self.refractive_index, Mapping):
+            raise refuse("refractive_index", self.refractive_index, "a mapping by material")
+        unknown = set(self.refractive_index) - {"ice", "water"}
+        if unknown:
+            raise refuse("refractive_index", sorted(unknown), "a mapping with keys ice, water")
+        put(
+            "refractive_index",
+            {m: refractive_index(m, self.refractive_index.get(m)) for m in ("ice", "water")},
+        )
+
+    @cached_property
+    def _diameters_m(self) -> tuple[float, float]:
+        scale = 1e-6 if self.readings.size_is == "diameter" else 2e-6
+        return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
+
+    @property
+    def porosity(self) -> float:
+        """Volume fraction not filled by ice (SPLITSnow Eq A.1)."""
+        return 1.0 - self.density_kg_m3 / ice_density(self.temperature_c)
+
+    @cached_property
+    def attenuation_per_m(self) -> float:
+        """K = K1 K2, cross-section per volume of ice (1/m), SPLITSnow Eq A.5."""
+        return statistics.size_attenuation(*self._diameters_m) * statistics.shape_attenuation(
+            *self.sphericity
+        )
+
+    @property
+    def mean_grain_distance_m(self) -> float:
+        """Mean distance between grains along a ray (m), SPLITSnow Eq A.3."""
+        return 1.0 / ((1.0 - self.porosity) * self.attenuation_per_m)
+
+    @property
+    def specific_surface_area_m2_kg(self) -> float:
+        """Surface area per mass of ice, 4K/ρ_ice for convex grains (m²/kg)."""
+        return 4.0 * self.attenuation_per_m / ice_density(self.temperature_c)
+
+    def grains(self) -> Grains:
+        """Return the table of particle types: one, of ice."""
+        sizes = statistics.struck_sizes(*self._diameters_m, self.readings.struck_size)
+        return Grains(
+            attenuation=1.0 / self.mean_grain_distance_m,
+            share=np.ones(1),
+            material=np.array([_ICE], dtype=np.int64),
+            semi_major=0.5 * sizes[np.newaxis],
+            sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+            facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
+        )
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials in the rows of index arrays."""
+        return ("air", "water", "ice")
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, 3); water only if present."""
+        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
+        index = np.ones((wavelength_nm.size, 3), dtype=complex)
+        index[:, _ICE] = self.refractive_index["ice"](wavelength_nm)
+        if self.saturation > 0.0:
+            index[:, _WATER] = self.refractive_index["water"](wavelength_nm)
+        return index
+
+    def describe(self) -> dict[str, Any]:
+        """Return inputs and derived quantities under names fit for dataset attributes."""
+        inputs = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("refractive_index", "readings")
+        }
+        for material, index in self.refractive_index.items():
+            inputs[f"refractive_index_{material}"] = _label(index)
+        inputs |= {f"reading_{k}": v for k, v in self.readings.as_dict().items()}
+        return inputs | {
+            "mean_grain_distance_m": self.mean_grain_distance_m,
+            "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+        }
+
+
+def _label(index: RefractiveIndex) -> str:
+    value = getattr(index, "value", None)
+    return index.name if value is None else f"{value.real:g}+{value.imag:g}j"
+
+
+def _limited(key: str, value: Any, low: float) -> tuple[float, ...]:
+    """Check (min, max, mean, sd) of a normal distribution within limits in [low, 1]."""
+    minimum, maximum, mean, sd = numbers(key, value, _LIMITS)
+    if not low <= minimum <= mean <= maximum <= 1.0:
+        raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
+    in_range(f"{key} (sd)", sd, 0.0, 1.0)
+    return minimum, maximum, mean, sd
+
+
+def _readings(value: Any) -> Readings:
+    if isinstance(value, Readings):
+        return value
+    if not isinstance(value, Mapping):
+        raise refuse("readings", value, "a mapping of named readings")
+    names = [f.name for f in fields(Readings)]
+    for name in value:
+        if name not in names:
+            raise refuse("readings", name, "one of " + ", ".join(names), suggestion(name, names))
+    return Readings(**value)

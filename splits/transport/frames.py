@@ -1,0 +1,64 @@
+"""Directions and the frames they are drawn in."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from splits.transport.rng import uniform, unit_circle
+
+
+@njit(cache=True)
+def orthonormal_basis(nx, ny, nz):
+    """Return two unit vectors that complete the unit vector n to a right-handed frame.
+
+    Branch-free construction of Duff et al. (2017), J. Comput. Graph. Tech. 6(1), listing 3.
+
+    Returns
+    -------
+    tuple of 6 float
+        Components of the two tangents.
+    """
+    sign = math.copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return (
+        1.0 + sign * nx * nx * a, sign * b, -sign * nx,
+        b, sign + ny * ny * a, -ny,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def normalized(x, y, z):
+    """Return (x, y, z) scaled to unit length."""
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
+
+
+@njit(cache=True)
+def around(nx, ny, nz, cos_polar, sin_polar, cos_azimuth, sin_azimuth):
+    """Return the unit vector at the given polar and azimuth angles around the unit vector n."""
+    ux, uy, uz, vx, vy, vz = orthonormal_basis(nx, ny, nz)
+    p = sin_polar * cos_azimuth
+    q = sin_polar * sin_azimuth
+    return normalized(
+        cos_polar * nx + p * ux + q * vx,
+        cos_polar * ny + p * uy + q * vy,
+        cos_polar * nz + p * uz + q * vz,
+    )
+
+
+@njit(cache=True)
+def cosine_lobe(state, nx, ny, nz):
+    """Return a direction around the unit vector n with density cosθ/π (Lambert)."""
+    u = uniform(state)
+    c, s = unit_circle(state)
+    return around(nx, ny, nz, math.sqrt(u), math.sqrt(1.0 - u), c, s)
+
+
+@njit(cache=True)
+def mirrored(dx, dy, dz, nx, ny, nz):
+    """Return the direction d mirrored in the plane with unit normal n."""
+    k = 2.0 * (dx * nx + dy * ny + dz * nz)
+    return dx - k * nx, dy - k * ny, dz - k * nz

@@ -1,0 +1,97 @@
+"""Counter-based random numbers: one independent stream per (seed, ensemble, ray).
+
+A ray's numbers depend on nothing but those three integers, so results are bit-identical for any
+number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
+(Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195): a Weyl counter followed by a
+64-bit finaliser; the start of the counter is itself a hash of (seed, ensemble, ray).
+
+A stream's state is a ``uint64`` array of one element that the draws advance in place.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX2 = np.uint64(0x94D049BB133111EB)
+_S30 = np.uint64(30)
+_S27 = np.uint64(27)
+_S31 = np.uint64(31)
+_S11 = np.uint64(11)
+_TO_UNIT = 2.0**-53
+
+
+@njit(cache=True, inline="always")
+def mix64(z):
+    """Return the SplitMix64 finaliser of the ``uint64`` `z`, a bijection of 64-bit integers."""
+    z = (z ^ (z >> _S30)) * _MIX1
+    z = (z ^ (z >> _S27)) * _MIX2
+    return z ^ (z >> _S31)
+
+
+@njit(cache=True)
+def start_stream(state, seed, ensemble, ray):
+    """Set `state` (``uint64[1]``) to the beginning of the stream of one ray."""
+    key = mix64(np.uint64(seed) + _GOLDEN)
+    key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + _GOLDEN))
+    state[0] = mix64(key ^ (np.uint64(ray) * _GOLDEN + _MIX2))
+
+
+@njit(cache=True)
+def uniform(state):
+    """Return the next number of the stream, uniform on the open interval (0, 1).
+
+    53 random bits, centred in their cells: neither 0 nor 1 can occur, so a logarithm of the
+    result is finite and a free flight is capped only at 37 mean free paths.
+    """
+    state[0] += _GOLDEN
+    return (float(mix64(state[0]) >> _S11) + 0.5) * _TO_UNIT
+
+
+@njit(cache=True)
+def half_normal(state):
+    """Return |X| for a standard normal X (Box & Muller 1958)."""
+    radius = math.sqrt(-2.0 * math.log(uniform(state)))
+    return radius * abs(math.cos(0.5 * math.pi * uniform(state)))
+
+
+@njit(cache=True)
+def unit_circle(state):
+    """Return (cos, sin) of an angle uniform on the circle, by rejection from the disc."""
+    while True:
+        x = 2.0 * uniform(state) - 1.0
+        y = 2.0 * uniform(state) - 1.0
+        q = x * x + y * y
+        if 1e-12 < q <= 1.0:
+            scale = 1.0 / math.sqrt(q)
+            return x * scale, y * scale
+
+
+@njit(cache=True)
+def unit_sphere(state):
+    """Return a unit vector (x, y, z) uniform on the sphere."""
+    z = 2.0 * uniform(state) - 1.0
+    r = math.sqrt(1.0 - z * z)
+    c, s = unit_circle(state)
+    return r * c, r * s, z
+
+
+@njit(cache=True)
+def from_table(table, row, u):
+    """Return the quantile `u` of the distribution tabulated in ``table[row]``.
+
+    Parameters
+    ----------
+    table : float64[rows, m]
+        Quantile functions on m equidistant probabilities from 0 to 1, joined linearly.
+    row : int
+    u : float
+        Probability in (0, 1).
+    """
+    x = u * (table.shape[1] - 1)
+    i = int(x)
+    return table[row, i] + (x - i) * (table[row, i + 1] - table[row, i])

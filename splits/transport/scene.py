@@ -1,0 +1,106 @@
+"""What a kernel is told: plain numbers and arrays, in SI units.
+
+These named tuples are the contract between media and kernels.  Materials are rows of the index
+arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are grain cores.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.transport import facets, spheroid
+
+DRY_PORE = 0
+WET_PORE = 1
+
+LOBE = 0
+"""A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
+MIRRORED = 1
+"""A ray sent to the wrong side of the macroscopic surface is mirrored in that surface."""
+
+ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
+FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
+WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
+FATE = {"reject": True, "keep": False}
+
+
+class Grains(NamedTuple):
+    """Table of particle types; distributions are quantile functions on equidistant probabilities.
+
+    Attributes
+    ----------
+    attenuation : float
+        Expected number of grains met per metre of pore-space path, all types together.
+    share : float64[types]
+        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
+    material : int64[types]
+        Row of the core's material.
+    semi_major : float64[types, m]
+        Semi-major axis of struck grains (m).
+    sphericity : float64[types, m]
+        Inscribed-circle sphericity of struck grains.
+    facetness : float64[types, m]
+    """
+
+    attenuation: float
+    share: np.ndarray
+    material: np.ndarray
+    semi_major: np.ndarray
+    sphericity: np.ndarray
+    facetness: np.ndarray
+
+
+class Slab(NamedTuple):
+    """The sample between its extended boundaries z = 0 and z = −depth, and its illumination.
+
+    Attributes
+    ----------
+    depth : float
+        Metres.
+    saturation : float
+        Probability that a leg through the pore space runs in the wet medium.
+    cos_incidence : float
+        Cosine of the angle of incidence, in (0, 1]; ignored under diffuse light.
+    diffuse : bool
+        Illumination of equal radiance from the whole hemisphere instead of a beam.
+    """
+
+    depth: float
+    saturation: float
+    cos_incidence: float
+    diffuse: bool
+
+
+class Rules(NamedTuple):
+    """Named readings of the papers as the numbers that kernels branch on (see `ENTRY` etc.).
+
+    `analog` turns absorption into a coin toss on every leg; otherwise path lengths are kept and
+    turned into weights when the ray leaves.
+    """
+
+    entry: int
+    facets: int
+    wrong_side: int
+    boundary_fresnel: bool
+    reject_on_last_leg: bool
+    reject_across_boundary: bool
+    analog: bool
+
+
+class Optics(NamedTuple):
+    """Optical constants of the materials for one ensemble of paths.
+
+    Attributes
+    ----------
+    n, k : float64[materials]
+        Complex refractive index n + i k that decides reflection and refraction.
+    absorption : float64[materials]
+        Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
+        takes them as lower bounds over the wavelengths it serves, for Russian roulette.
+    """
+
+    n: np.ndarray
+    k: np.ndarray
+    absorption: np.ndarray

@@ -1,0 +1,54 @@
+"""Figures: a dataset in, a matplotlib figure out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.figures.bars import sensitivity_bars
+from splits.figures.measured import measured_albedo
+from splits.figures.points import points
+from splits.figures.spectra import refractive_indices, spectra
+from splits.figures.style import save_figure
+
+__all__ = [
+    "draw",
+    "measured_albedo",
+    "points",
+    "refractive_indices",
+    "save_figure",
+    "sensitivity_bars",
+    "spectra",
+]
+
+
+def draw(
+    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None = None
+) -> Figure:
+    """Draw a dataset as an experiment's figure section says.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    section : mapping
+        See `splits.experiments.model.FigureSection`.
+    measured : pandas.DataFrame, optional
+        Measured values to show with spectra.
+    """
+    if section["kind"] == "refractive_index":
+        return refractive_indices(dataset)
+    if section["kind"] == "points":
+        return points(dataset, section["quantity"][0], section["at"])
+    return spectra(
+        dataset,
+        section["quantity"],
+        section["wavelength_nm"],
+        section["at"],
+        measured,
+        section["legend"],
+        section["ylim"],
+    )

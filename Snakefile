@@ -1,0 +1,52 @@
+"""Light that snow, sand and rough layers send back: all experiments of config/, end to end.
+
+snakemake --cores 2                             everything
+snakemake --cores 2 fig08_grain_size            one experiment, by its name
+snakemake --cores 2 --config accuracy=draft     a quick look
+"""
+
+from pathlib import Path
+
+from snakemake.exceptions import WorkflowError
+
+from splits.experiments import ConfigError, load_experiments, load_settings
+
+
+configfile: "config/config.yaml"
+
+
+report: "workflow/report/workflow.rst"
+
+
+try:
+    SETTINGS = load_settings(config)
+    AVAILABLE = load_experiments(SETTINGS.experiments_folder, SETTINGS.media_folder)
+    EXPERIMENTS = SETTINGS.select(AVAILABLE)
+except ConfigError as error:
+    raise WorkflowError(str(error)) from None
+
+RESULTS = SETTINGS.results_folder
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/simulate.smk"
+include: "workflow/rules/figures.smk"
+include: "workflow/rules/analyse.smk"
+include: "workflow/rules/archive.smk"
+include: "workflow/rules/benchmark.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        [products(name) for name in EXPERIMENTS],
+        paper_products(),
+
+
+for NAME in EXPERIMENTS:
+
+    rule:
+        name:
+            NAME
+        input:
+            products(NAME),

@@ -1,0 +1,133 @@
+"""Sensitivity of snow's spectra to its parameters: the published pairs, and how they move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.analysis.sensitivity import Sensitivity, mean_sensitivity_index
+from splits.dataset import attributes, provenance
+from splits.figures.spectra import at_points
+
+QUANTITIES = {
+    "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
+    "transmittance": {"depth_m": 0.02, "wavelength_nm": (400.0, 1420.0)},
+}
+"""Depth and wavelengths that SPLITSnow sections 5.2.2 and 5.4 use for each quantity."""
+
+
+def pair_sensitivity(
+    dataset: xr.Dataset, parameter: str, low: Any, high: Any, quantity: str
+) -> Sensitivity:
+    """Return the mean sensitivity index of a quantity between two values of a parameter.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Over `parameter`, ``depth_m`` and ``wavelength``.
+    parameter, low, high
+        Name of the grid's dimension and two of its labels.
+    quantity : {"reflectance", "transmittance"}
+    """
+    where = QUANTITIES[quantity]
+    part = at_points(dataset, {"depth_m": where["depth_m"]}).sel(
+        wavelength=slice(*where["wavelength_nm"])
+    )
+    y, z = (at_points(part, {parameter: label}) for label in (low, high))
+    error = f"{quantity}_stderr"
+    return mean_sensitivity_index(
+        y[quantity].values, y[error].values, z[quantity].values, z[error].values
+    )
+
+
+def sensitivity_table(
+    datasets: Mapping[str, xr.Dataset], pairs: Mapping[str, Mapping[str, Any]]
+) -> pd.DataFrame:
+    """Return the index for every parameter, quantity, range and reading.
+
+    Parameters
+    ----------
+    datasets : mapping
+        Experiments by name.
+    pairs : mapping
+        Per parameter ``experiment``, ``readings`` (experiment over readings), ``parameter``
+        (grid dimension), ``low`` and ``high``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns parameter, quantity, reading, low, high, chosen, msi, msi_stderr, msi_resolved,
+        resolved_share.
+    """
+    rows = []
+    for name, pair in pairs.items():
+        dimension = pair["parameter"]
+        ranges = datasets[pair["experiment"]]
+        values = list(ranges[dimension].values)
+        readings = datasets[pair["readings"]]
+        for quantity in QUANTITIES:
+            for i, low in enumerate(values):
+                for high in values[i + 1 :]:
+                    s = pair_sensitivity(ranges, dimension, low, high, quantity)
+                    chosen = _same(low, pair["low"]) and _same(high, pair["high"])
+                    rows.append(_row(name, quantity, "default", low, high, chosen, s))
+            for reading in readings.readings.values:
+                part = at_points(readings, {"readings": str(reading)})
+                low, high = part[dimension].values[[0, -1]]
+                s = pair_sensitivity(part, dimension, low, high, quantity)
+                rows.append(_row(name, quantity, str(reading), low, high, False, s))
+    return pd.DataFrame(rows)
+
+
+def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame) -> xr.Dataset:
+    """Return the chosen pairs' indices beside the published ones, over quantity and parameter."""
+    chosen = table[table.chosen]
+    parameters = list(dict.fromkeys(chosen.parameter))
+    shape = (len(QUANTITIES), len(parameters))
+    columns = {name: np.zeros(shape) for name in ("msi", "msi_stderr", "published")}
+    for i, quantity in enumerate(QUANTITIES):
+        for j, parameter in enumerate(parameters):
+            row = chosen[(chosen.quantity == quantity) & (chosen.parameter == parameter)].iloc[0]
+            columns["msi"][i, j] = row.msi
+            columns["msi_stderr"][i, j] = row.msi_stderr
+            columns["published"][i, j] = published.loc[f"msi_{quantity[0]}_{parameter}"].published
+    labels = {
+        "msi": "mean sensitivity index",
+        "msi_stderr": "standard error of mean sensitivity index (upper bound)",
+        "published": "mean sensitivity index published in SPLITSnow Table 2",
+    }
+    return xr.Dataset(
+        {
+            k: (("quantity", "parameter"), v, {"long_name": labels[k], "units": "1"})
+            for k, v in columns.items()
+        },
+        {"quantity": list(QUANTITIES), "parameter": parameters},
+        attributes({"title": "Mean sensitivity index of snow", **provenance()}),
+    )
+
+
+def _same(value: Any, label: Any) -> bool:
+    if isinstance(value, (int, float, np.number)):
+        return bool(np.isclose(float(value), float(label)))
+    return str(value) == str(label)
+
+
+def _row(
+    parameter: str, quantity: str, reading: str, low: Any, high: Any, chosen: bool, s: Sensitivity
+) -> dict[str, Any]:
+    return {
+        "parameter": parameter,
+        "quantity": quantity,
+        "reading": reading,
+        "low": low,
+        "high": high,
+        "chosen": chosen,
+        "msi": s.index,
+        "msi_stderr": s.stderr,
+        "msi_resolved": s.index_resolved,
+        "resolved_share": s.resolved,
+    }

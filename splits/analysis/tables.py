@@ -1,0 +1,55 @@
+"""Tables of the report, and writing them whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.analysis.measured import bands
+
+TABLE1 = {
+    "snow_grain_size_um": "grain size min, max (µm)",
+    "snow_saturation": "water saturation",
+    "snow_facetness": "facetness min, max, mean, sd",
+    "snow_sphericity": "sphericity min, max, mean, sd",
+    "snow_temperature_c": "temperature (°C)",
+    "snow_depth_m": "depth (m)",
+    "incidence_deg": "angle of incidence (°)",
+}
+
+
+def write_table(table: pd.DataFrame, path: str | Path) -> None:
+    """Write a table as CSV with six significant digits."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}")
+    table.to_csv(aside, index=False, float_format="%.6g")
+    os.replace(aside, path)
+
+
+def table1(sample: xr.Dataset) -> pd.DataFrame:
+    """Return the inputs and derived quantities of the representative sample (Table 1)."""
+    rows = [
+        (label, ", ".join(f"{v:g}" for v in np.atleast_1d(sample.attrs[key])))
+        for key, label in TABLE1.items()
+    ]
+    for density in sample.density_kg_m3.values:
+        part = sample.sel(density_kg_m3=density)
+        distance = 1e3 * float(part.mean_grain_distance)
+        rows.append((f"mean grain distance at {density:g} kg m⁻³ (mm)", f"{distance:.4f}"))
+    area = float(sample.specific_surface_area.isel(density_kg_m3=0))
+    rows.append(("specific surface area (m² kg⁻¹)", f"{area:.2f}"))
+    return pd.DataFrame(rows, columns=["quantity", "value"])
+
+
+def table3(scene: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
+    """Return measured, published and our reflectance in the AVIRIS-NG bands (Table 3)."""
+    table = bands(scene, aviris)
+    table["relative_difference_percent"] = 100 * table.difference / table.measured
+    names = [name for name in published.index if str(name).startswith("table3_")]
+    table["published_model"] = published.loc[names].published.to_numpy()
+    return table

@@ -1,0 +1,152 @@
+"""Trends that SPLITSnow states in words, as differences that can be held against their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+SIGNIFICANT = 3.0
+"""A trend counts as shown when its smallest step exceeds this many standard errors."""
+
+
+def band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
+    """Return the mean of a quantity over a band (nm); its error is in the ``_stderr`` variable."""
+    return dataset[quantity].sel(wavelength=slice(low, high)).mean("wavelength")
+
+
+def steps(
+    dataset: xr.Dataset, quantity: str, dimension: str, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps of a band mean along a grid dimension and their standard errors.
+
+    Wavelengths share paths, so the error of a band mean is taken as the mean error; the grid's
+    points are taken as independent, which overstates the error where they share random numbers.
+    """
+    mean = band_mean(dataset, quantity, low, high).values
+    error = band_mean(dataset, f"{quantity}_stderr", low, high).values
+    axis = dataset[quantity].dims.index(dimension)
+    return np.diff(mean, axis=axis), np.hypot(error[1:], error[:-1])
+
+
+def trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return one row per trend: the smallest step in the stated direction, with its error."""
+    rows = [
+        _monotone(datasets, "fig08_grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
+                  "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
+        _monotone(datasets, "fig09_facetness", "reflectance", "facetness", +1, 700, 1300,
+                  "reflectance rises with facetness, 700-1300 nm", "Fig 9"),
+        _monotone(datasets, "fig11_depth", "transmittance", "depth_m", -1, 400, 700,
+                  "transmittance falls with depth, 400-700 nm", "Fig 11"),
+        _monotone(datasets, "fig12_grain_size", "transmittance", "grain_size_um", +1, 400, 700,
+                  "transmittance rises with grain size, 400-700 nm", "Fig 12"),
+        _monotone(datasets, "fig13_saturation", "transmittance", "saturation", +1, 400, 700,
+                  "transmittance rises with saturation, 400-700 nm", "Fig 13"),
+        _monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 800, 1450,
+                  "transmittance falls with saturation, 800-1450 nm", "Fig 13"),
+        _monotone(datasets, "fig14_density", "transmittance", "density_kg_m3", -1, 400, 700,
+                  "transmittance falls with density, 400-700 nm", "Fig 14"),
+    ]  # fmt: skip
+    sizes = datasets["fig08_grain_size"]
+    rows += [
+        _steepest_band(sizes),
+        *(_peak(sizes, peak, *valleys) for peak, valleys in PEAKS.items()),
+        *_halving(datasets["fig11_depth"]),
+    ]
+    return rows
+
+
+PEAKS = {1800.0: (1500.0, 2000.0), 2250.0: (2000.0, 2500.0)}
+"""Wavelengths (nm) of reflectance features, each between two where ice absorbs more."""
+
+
+def _row(
+    quantity: str, place: str, value: float, error: float, within: bool, bar: str
+) -> dict[str, object]:
+    return {
+        "id": "trend",
+        "quantity": quantity,
+        "place": place,
+        "ours": value,
+        "stderr": error,
+        "bar": bar,
+        "verdict": "agrees" if within else "outside",
+    }
+
+
+def _beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> dict[str, object]:
+    """Return the row of the least significant of several values that should be positive."""
+    worst = int(np.argmin(value / error))
+    v, e = float(value[worst]), float(error[worst])
+    return _row(
+        quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors"
+    )
+
+
+def _monotone(
+    datasets: Mapping[str, xr.Dataset], experiment: str, quantity: str, dimension: str,
+    sign: int, low: float, high: float, statement: str, place: str,
+) -> dict[str, object]:  # fmt: skip
+    step, error = steps(datasets[experiment], quantity, dimension, low, high)
+    return _beyond(f"{statement}: smallest step", place, sign * step, error)
+
+
+def _steepest_band(dataset: xr.Dataset) -> dict[str, object]:
+    """Compare the fall with grain size in 700-1300 nm with that in 400-700 nm."""
+    near, near_error = steps(dataset, "reflectance", "grain_size_um", 700, 1300)
+    visible, visible_error = steps(dataset, "reflectance", "grain_size_um", 400, 700)
+    return _beyond(
+        "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
+        "Fig 8",
+        np.atleast_1d((visible - near).sum()),
+        np.atleast_1d(np.hypot(np.linalg.norm(near_error), np.linalg.norm(visible_error))),
+    )
+
+
+def _peak(dataset: xr.Dataset, peak: float, left: float, right: float) -> dict[str, object]:
+    at = dataset.sel(wavelength=[left, peak, right])
+    r, e = at.reflectance.values, at.reflectance_stderr.values
+    height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])
+    return _beyond(
+        f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm: smallest height",
+        "Fig 8",
+        height,
+        np.linalg.norm(e, axis=-1),
+    )
+
+
+def _halving(dataset: xr.Dataset) -> list[dict[str, object]]:
+    """Return the ratio of transmittance at twice the depth, and how it drops where ice absorbs."""
+    t = band_mean(dataset, "transmittance", 400, 700).values
+    e = band_mean(dataset, "transmittance_stderr", 400, 700).values
+    rows = []
+    for i, depth in enumerate(dataset.depth_m.values[:-1]):
+        ratio = t[i + 1] / t[i]
+        error = ratio * np.hypot(e[i + 1] / t[i + 1], e[i] / t[i])
+        rows.append(
+            _row(
+                f"transmittance, 400-700 nm, {2e3 * depth:g} mm over {1e3 * depth:g} mm: "
+                "approximately half",
+                "Fig 11",
+                float(ratio),
+                float(error),
+                0.35 <= ratio <= 0.65,
+                "0.35 to 0.65",
+            )
+        )
+    shallow = dataset.isel(depth_m=0).transmittance
+    twice = dataset.isel(depth_m=1)
+    drop = (twice.transmittance / shallow).sel(wavelength=1030)
+    visible = t[1] / t[0]
+    error = float(twice.transmittance_stderr.sel(wavelength=1030) / shallow.sel(wavelength=1030))
+    value = np.atleast_1d(float(visible - drop))
+    rows.append(
+        _beyond(
+            "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm",
+            "Fig 11",
+            value,
+            np.atleast_1d(np.hypot(error, rows[0]["stderr"])),  # type: ignore[arg-type]
+        )
+    )
+    return rows

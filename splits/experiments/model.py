@@ -1,0 +1,261 @@
+"""What an experiment file and the main configuration may say.
+
+One pydantic model per section.  Unknown keys are refused everywhere; physical ranges are checked
+by the media and instruments themselves, so that a limit stands in one place only.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from splits.checks import in_range, one_of, refuse, suggestion
+from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
+from splits.media import GranularMedium, Snow
+
+MEDIA: dict[str, type] = {"snow": Snow}
+NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
+RULES = (
+    "all", "agreement", "archive", "benchmarks", "figure", "figure_letcher",
+    "figure_sensitivity", "sensitivity", "simulate",
+)  # fmt: skip
+"""Names that the workflow's own rules have taken."""
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be run; the message names file, key, value and range."""
+
+
+class Section(BaseModel):
+    """A configuration section: unknown keys are refused, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WavelengthGrid(Section):
+    """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+
+    start: float
+    stop: float
+    step: float = Field(gt=0)
+    also: tuple[float, ...] = ()
+
+    def values(self) -> np.ndarray:
+        """Return the wavelengths (nm), increasing."""
+        if self.stop < self.start:
+            raise refuse("wavelength_nm.stop", self.stop, f"at least start = {self.start:g}")
+        count = int((self.stop - self.start) / self.step + 1e-9) + 1
+        if count > 100_000:
+            raise refuse("wavelength_nm.step", self.step, "large enough for 100000 wavelengths")
+        return np.unique(np.concatenate([self.start + self.step * np.arange(count), self.also]))
+
+
+class Instrument(Section):
+    """A virtual instrument and its settings."""
+
+    kind: Literal["spectrophotometer", "refractive_index"] = "spectrophotometer"
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=400, stop=2500, step=10
+    )
+    incidence_deg: float | str = 0.0
+    estimator: Literal["spectral", "analog"] = "spectral"
+    max_stderr: float | None = None
+    seed: int | None = Field(default=None, ge=0)
+
+    @field_validator("incidence_deg")
+    @classmethod
+    def _incidence(cls, value: float | str) -> float | str:
+        return check_incidence(value)
+
+    @field_validator("max_stderr")
+    @classmethod
+    def _max_stderr(cls, value: float | None) -> float | None:
+        return None if value is None else in_range("max_stderr", value, 1e-6, 0.5)
+
+    def wavelengths(self) -> np.ndarray:
+        """Return the wavelengths (nm)."""
+        grid = self.wavelength_nm
+        return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
+
+
+class FigureSection(Section):
+    """How an experiment's figure shows its dataset."""
+
+    quantity: tuple[Literal["reflectance", "transmittance", "absorptance"], ...] = ("reflectance",)
+    kind: Literal["spectra", "points", "refractive_index"] = "spectra"
+    wavelength_nm: tuple[float, float] | None = None
+    at: dict[str, float | str] = {}
+    measured: str | None = None
+    legend: str | None = None
+    ylim: tuple[float, float] | None = None
+
+    @field_validator("quantity", mode="before")
+    @classmethod
+    def _one_or_more(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+
+class Experiment(Section):
+    """A medium under an instrument, over a grid of parameters.
+
+    `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
+    is any keyword of the medium, or ``incidence_deg``; all combinations are run.
+    """
+
+    name: str
+    title: str = ""
+    caption: str = ""
+    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
+    instrument: Instrument = Instrument()
+    grid: dict[str, dict[str, Any]] = {}
+    figure: FigureSection = FigureSection()
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        if not NAME.fullmatch(value):
+            raise refuse(
+                "name", value, "lower-case letters, digits and underscores, a letter first"
+            )
+        if value in RULES:
+            raise refuse("name", value, "none of the workflow's rules " + ", ".join(RULES))
+        return value
+
+    @field_validator("grid", mode="before")
+    @classmethod
+    def _labelled(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise refuse("grid", value, "a mapping from parameters to lists of values")
+        grid = {}
+        for parameter, values in value.items():
+            if not isinstance(values, (list, tuple, dict)) or not values:
+                raise refuse(f"grid.{parameter}", values, "a list of at least one value")
+            if not isinstance(values, dict):
+                labels = [label_of(parameter, v) for v in values]
+                if len(set(labels)) < len(labels):
+                    raise refuse(f"grid.{parameter}", values, "different values", "or name them")
+                values = dict(zip(labels, values, strict=True))
+            grid[parameter] = {str(label): v for label, v in values.items()}
+        return grid
+
+    @model_validator(mode="after")
+    def _runnable(self) -> Experiment:
+        kind = self.medium.get("kind", "snow")
+        one_of("medium.kind", kind, MEDIA)
+        keywords = list(MEDIA[kind].__dataclass_fields__)
+        for key in self.medium:
+            if key not in (*keywords, "kind"):
+                raise ValueError(_unknown(f"medium.{key}", keywords))
+        for parameter in self.grid:
+            if parameter not in (*keywords, "incidence_deg"):
+                raise ValueError(_unknown(f"grid.{parameter}", [*keywords, "incidence_deg"]))
+        for dimension in self.figure.at:
+            one_of("figure.at", dimension, self.grid)
+        wavelengths = self.instrument.wavelengths()
+        for _, medium, incidence in self.points():
+            medium.indices(wavelengths)
+            check_incidence(incidence)
+        return self
+
+    def points(self) -> Iterator[tuple[dict[str, str], GranularMedium, float | str]]:
+        """Yield the labels, the medium and the angle of incidence of each point of the grid."""
+        base = {k: v for k, v in self.medium.items() if k != "kind"}
+        for labels in itertools.product(*self.grid.values()):
+            chosen = dict(zip(self.grid, labels, strict=True))
+            values = {p: self.grid[p][label] for p, label in chosen.items()}
+            incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
+            if "readings" in values and "readings" in base:
+                values["readings"] = {**base["readings"], **values["readings"]}
+            medium = MEDIA[self.medium.get("kind", "snow")](**{**base, **values})
+            yield chosen, medium, incidence
+
+    def simulation(self) -> dict[str, Any]:
+        """Return what decides the numbers: everything but title, caption and figure."""
+        return self.model_dump(mode="json", include={"name", "medium", "instrument", "grid"})
+
+
+class Accuracy(Section):
+    """How far simulations run."""
+
+    max_stderr: float = Field(ge=1e-6, le=0.5)
+    max_rays: int = Field(default=20_000_000, ge=1)
+
+
+class SensitivityPair(Section):
+    """Two values of a parameter between which a spectrum's sensitivity is taken."""
+
+    parameter: str
+    experiment: str
+    readings: str
+    low: float | str
+    high: float | str
+
+
+class Settings(Section):
+    """The main configuration file."""
+
+    experiments: Literal["all"] | tuple[str, ...] = "all"
+    accuracy: str = "standard"
+    accuracies: dict[str, Accuracy]
+    seed: int = Field(default=1, ge=0)
+    experiments_folder: str = "config/experiments"
+    media_folder: str = "config/media"
+    results: str = "results"
+    archive: tuple[str, ...] | Literal["all"] = "all"
+    sensitivity: dict[str, SensitivityPair] = {}
+
+    @field_validator("experiments", mode="before")
+    @classmethod
+    def _names(cls, value: Any) -> Any:
+        # On the command line a list is written with commas.
+        if isinstance(value, str) and value != "all":
+            return tuple(value.split(","))
+        return value
+
+    @model_validator(mode="after")
+    def _known_accuracy(self) -> Settings:
+        one_of("accuracy", self.accuracy, self.accuracies)
+        return self
+
+    @property
+    def results_folder(self) -> str:
+        """Where results go: `results`, with a subfolder for accuracies other than standard."""
+        return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
+
+    def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
+        """Return the experiments chosen among those available.
+
+        Raises
+        ------
+        ConfigError
+            For a name that is not available, anywhere in the settings.
+        """
+        for key, names in (("experiments", self.experiments), ("archive", self.archive)):
+            for name in () if names == "all" else names:
+                if name not in available:
+                    hint = suggestion(name, available) or "known: " + ", ".join(available)
+                    raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+        chosen = available if self.experiments == "all" else self.experiments
+        return {name: available[name] for name in chosen}
+
+
+def label_of(parameter: str, value: Any) -> str:
+    """Return a short label for a grid value: "300-750" for a range, the mean of a distribution."""
+    if isinstance(value, (list, tuple)):
+        if len(value) == 4:
+            return f"{value[2]:g}"
+        return "-".join(f"{v:g}" if isinstance(v, (int, float)) else str(v) for v in value)
+    if isinstance(value, dict):
+        raise refuse(f"grid.{parameter}", value, "named: use a mapping from labels to values")
+    return f"{value:g}" if isinstance(value, (int, float)) else str(value)
+
+
+def _unknown(key: str, known: list[str]) -> str:
+    name = key.rsplit(".", 1)[-1]
+    hint = suggestion(name, known)
+    return f"{key}: unknown key, must be one of {', '.join(known)}" + (f" ({hint})" if hint else "")

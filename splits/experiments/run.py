@@ -1,0 +1,159 @@
+"""Running an experiment: every point of its grid, one labelled dataset."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.dataset import attributes, provenance
+from splits.experiments.model import Accuracy, Experiment
+from splits.instruments import Progress, spectrophotometer
+from splits.transport import sources_digest
+
+POINT_FACTS = {
+    "rays": ("number of rays traced", "1"),
+    "max_stderr_reached": ("largest standard error reached", "1"),
+    "mean_grain_distance": ("mean distance between grains along a ray", "m"),
+    "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
+}
+_PER_MEDIUM = {
+    "mean_grain_distance": "mean_grain_distance_m",
+    "specific_surface_area": "specific_surface_area_m2_kg",
+}
+
+
+def run(
+    experiment: Experiment,
+    accuracy: Accuracy,
+    seed: int = 1,
+    threads: int | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> xr.Dataset:
+    """Run all points of an experiment's grid.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    accuracy : Accuracy
+        Errors and limits unless the experiment's instrument gives its own.
+    seed : int
+        Used unless the experiment's instrument gives its own; every point of a grid uses the
+        same, so that differences along the grid are smooth.
+    threads : int, optional
+    say : callable
+        Receives lines of progress.
+
+    Returns
+    -------
+    xarray.Dataset
+        The instrument's variables over the grid's parameters and wavelength.
+    """
+    if experiment.instrument.kind == "refractive_index":
+        return refractive_indices(experiment)
+    begun = time.perf_counter()
+    instrument = experiment.instrument
+    points = list(experiment.points())
+    results = []
+    for number, (labels, medium, incidence) in enumerate(points, start=1):
+        where = " ".join(f"{p}={label}" for p, label in labels.items())
+        head = f"{experiment.name} {number}/{len(points)} {where}".rstrip()
+
+        def show(progress: Progress, head: str = head) -> None:
+            say(
+                f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} "
+                f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left"
+            )
+
+        result = spectrophotometer(
+            medium,
+            instrument.wavelengths(),
+            incidence,
+            instrument.max_stderr or accuracy.max_stderr,
+            seed if instrument.seed is None else instrument.seed,
+            estimator=instrument.estimator,
+            max_rays=accuracy.max_rays,
+            threads=threads,
+            progress=show,
+        )
+        results.append(result)
+        say(
+            f"{head}: done, {result.attrs['rays']} rays, error "
+            f"{result.attrs['max_stderr_reached']:.4f}, {result.attrs['wall_time_s']:.1f} s"
+        )
+        if result.attrs["stopped_by"] == "rays":
+            say(f"{head}: stopped by max_rays = {accuracy.max_rays} before the error was reached")
+    return _stack(experiment, results, time.perf_counter() - begun)
+
+
+def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
+    """Return the points of a grid as one dataset."""
+    shape = tuple(len(values) for values in experiment.grid.values())
+    dims = tuple(experiment.grid)
+    first = results[0]
+    variables: dict[str, Any] = {}
+    for name, variable in first.data_vars.items():
+        stacked = np.stack([r[name].values for r in results]).reshape(*shape, -1)
+        variables[str(name)] = ((*dims, "wavelength"), stacked, variable.attrs)
+    for name, (long_name, units) in POINT_FACTS.items():
+        key = f"{first.attrs['medium']}_{_PER_MEDIUM[name]}" if name in _PER_MEDIUM else name
+        values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
+        variables[name] = (dims, values, {"long_name": long_name, "units": units})
+    coordinates: dict[str, Any] = {"wavelength": first.wavelength}
+    for parameter, values in experiment.grid.items():
+        coordinates[parameter] = (parameter, _coordinate(values), {"long_name": parameter})
+    varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
+    constant = {
+        key: value
+        for key, value in first.attrs.items()
+        if key not in varying and all(np.array_equal(r.attrs[key], value) for r in results)
+    }
+    facts = {
+        **constant,
+        "title": experiment.title or experiment.name,
+        "experiment": experiment.name,
+        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        "rays": int(sum(r.attrs["rays"] for r in results)),
+        "max_stderr_reached": max(float(r.attrs["max_stderr_reached"]) for r in results),
+        "stopped_by": "rays" if any(r.attrs["stopped_by"] == "rays" for r in results) else "error",
+        "wall_time_s": round(seconds, 3),
+        **provenance(),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))
+
+
+def _coordinate(values: dict[str, Any]) -> np.ndarray:
+    """Return numbers where all grid values are numbers, and labels otherwise."""
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values.values()):
+        return np.array([float(v) for v in values.values()])
+    return np.array(list(values), dtype=object).astype(str)
+
+
+def refractive_indices(experiment: Experiment) -> xr.Dataset:
+    """Return the complex refractive indices of an experiment's medium over wavelength."""
+    _, medium, _ = next(experiment.points())
+    wavelength = experiment.instrument.wavelengths()
+    index = medium.indices(wavelength)
+    variables = {
+        "n": (("wavelength", "material"), index.real, {"long_name": "refractive index"}),
+        "k": (("wavelength", "material"), index.imag, {"long_name": "extinction coefficient"}),
+    }
+    for _, _, variable_attributes in variables.values():
+        variable_attributes["units"] = "1"
+    coordinates = {
+        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "material": ("material", list(medium.materials()), {"long_name": "material"}),
+    }
+    facts = {
+        "title": experiment.title or experiment.name,
+        "experiment": experiment.name,
+        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        "physics_sources_sha256": sources_digest(),
+        **provenance(),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))

@@ -1,0 +1,77 @@
+"""Values at a few points of a grid, with error bars."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.figures.spectra import at_points
+from splits.figures.style import BAND, colours, style
+
+
+def points(
+    dataset: xr.Dataset,
+    quantity: str = "reflectance",
+    at: Mapping[str, float | str] | None = None,
+) -> Figure:
+    """Draw a quantity over the points of a grid, one series per wavelength.
+
+    A dataset of a single wavelength shows the mean grain distance instead: it has no spectrum to
+    speak of.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As written by an experiment.
+    quantity : str
+    at : mapping, optional
+        Grid labels to hold fixed.
+    """
+    dataset = at_points(dataset, at or {})
+    dims = [str(d) for d in dataset[quantity].dims if d != "wavelength"]
+    combinations = list(itertools.product(*(dataset[d].values for d in dims)))
+    names = [" · ".join(_text(label) for label in labels) for labels in combinations]
+    with style():
+        figure, axes = plt.subplots(figsize=(6.4, 1.6 + 0.32 * len(names)))
+        rows = np.arange(len(names))
+        if dataset.sizes["wavelength"] == 1:
+            value = 1e3 * dataset.mean_grain_distance.values.ravel()
+            axes.plot(value, rows, "o", color=colours(1)[0])
+            for x, y in zip(value, rows, strict=True):
+                axes.annotate(
+                    f"{x:.3f}", (x, y), xytext=(8, 0), textcoords="offset points", va="center"
+                )
+            axes.set_xlabel("mean distance between grains (mm)")
+            axes.set_xlim(0, 1.15 * value.max())
+        else:
+            shades = colours(dataset.sizes["wavelength"])
+            for wavelength, colour in zip(dataset.wavelength.values, shades, strict=True):
+                part = dataset.sel(wavelength=wavelength)
+                axes.errorbar(
+                    part[quantity].values.ravel(),
+                    rows,
+                    xerr=BAND * part[f"{quantity}_stderr"].values.ravel(),
+                    fmt="o",
+                    color=colour,
+                    capsize=3,
+                    label=f"{wavelength:g} nm",
+                )
+            axes.set_xlabel(str(dataset[quantity].attrs.get("long_name", quantity)))
+            axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.4, 1.12), ncols=3)
+        axes.set_yticks(rows, [name.replace("_", " ") for name in names])
+        axes.set_ylabel(" · ".join(d.replace("_", " ") for d in dims))
+        axes.invert_yaxis()
+        axes.grid(axis="x", alpha=0.3)
+        axes.margins(y=0.08)
+        axes.spines[["top", "right"]].set_visible(False)
+        figure.tight_layout()
+    return figure
+
+
+def _text(label: object) -> str:
+    return f"{label:g}" if isinstance(label, (int, float, np.number)) else str(label)

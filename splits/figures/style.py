@@ -1,0 +1,66 @@
+"""One look for all figures, and writing them whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import seaborn as sns
+from matplotlib.figure import Figure
+
+BAND = 2.0
+"""Error bands and bars reach this many standard errors to either side."""
+
+SUFFIXES = (".png", ".svg")
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the project's style."""
+    with (
+        sns.axes_style("ticks"),
+        sns.plotting_context("paper", font_scale=1.15),
+        plt.rc_context({"svg.hashsalt": "splits", "svg.fonttype": "none"}),
+    ):
+        yield
+
+
+def colours(count: int) -> list[tuple[float, float, float]]:
+    """Return colours that can be told apart; ordered ones when there are few."""
+    if count <= 6:
+        return list(sns.color_palette("viridis", count + 1))[:count]
+    return list(sns.color_palette("husl", count))
+
+
+def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
+    """Write ``stem.png`` and ``stem.svg`` and close the figure.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    stem : path
+        Without suffix.
+
+    Returns
+    -------
+    list of Path
+    """
+    stem = Path(stem)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for suffix in SUFFIXES:
+        path = stem.with_name(stem.name + suffix)
+        aside = path.with_name(f".{path.name}")
+        metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
+        figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
+        os.replace(aside, path)
+        paths.append(path)
+    plt.close(figure)
+    return paths

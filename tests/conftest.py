@@ -1,0 +1,17 @@
+"""What all tests share: the judgement of statistics in tests/statistics/chi2.py is importable."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numba
+
+sys.path.insert(0, str(Path(__file__).parent / "statistics"))
+
+
+def pytest_configure(config):
+    if numba.config.DISABLE_JIT:
+        # The random stream wraps around 2**64 on purpose; NumPy scalars warn, machine code does
+        # not, and pytest would turn the warning into an error.
+        config.addinivalue_line("filterwarnings", "ignore:overflow encountered:RuntimeWarning")

@@ -1,0 +1,134 @@
+"""Fresnel and Snell at one interface, against an independent computation in complex numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from splits.transport.fresnel import interface, refracted
+
+COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
+INDICES = [
+    (1.0, 1.31, 0.0),
+    (1.0, 1.33, 1e-9),
+    (1.0, 1.2, 0.4),
+    (1.0, 0.3, 3.0),
+    (1.0, 3.0, 3.0),
+    (1.31, 1.0, 0.0),
+    (1.31, 1.0, 1e-7),
+    (1.33, 1.31, 0.02),
+    (1.5, 0.9, 1.0),
+    (1.31, 1.31, 0.1),
+]
+
+
+def polarised(n1, n2, k2, cos_i):
+    """Return the reflectances for s and p polarisation from complex Fresnel amplitudes."""
+    m = complex(n2, k2) / n1
+    # The root with positive imaginary part decays into the far side.
+    q = np.sqrt(m * m - (1.0 - cos_i * cos_i) + 0j)
+    r_s = (cos_i - q) / (cos_i + q)
+    r_p = (m * m * cos_i - q) / (m * m * cos_i + q)
+    return abs(r_s) ** 2, abs(r_p) ** 2, q
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
+    for cos_i in COSINES:
+        s, p, q = polarised(*indices, cos_i)
+        reflectance, ratio, cos_t = interface(*indices, cos_i)
+        assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
+        if s > 1.0 - 1e-15:
+            assert (ratio, cos_t) == (0.0, 0.0)
+            continue
+        # Planes of constant real phase: tangential wave number sinθ, normal Re q.
+        wave = math.hypot(math.sqrt(1.0 - cos_i * cos_i), q.real)
+        assert ratio == pytest.approx(1.0 / wave, rel=1e-9)
+        assert cos_t == pytest.approx(q.real / wave, rel=1e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_reflectance_is_a_probability(indices):
+    values = [interface(*indices, c)[0] for c in COSINES]
+    assert min(values) >= 0.0 and max(values) <= 1.0
+
+
+@pytest.mark.parametrize("n2", [1.31, 1.33, 2.4])
+def test_brewster_angle(n2):
+    cos_b = 1.0 / math.sqrt(1.0 + n2 * n2)
+    s, p, _ = polarised(1.0, n2, 0.0, cos_b)
+    assert p < 1e-30
+    # Nothing but s polarisation is left, in closed form ((n² − 1)/(n² + 1))².
+    assert interface(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
+    assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("n2", "k2"), [(1.31, 0.0), (1.2, 0.4), (0.3, 3.0)])
+def test_normal_incidence(n2, k2):
+    expected = ((n2 - 1) ** 2 + k2**2) / ((n2 + 1) ** 2 + k2**2)
+    reflectance, _, cos_t = interface(1.0, n2, k2, 1.0)
+    assert reflectance == pytest.approx(expected, rel=1e-13)
+    assert cos_t == pytest.approx(1.0, rel=1e-15)
+
+
+def test_grazing_incidence_reflects_everything():
+    for indices in INDICES[:-1]:
+        assert interface(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_total_internal_reflection():
+    n1 = 1.31
+    critical = math.sqrt(1.0 - 1.0 / n1**2)
+    for cos_i in np.linspace(1e-6, critical * (1.0 - 1e-9), 20):
+        assert interface(n1, 1.0, 0.0, cos_i) == (1.0, 0.0, 0.0)
+    assert interface(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
+
+
+def test_an_absorbing_far_side_frustrates_total_reflection():
+    assert interface(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
+
+
+@pytest.mark.parametrize("n", [1.0, 1.31, 2.4])
+def test_equal_media_do_not_show(n):
+    d = (0.48, -0.64, -0.6)
+    for cos_i in COSINES:
+        assert interface(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
+    straight = refracted(*d, 0.0, 0.0, 1.0, 0.6, 1.0, 0.6)
+    assert straight == pytest.approx(d, abs=1e-15)
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.31), (1.31, 1.33), (1.0, 2.4)])
+def test_reversal(n1, n2):
+    for cos_i in COSINES[COSINES > 0.005]:
+        forward, ratio, cos_t = interface(n1, n2, 0.0, cos_i)
+        back, back_ratio, cos_back = interface(n2, n1, 0.0, cos_t)
+        # 1 − R, not R: near the grazing angle R has few digits left of either.
+        assert 1.0 - back == pytest.approx(1.0 - forward, rel=1e-8)
+        assert cos_back == pytest.approx(cos_i, rel=1e-9)
+        assert ratio * back_ratio == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("indices", INDICES, ids=str)
+def test_refracted_direction_obeys_snell(indices):
+    n1 = indices[0]
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        n, d = rng.normal(size=(2, 3))
+        n /= np.linalg.norm(n)
+        d /= np.linalg.norm(d)
+        d = -d if d @ n > 0.0 else d
+        cos_i = float(-d @ n)
+        reflectance, ratio, cos_t = interface(*indices, cos_i)
+        if reflectance == 1.0:
+            continue
+        t = np.array(refracted(*d, *n, cos_i, ratio, cos_t))
+        _, _, q = polarised(*indices, cos_i)
+        real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
+        assert abs(t @ t - 1.0) < 1e-12
+        assert t @ n <= 0.0
+        # Tangential wave numbers on both sides are one and the same vector.
+        assert np.abs(n1 * np.cross(d, n) - real_index * np.cross(t, n)).max() < 1e-9
+        if indices[2] == 0.0:
+            assert real_index == pytest.approx(indices[1], rel=1e-12)

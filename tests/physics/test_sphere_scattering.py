@@ -1,0 +1,149 @@
+"""One grain alone: a smooth sphere scatters as geometric optics says, in closed form per order."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, draw, judge_z
+from numba import njit
+from scipy import integrate
+
+import splits
+from splits.transport import grain, spheroid
+from splits.transport.scene import Optics
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+
+RADIUS = 2.5e-4
+COUNT = 400_000
+
+
+def optics(n, k=0.0, absorption=0.0):
+    return Optics(np.array([1.0, 1.33, n]), np.array([0.0, 0.0, k]), np.array([0, 0, absorption]))
+
+
+@njit
+def _scatter(state, psi, facetness, optics, rules, length):
+    """Return cosθ of scattering, the path inside, survival, and whether the exit is sound."""
+    length[:] = 0.0
+    d1, d2, d3 = 0.48, -0.64, 0.6
+    p1, p2, p3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
+        state, d1, d2, d3, RADIUS, psi, rules.entry
+    )
+    alive, q1, q2, q3, e1, e2, e3, _ = grain.grain_walk(
+        state, p1, p2, p3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
+        RADIUS, psi, facetness, 2, 0, 0.0, optics, rules, length,
+    )  # fmt: skip
+    minor2 = 1.0 / (RADIUS * psi * psi) ** 2
+    shift = 1.0 / (RADIUS * RADIUS) - minor2
+    on = spheroid.quadratic(q1, q2, q3, q1, q2, q3, w1, w2, w3, minor2, shift)
+    m1, m2, m3 = spheroid.normal_at(q1, q2, q3, w1, w2, w3, minor2, shift)
+    outward = e1 * m1 + e2 * m2 + e3 * m3
+    norm = e1 * e1 + e2 * e2 + e3 * e3
+    sound = abs(on - 1.0) < 1e-9 and outward > 0.0 and abs(norm - 1.0) < 1e-9
+    return (
+        d1 * e1 + d2 * e2 + d3 * e3, length[2],
+        1.0 if alive else 0.0, 1.0 if sound or not alive else 0.0,
+    )  # fmt: skip
+
+
+def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False):
+    rules = splits.Readings(entry=entry).rules(analog)
+    out = draw(
+        _scatter, COUNT, psi, facetness, optics(n, 0.0, absorption), rules, np.zeros(3), width=4
+    )
+    assert out[:, 3].all()
+    return out[:, 0], out[:, 1], out[:, 2] == 1.0
+
+
+def fresnel(i, n):
+    """Return the unpolarised reflectance and the angle of refraction, from the angles."""
+    t = math.asin(math.sin(i) / n)
+    s = (math.sin(i - t) / math.sin(i + t)) ** 2
+    p = (math.tan(i - t) / math.tan(i + t)) ** 2
+    return 0.5 * (s + p), t
+
+
+def over_impacts(value, weight):
+    """Return the mean of value(i) over angles of incidence i with the density `weight`."""
+    return integrate.quad(lambda i: weight(i) * value(i), 1e-9, 0.5 * math.pi - 1e-9, limit=400)[0]
+
+
+def projected(i):
+    return math.sin(2.0 * i)
+
+
+def mean_cosine(i, n):
+    """Return <cosθ> at one angle of incidence: reflected, transmitted, all internal orders.
+
+    Order q leaves deviated by 2(i − t) + q(π − 2t) with share (1 − r)² r^q: a geometric series.
+    """
+    r, t = fresnel(i, n)
+    series = np.exp(2j * (i - t)) / (1.0 - r * np.exp(1j * (math.pi - 2.0 * t)))
+    return -r * math.cos(2.0 * i) + (1.0 - r) ** 2 * series.real
+
+
+def mean_escape(i, n, depth):
+    """Return the share that is not absorbed in a sphere of optical thickness `depth`."""
+    r, t = fresnel(i, n)
+    passed = math.exp(-depth * math.cos(t))
+    return r + (1.0 - r) ** 2 * passed / (1.0 - r * passed)
+
+
+def mean_path(i, n):
+    """Return the path inside per diameter: 1 − r get in, for 1/(1 − r) legs of cos t each."""
+    _, t = fresnel(i, n)
+    return math.cos(t)
+
+
+@pytest.mark.parametrize("entry", ["projected", "uniform"])
+def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
+    weight = projected if entry == "projected" else math.sin
+    z = []
+    for n in (1.1, 1.31, 1.6):
+        cosine, path, alive = scatter(n, entry=entry)
+        assert alive.all()
+        for sample, expected in (
+            (cosine, over_impacts(lambda i, n=n: mean_cosine(i, n), weight)),
+            (path / (2 * RADIUS), over_impacts(lambda i, n=n: mean_path(i, n), weight)),
+        ):
+            z.append((sample.mean() - expected) / (sample.std() / math.sqrt(COUNT)))
+    judge_z(z, f"smooth sphere, {entry}")
+    assert np.abs(z).max() < 3.0
+
+
+def test_asymmetry_of_an_ice_sphere_is_the_known_one():
+    expected = over_impacts(lambda i: mean_cosine(i, 1.31), projected)
+    assert abs(expected - 0.78) < 0.005
+    cosine, _, _ = scatter(1.31)
+    assert abs(cosine.mean() - 0.78) < 0.005
+
+
+def test_absorption_in_a_smooth_sphere():
+    # Both ways to absorb, weights and coins, against the sum over internal orders.
+    z = []
+    for depth in (0.1, 1.0, 5.0):
+        absorption = depth / (2.0 * RADIUS)
+        expected = over_impacts(lambda i, depth=depth: mean_escape(i, 1.31, depth), projected)
+        _, path, _ = scatter(1.31)
+        weight = np.exp(-absorption * path)
+        _, _, alive = scatter(1.31, absorption=absorption, analog=True)
+        z.append((weight.mean() - expected) / (weight.std() / math.sqrt(COUNT)))
+        z.append((alive.mean() - expected) / math.sqrt(expected * (1 - expected) / COUNT))
+    judge_z(z, "absorbing sphere")
+
+
+def test_matched_grain_does_not_deviate():
+    for psi, facetness in ((1.0, 0.0), (0.5, 0.0), (0.7, 1.0)):
+        for entry in ("uniform", "projected"):
+            cosine, path, _ = scatter(1.0, psi, facetness, entry)
+            assert np.abs(cosine - 1.0).max() < 1e-12
+            assert path.min() > 0.0
+
+
+def test_rough_grain_loses_forward_scattering():
+    means = [scatter(1.31, 0.8, f)[0].mean() for f in (0.0, 0.3, 1.0)]
+    assert means[0] > means[1] + 0.01 > means[2] + 0.02

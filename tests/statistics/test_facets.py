@@ -1,0 +1,115 @@
+"""Microfacet tilt and orientation, cell by cell against the density they are defined by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import draw, judge_p, p_of_counts, p_of_values, scaled
+from numba import njit
+from scipy import stats
+
+from splits.transport import facets, rng
+
+COUNT = scaled(200_000)
+FACETNESS = (0.3, 1.0)
+COSINES = (0.05, 0.5, 1.0)
+RULES = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
+TILT_CELLS, AZIMUTH_CELLS = 8, 12
+
+
+def tilt(facetness):
+    """Return the distribution of 1 − n·n': half-normal below 1."""
+    return stats.truncnorm(0.0, 2.0 / facetness, scale=0.5 * facetness)
+
+
+def test_tilt_cosine():
+    p = {}
+    for facetness in (0.3, 1.0, 2.0):
+        cosine = draw(facets.tilt_cosine, COUNT, facetness)
+        assert cosine.min() > 0.0 and cosine.max() <= 1.0
+        p[facetness] = p_of_values(1.0 - cosine, tilt(facetness).cdf)
+    judge_p(p)
+
+
+def test_smooth_surface_has_no_tilt():
+    assert (draw(facets.tilt_cosine, 1000, 0.0) == 1.0).all()
+
+
+def cell_probabilities(facetness, cos_i, rule):
+    """Return the probability of cells even in tilt quantile and azimuth, by the midpoint rule."""
+    fine_tilt, fine_azimuth = 250, 80
+    u = (np.arange(TILT_CELLS * fine_tilt) + 0.5) / (TILT_CELLS * fine_tilt)
+    phi = (np.arange(AZIMUTH_CELLS * fine_azimuth) + 0.5) / (AZIMUTH_CELLS * fine_azimuth)
+    c = 1.0 - tilt(facetness).ppf(u)[:, None]
+    s = np.sqrt(1.0 - c * c)
+    facing = c * cos_i + s * np.sqrt(1.0 - cos_i**2) * np.cos(2.0 * np.pi * phi)
+    weight = {
+        "projected": np.maximum(facing, 0.0),
+        "unweighted": (facing > 0.0).astype(float),
+        "any": np.ones_like(facing),
+    }[rule]
+    cells = weight.reshape(TILT_CELLS, fine_tilt, AZIMUTH_CELLS, fine_azimuth).sum(axis=(1, 3))
+    return cells / cells.sum()
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_facet_angles(rule):
+    p = {}
+    for facetness in FACETNESS:
+        for cos_i in COSINES:
+            out = draw(facets.facet_angles, COUNT, facetness, cos_i, RULES[rule], width=5)
+            c, s, cp, sp, cos_facet = out.T
+            assert np.abs(c * c + s * s - 1.0).max() < 1e-12
+            assert np.abs(cp * cp + sp * sp - 1.0).max() < 1e-12
+            expected = c * cos_i + s * np.sqrt(1.0 - cos_i**2) * cp
+            assert np.abs(cos_facet - expected).max() < 1e-12
+            assert rule == "any" or cos_facet.min() > 0.0
+            share = tilt(facetness).cdf(1.0 - c)
+            turn = np.arctan2(sp, cp) / (2.0 * np.pi) % 1.0
+            counts = np.histogram2d(
+                share, turn, bins=(TILT_CELLS, AZIMUTH_CELLS), range=((0, 1), (0, 1))
+            )[0]
+            assert counts.sum() == COUNT
+            p[facetness, cos_i] = p_of_counts(counts, cell_probabilities(facetness, cos_i, rule))
+    judge_p(p)
+
+
+@njit
+def _random_facet(state, facetness, rule):
+    """Return d, n and the facet struck for a random ray and surface."""
+    while True:
+        d1, d2, d3 = rng.unit_sphere(state)
+        n1, n2, n3 = rng.unit_sphere(state)
+        if d1 * n1 + d2 * n2 + d3 * n3 < 0.0:
+            break
+    m1, m2, m3, cosine = facets.struck_facet(state, d1, d2, d3, n1, n2, n3, facetness, rule)
+    return d1, d2, d3, n1, n2, n3, m1, m2, m3, cosine
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_struck_facet_faces_the_ray_and_lies_as_its_angles_say(rule):
+    out = draw(_random_facet, scaled(50_000), 0.6, RULES[rule], width=10)
+    d, n, m, cosine = out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9]
+    assert np.abs((m * m).sum(axis=1) - 1.0).max() < 1e-12
+    assert cosine.min() > 0.0
+    assert np.abs(cosine + (d * m).sum(axis=1)).max() < 1e-12
+    if rule != "any":
+        assert (n * m).sum(axis=1).min() > 0.0
+    # The law of the tilt survives the way into world axes: same angles, same distribution.
+    if rule == "any":
+        share = tilt(0.6).cdf(1.0 - np.abs((n * m).sum(axis=1)))
+        judge_p({"tilt in world axes": p_of_values(share, lambda x: x)})
+
+
+@njit
+def _normal_incidence(state, facetness):
+    m1, m2, m3, _ = facets.struck_facet(
+        state, 0.0, 0.6, -0.8, 0.0, -0.6, 0.8, facetness, facets.PROJECTED
+    )
+    return m1, m2, m3
+
+
+def test_normal_incidence_knows_no_azimuth():
+    m = draw(_normal_incidence, COUNT, 1.0, width=3)
+    turn = np.arctan2(m[:, 0], m @ np.array([0.0, 0.8, 0.6])) / (2.0 * np.pi) % 1.0
+    judge_p({"azimuth": p_of_values(turn, lambda x: x, 48)})

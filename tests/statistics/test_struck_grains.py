@@ -1,0 +1,207 @@
+"""Tables of struck sizes and shapes, and the point at which a ray strikes a grain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import draw, judge_p, p_of_counts, p_of_values, scaled, tabulated_cdf
+from numba import njit
+from scipy import integrate, stats
+
+from splits.media import grain_statistics
+from splits.transport import rng, spheroid
+
+COUNT = scaled(200_000)
+SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)
+# Cells of equal probability that do not fall on the table's own knots, and both tails.
+TAILS = np.array([1e-4, 5e-4, 2e-3])
+EDGES = np.concatenate([TAILS, np.arange(1, 53) / 53, 1.0 - TAILS[::-1]])
+LIMITED_NORMALS = {
+    "Table 1 sphericity": (0.6, 0.95, 0.798, 0.064),
+    "Table 1 facetness": (0.2, 0.4, 0.3, 0.072),
+    "one-sided": (0.3, 1.0, 0.3, 0.2),
+    "nearly uniform": (0.1, 0.9, 0.5, 1.0),
+    "far limits": (0.1, 1.0, 0.55, 0.05),
+}
+
+
+@njit
+def quantile(state, table):
+    return rng.from_table(table, 0, rng.uniform(state))
+
+
+def from_table(values, count=COUNT):
+    return draw(quantile, count, np.ascontiguousarray(values)[np.newaxis])
+
+
+def area_per_volume(sphericity):
+    """Return surface over volume of a prolate spheroid of major axis 1, from textbook formulas."""
+    b, c = 0.5, 0.5 * sphericity**2
+    e = np.sqrt(1.0 - (c / b) ** 2)
+    area = 2.0 * np.pi * c * (c + b * np.arcsin(e) / e)
+    return area / (4.0 / 3.0 * np.pi * b * c * c)
+
+
+@pytest.mark.parametrize("limits", [(3e-4, 7.5e-4), (5e-5, 2e-3)], ids=str)
+def test_struck_sizes(limits):
+    low, high = limits
+    attenuation = from_table(grain_statistics.struck_sizes(low, high, "attenuation"))
+    uniform = from_table(grain_statistics.struck_sizes(low, high, "uniform"))
+    judge_p(
+        {
+            "s^-2": p_of_values(
+                attenuation, lambda s: (1 / low - 1 / s) / (1 / low - 1 / high), EDGES
+            ),
+            "even": p_of_values(uniform, lambda s: (s - low) / (high - low), EDGES),
+        }
+    )
+
+
+@pytest.mark.parametrize("limits", [(300.0, 750.0), (50.0, 2000.0), (1.0, 1e5)], ids=str)
+def test_mean_struck_size_belongs_to_the_attenuation(limits):
+    # The mean over density s^-2 P(s) is 1/K1; of a table joined linearly it is the trapezoid.
+    table = grain_statistics.struck_sizes(*limits, "attenuation")
+    mean = np.trapezoid(table, dx=1.0 / (table.size - 1))
+    assert mean * grain_statistics.size_attenuation(*limits) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_struck_sphericities():
+    p = {}
+    for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
+        values = from_table(grain_statistics.struck_sphericities(low, high, mean, sd))
+
+        def density(psi, mean=mean, sd=sd):
+            return area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(psi, mean, sd)
+
+        p[name] = p_of_values(values, tabulated_cdf(density, low, high), EDGES)
+    judge_p(p)
+
+
+def test_truncated_normal():
+    p = {}
+    for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
+        exact = stats.truncnorm((low - mean) / sd, (high - mean) / sd, loc=mean, scale=sd)
+        table = grain_statistics.truncated_normal(low, high, mean, sd)
+        p[name] = p_of_values(from_table(table), exact.cdf, EDGES)
+    judge_p(p)
+
+
+def area_below(z, sphericity):
+    """Return the fraction of a prolate spheroid's area below z (unit semi-major axis)."""
+    e = np.sqrt(1.0 - sphericity**4)
+    if e == 0.0:
+        return 0.5 * (1.0 + z)
+    top = e * np.sqrt(1.0 - e * e) + np.arcsin(e)
+    return 0.5 * (1.0 + (e * z * np.sqrt(1.0 - (e * z) ** 2) + np.arcsin(e * z)) / top)
+
+
+def test_axial_position():
+    p = {}
+    for psi in SPHERICITIES:
+        z = draw(spheroid.axial_position, COUNT, psi)
+        p[psi] = p_of_values(z, lambda z, psi=psi: area_below(z, psi))
+    judge_p(p)
+
+
+RAY = np.array([0.48, -0.64, -0.6])
+B = 2.5
+ENTRIES = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
+
+
+def struck(psi, entry):
+    out = draw(spheroid.struck_point, COUNT, *RAY, B, psi, ENTRIES[entry], width=9)
+    return out[:, :3], out[:, 3:6], out[:, 6:]
+
+
+def facing_cdf(x, entry):
+    """Return the cumulative of −d·n.
+
+    Turning the grain at random turns the normal at any fixed point of it at random, so −d·n is
+    uniform on (0, 1) for the half that faces the ray; weighting by projected area adds a factor x.
+    """
+    return x if entry == "uniform" else x * x
+
+
+def axis_cdf(psi, entry):
+    """Return the cumulative of |d·w|: even, or weighted by the outline's area along d."""
+    if entry == "uniform":
+        return lambda x: x
+    c2 = psi**4
+    return tabulated_cdf(lambda x: np.sqrt(c2 * x * x + 1.0 - x * x), 0.0, 1.0)
+
+
+def axial_cdf(psi, entry):
+    """Return the cumulative of the entry point's axial coordinate, by quadrature.
+
+    At height z of the body the normal makes the angle with cosine q to the axis; the weight is
+    the mean of |d·n| (projected) or 1 (uniform) over all orientations d of the ray.
+    """
+    c = psi * psi
+
+    def weight(z):
+        if entry == "uniform":
+            return 1.0
+        q = z / np.sqrt(z * z + (1.0 - z * z) / (c * c))
+        mu, w = np.polynomial.legendre.leggauss(120)
+        phi = (np.arange(120) + 0.5) * np.pi / 120
+        root = np.sqrt((1 - mu**2) * (1 - q * q))[:, None]
+        return 0.5 * w @ np.abs(mu[:, None] * q + root * np.cos(phi)).mean(axis=1)
+
+    z = np.linspace(-1.0, 1.0, 41)
+    weights = np.array([weight(v) for v in z])
+
+    def density(v):
+        return np.sqrt(1.0 - (1.0 - c * c) * v * v) * np.interp(v, z, weights)
+
+    return tabulated_cdf(density, -1.0, 1.0)
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_struck_point(entry):
+    p = {}
+    for psi in SPHERICITIES:
+        point, axis, normal = struck(psi, entry)
+        facing = -normal @ RAY
+        assert facing.min() > 0.0
+        p[psi, "facing"] = p_of_values(facing, lambda x: facing_cdf(x, entry))
+        p[psi, "axis"] = p_of_values(np.abs(axis @ RAY), axis_cdf(psi, entry))
+        side = int((axis @ RAY > 0.0).sum())
+        p[psi, "axis side"] = p_of_counts([side, COUNT - side], [0.5, 0.5])
+        z = (point * axis).sum(axis=1) / B
+        p[psi, "axial"] = p_of_values(z, axial_cdf(psi, entry))
+        # Height on the body and angle to the ray are independent under both rules.
+        cells = np.histogram2d(
+            area_below(z, psi), facing_cdf(facing, entry), bins=10, range=((0, 1), (0, 1))
+        )[0]
+        p[psi, "joint"] = p_of_counts(cells, np.full(100, 0.01))
+        # Around the ray nothing distinguishes one azimuth from another.
+        u = np.cross(RAY, [1.0, 0.0, 0.0])
+        u /= np.linalg.norm(u)
+        turn = np.arctan2(point @ np.cross(RAY, u), point @ u) / (2 * np.pi) % 1.0
+        p[psi, "azimuth"] = p_of_values(turn, lambda x: x)
+    judge_p(p)
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_struck_point_lies_on_the_grain_with_its_normal(entry):
+    for psi in SPHERICITIES:
+        point, axis, normal = struck(psi, entry)
+        c = B * psi * psi
+        z = (point * axis).sum(axis=1)
+        radial = point - z[:, None] * axis
+        r2 = (radial**2).sum(axis=1)
+        assert np.abs(z**2 / B**2 + r2 / c**2 - 1.0).max() < 1e-12
+        gradient = radial / c**2 + (z / B**2)[:, None] * axis
+        gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
+        assert np.abs(gradient - normal).max() < 1e-12
+
+
+def test_sphericity_limits_of_the_area_formula():
+    # An independent check of the weight used above, by numerical integration of the area.
+    for psi in (0.3, 0.7, 0.95):
+        c = psi * psi
+        area = integrate.quad(
+            lambda z, c=c: 2 * np.pi * c * np.sqrt(1 - (1 - c * c) * z * z), -1.0, 1.0
+        )[0]
+        expected = 2.0 * area / (4.0 / 3.0 * np.pi * c * c)
+        assert float(grain_statistics.surface_to_volume(psi)) == pytest.approx(expected, rel=1e-9)

@@ -1,0 +1,70 @@
+rule sensitivity:
+    input:
+        data=data(SENSITIVITY_EXPERIMENTS),
+        published="config/published/splitsnow2021.csv",
+    output:
+        data=f"{RESULTS}/data/fig23_sensitivity.nc",
+        table=report(
+            f"{RESULTS}/tables/sensitivity.csv",
+            caption="../report/sensitivity_table.rst",
+            category="Sensitivity",
+        ),
+        table2=report(
+            f"{RESULTS}/tables/table2.csv",
+            caption="../report/sensitivity.rst",
+            category="Sensitivity",
+        ),
+    log:
+        f"{RESULTS}/logs/sensitivity.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/sensitivity.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    params:
+        pairs={name: pair.model_dump() for name, pair in SETTINGS.sensitivity.items()},
+    message:
+        "Taking mean sensitivity indices"
+    script:
+        "../scripts/sensitivity.py"
+
+
+rule agreement:
+    input:
+        data=data(TABLE_EXPERIMENTS),
+        sensitivity=f"{RESULTS}/data/fig23_sensitivity.nc",
+        published="config/published/splitsnow2021.csv",
+        aviris="config/measured/aviris_ng_varsa2021.csv",
+        letcher="config/measured/snow_albedo_letcher2022.csv",
+    output:
+        agreement=report(
+            f"{RESULTS}/tables/agreement.csv",
+            caption="../report/agreement.rst",
+            category="Agreement",
+        ),
+        bands=report(
+            f"{RESULTS}/tables/measured_bands.csv",
+            caption="../report/measured_bands.rst",
+            category="Agreement",
+        ),
+        table1=report(
+            f"{RESULTS}/tables/table1.csv",
+            caption="../report/table1.rst",
+            category="Agreement",
+        ),
+        table3=report(
+            f"{RESULTS}/tables/table3.csv",
+            caption="../report/table3.rst",
+            category="Agreement",
+        ),
+    log:
+        f"{RESULTS}/logs/agreement.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/agreement.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Holding results against published and measured numbers"
+    script:
+        "../scripts/agreement.py"

@@ -1,0 +1,22 @@
+ARCHIVED = list(EXPERIMENTS) if SETTINGS.archive == "all" else list(SETTINGS.archive)
+
+
+rule archive:
+    input:
+        [products(name) for name in ARCHIVED],
+        paper_products() if SETTINGS.archive == "all" else [],
+    output:
+        f"{RESULTS}/archive/splits-results.zip",
+    log:
+        f"{RESULTS}/logs/archive.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/archive.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    params:
+        configuration=["config/config.yaml", "config/media", "config/experiments"],
+    message:
+        "Packing results for deposit"
+    script:
+        "../scripts/archive.py"

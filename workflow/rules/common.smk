@@ -1,0 +1,77 @@
+import splits
+
+PACKAGE = Path(splits.__file__).parent
+
+# A simulation depends on these sources and no others: plots and tables may change freely.
+PHYSICS = sorted(
+    str(path)
+    for folder in ("materials", "media", "transport", "instruments")
+    for path in (PACKAGE / folder).glob("*.py")
+) + [str(PACKAGE / "experiments" / "run.py")]
+
+# Experiments whose numbers the SPLITSnow tables are made of.
+TABLE_EXPERIMENTS = [
+    "table1_sample",
+    "fig07_transmittance",
+    "fig08_grain_size",
+    "fig09_facetness",
+    "fig10_density",
+    "fig11_depth",
+    "fig12_grain_size",
+    "fig13_saturation",
+    "fig14_density",
+    "fig24b_aviris",
+    "letcher2022",
+]
+SENSITIVITY_EXPERIMENTS = sorted(
+    {
+        name
+        for pair in SETTINGS.sensitivity.values()
+        for name in (pair.experiment, pair.readings)
+    }
+)
+
+
+wildcard_constraints:
+    experiment="|".join(EXPERIMENTS),
+
+
+def data(names):
+    """Return the datasets of experiments."""
+    return [f"{RESULTS}/data/{name}.nc" for name in names]
+
+
+def products(name):
+    """Return everything that one experiment makes."""
+    return data([name]) + [
+        f"{RESULTS}/figures/{name}{suffix}" for suffix in (".png", ".svg")
+    ]
+
+
+def paper_products():
+    """Return tables that need several experiments, if all of them are selected."""
+    made = []
+    if set(SENSITIVITY_EXPERIMENTS) <= set(EXPERIMENTS) and SENSITIVITY_EXPERIMENTS:
+        made += [
+            f"{RESULTS}/data/fig23_sensitivity.nc",
+            f"{RESULTS}/figures/fig23_sensitivity.png",
+            f"{RESULTS}/figures/fig23_sensitivity.svg",
+            f"{RESULTS}/tables/sensitivity.csv",
+            f"{RESULTS}/tables/table2.csv",
+        ]
+        if set(TABLE_EXPERIMENTS) <= set(EXPERIMENTS):
+            made += [
+                f"{RESULTS}/tables/{table}.csv"
+                for table in ("agreement", "measured_bands", "table1", "table3")
+            ]
+            made += [
+                f"{RESULTS}/figures/letcher2022_measured{suffix}"
+                for suffix in (".png", ".svg")
+            ]
+    return made
+
+
+def measured_files(name):
+    """Return the measured table that an experiment's figure shows, if any."""
+    measured = EXPERIMENTS[name].figure.measured
+    return [f"config/measured/{measured}"] if measured else []

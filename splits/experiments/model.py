@@ -64,7 +64,7 @@ class Instrument(Section):
     )
     incidence_deg: float | str = 0.0
     estimator: Literal["spectral", "analog"] = "spectral"
-    max_stderr: float | None = None
+    error_factor: float = 1.0
     seed: int | None = Field(default=None, ge=0)
 
     @field_validator("incidence_deg")
@@ -72,10 +72,10 @@ class Instrument(Section):
     def _incidence(cls, value: float | str) -> float | str:
         return check_incidence(value)
 
-    @field_validator("max_stderr")
+    @field_validator("error_factor")
     @classmethod
-    def _max_stderr(cls, value: float | None) -> float | None:
-        return None if value is None else in_range("max_stderr", value, 1e-6, 0.5)
+    def _error_factor(cls, value: float) -> float:
+        return in_range("instrument.error_factor", value, 0.01, 100.0)
 
     def wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""

@@ -40,7 +40,7 @@ def run(
     ----------
     experiment : Experiment
     accuracy : Accuracy
-        Errors and limits unless the experiment's instrument gives its own.
+        Errors and limits; an instrument's ``error_factor`` multiplies the error.
     seed : int
         Used unless the experiment's instrument gives its own; every point of a grid uses the
         same, so that differences along the grid are smooth.
@@ -64,8 +64,9 @@ def run(
         head = f"{experiment.name} {number}/{len(points)} {where}".rstrip()
 
         def show(progress: Progress, head: str = head) -> None:
+            reached = f"error {progress.stderr:.4f}" if progress.stderr < 1.0 else "first round"
             say(
-                f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} "
+                f"{head}: {progress.rays} rays this round, {reached} "
                 f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left"
             )
 
@@ -73,7 +74,7 @@ def run(
             medium,
             instrument.wavelengths(),
             incidence,
-            instrument.max_stderr or accuracy.max_stderr,
+            min(instrument.error_factor * accuracy.max_stderr, 0.5),
             seed if instrument.seed is None else instrument.seed,
             estimator=instrument.estimator,
             max_rays=accuracy.max_rays,

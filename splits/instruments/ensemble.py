@@ -31,8 +31,10 @@ class Ensemble:
         Absorption coefficients of the wavelengths served (1/m).
     rays : int
         Rays traced so far.
-    moments : float, shape (2, 2, wavelengths)
-        Sums over rays: [reflected, transmitted][weight, weight²].
+    moments : float, shape (2, 3, wavelengths)
+        Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
+    least : float, shape (wavelengths,)
+        Smallest weight with which any ray left; 0 once one was absorbed.
     """
 
     number: int
@@ -40,9 +42,18 @@ class Ensemble:
     absorption: np.ndarray
     rays: int = 0
     moments: np.ndarray = field(init=False)
+    least: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.moments = np.zeros((2, 2, len(self.absorption)))
+        self.least = np.full(len(self.absorption), np.inf)
+        self.moments = np.zeros((2, 3, len(self.absorption)))
+
+    def add(self, rays: int, moments: np.ndarray, least: np.ndarray) -> None:
+        """Add the tally of a batch."""
+        np.minimum(self.least, least, out=self.least)
+        self.rays += rays
+        self.moments[:, :2] += moments[:, :2]
+        np.maximum(self.moments[:, 2], moments[:, 2], out=self.moments[:, 2])
 
     def means(self) -> np.ndarray:
         """Return the mean weight, shape (2, wavelengths): reflected, transmitted."""
@@ -51,17 +62,20 @@ class Ensemble:
     def variances(self) -> np.ndarray:
         """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).
 
-        A ray leaves on one side only, so the squares of reflected + transmitted add up.  Where
-        nothing at all arrived, one ray of full weight is taken as what may have been missed.
+        A ray leaves on one side only, so the squares of reflected + transmitted add up.  Two
+        rays are added, of the largest and of the smallest weight possible by what was seen (after
+        Agresti & Coull 1998): few or no arrivals then do not look like certainty.
         """
-        n = self.rays
-        mean = self.means()
-        square = self.moments[:, 1] / n
-        both = mean.sum(axis=0), square.sum(axis=0)
-        variance = np.stack([*(square - mean**2), both[1] - both[0] ** 2])
-        variance = np.maximum(variance, 0.0) * n / max(n - 1, 1)
-        missed = np.stack([mean[0] == 0.0, mean[1] == 0.0, both[0] == 0.0])
-        return np.where(missed, 1.0 / n, variance)
+        total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
+        total = np.concatenate([total, total.sum(axis=0, keepdims=True)])
+        square = np.concatenate([square, square.sum(axis=0, keepdims=True)])
+        largest = np.concatenate([largest, largest.max(axis=0, keepdims=True)])
+        largest = np.where(largest == 0.0, 1.0, largest)
+        smallest = np.zeros_like(largest)
+        smallest[2] = self.least
+        n = self.rays + 2
+        mean = (total + largest + smallest) / n
+        return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
 
 
 @dataclass(frozen=True)
@@ -126,7 +140,7 @@ class Runner:
         Raises
         ------
         RuntimeError
-            If a ray found no grain that fits between the boundaries.
+            If a ray found no grain that fits where it was.
         """
         jobs = [
             (ensemble, ensemble.rays + i * BATCH)
@@ -135,27 +149,29 @@ class Runner:
         ]
         begun = time.perf_counter()
 
-        def run(job: tuple[Ensemble, int]) -> tuple[np.ndarray, int]:
+        def run(job: tuple[Ensemble, int]) -> tuple[np.ndarray, np.ndarray, bool]:
             ensemble, first = job
             return batch(
                 self.seed, ensemble.number, first, BATCH, self.grains, self.slab, self.rules,
                 ensemble.optics, ensemble.absorption,
             )  # fmt: skip
 
-        with ThreadPoolExecutor(self.threads) as pool:
+        pool = ThreadPoolExecutor(self.threads)
+        try:
             results = pool.map(run, jobs)
-            for done, ((ensemble, _), (moments, lost)) in enumerate(
+            for done, ((ensemble, _), (moments, least, lost)) in enumerate(
                 zip(jobs, results, strict=True), start=1
             ):
                 if lost:
                     raise RuntimeError(
-                        f"{lost} rays found no grain that fits between the boundaries; "
-                        "the sample is too thin for its grains"
+                        "a ray found no grain that fits between the boundaries: the sample is "
+                        "barely thicker than its grains, or the incidence too close to 90 degrees"
                     )
-                ensemble.moments += moments
-                ensemble.rays += BATCH
+                ensemble.add(BATCH, moments, least)
                 pace = (time.perf_counter() - begun) / done
                 self._tell(done * BATCH, stderr, target, pace * (len(jobs) - done + left / BATCH))
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
         now = time.perf_counter()

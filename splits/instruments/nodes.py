@@ -19,10 +19,15 @@ import numpy as np
 
 CURVATURE = 0.4
 """Bound on |d²f/d(ln c)²| for f a reflectance, transmittance or absorptance and c = |n/n' − 1| the
-contrast between grain and pore.  Measured: `benchmarks/interpolation.py` prints what it is for
-dry, wet and water-filled snow."""
+contrast between grain and pore; `benchmarks/interpolation.py` measures it for dry, wet and
+water-filled snow."""
 
-MAX_KNOTS = 24
+MAX_KNOTS = 48
+MAX_EXTINCTION = 0.005
+"""Wavelengths at which a material's k exceeds this are traced by themselves: there k decides
+reflection as much as n does, and both change fast."""
+MAX_RESIDUAL = 1e-4
+"""Largest index (or k²) difference that nodes may leave unaccounted for."""
 _FLAT = 1e-7
 
 
@@ -46,7 +51,10 @@ class Nodes:
 
 
 def choose_nodes(index: np.ndarray, pore_share: tuple[float, float], tolerance: float) -> Nodes:
-    """Return the fewest nodes whose interpolation error stays below a tolerance.
+    """Return few nodes, such that the interpolation error stays below a tolerance everywhere.
+
+    Wavelengths that the backbone cannot serve within `tolerance`, `MAX_EXTINCTION` and
+    `MAX_RESIDUAL` become nodes of their own.
 
     Parameters
     ----------
@@ -55,23 +63,59 @@ def choose_nodes(index: np.ndarray, pore_share: tuple[float, float], tolerance: 
     pore_share : (dry, wet)
         Fractions of the pore space.
     tolerance : float
-        Largest `Nodes.bias` wanted.  It is exceeded only when `MAX_KNOTS` do not reach it.
+        Largest `Nodes.bias` allowed.
     """
+    alone = index.imag.max(axis=1) > MAX_EXTINCTION
+    for _ in range(3):
+        nodes, bad = _shared(index[~alone], pore_share, tolerance)
+        if not bad.any():
+            break
+        alone[np.flatnonzero(~alone)[bad]] = True
+    else:
+        alone[:] = True
+        nodes, _ = _shared(index[:0], pore_share, tolerance)
+    own, which = np.unique(index[alone], axis=0, return_inverse=True)
+    weights = np.zeros((len(nodes.index) + len(own), len(index)))
+    weights[: len(nodes.index), ~alone] = nodes.weights
+    weights[len(nodes.index) + which.reshape(-1), np.flatnonzero(alone)] = 1.0
+    bias = np.zeros(len(index))
+    bias[~alone] = nodes.bias
+    return Nodes(np.concatenate([nodes.index, own]), weights, bias)
+
+
+def _shared(
+    index: np.ndarray, pore_share: tuple[float, float], tolerance: float
+) -> tuple[Nodes, np.ndarray]:
+    """Return backbone nodes, and which wavelengths they do not serve well enough."""
+    count, _materials = index.shape
+    good = np.zeros(count, dtype=bool)
+    if count == 0:
+        return Nodes(index, np.zeros((0, 0)), np.zeros(0)), good
     points = np.concatenate([index.real, index.imag**2], axis=1)
-    centre = points.mean(axis=0)
-    spread = np.linalg.svd(points - centre, full_matrices=False)[2]
-    along = (points - centre) @ spread[0]
+    spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    along = (points - points[0]) @ spread[0]
     if np.ptp(along) < _FLAT:
-        return Nodes(index[:1].copy(), np.ones((1, len(index))), np.zeros(len(index)))
-    nodes = _along_backbone(index, points, along, pore_share, knots=2)
-    for knots in range(3, MAX_KNOTS + 1):
+        return Nodes(index[:1].copy(), np.ones((1, count)), np.zeros(count)), good
+    for knots in range(2, MAX_KNOTS + 1):
+        nodes = _along_backbone(index, points, along, pore_share, knots)
         if nodes.bias.max() <= tolerance:
             break
-        nodes = _along_backbone(index, points, along, pore_share, knots)
-    return nodes
+    node_points = np.concatenate([nodes.index.real, nodes.index.imag**2], axis=1)
+    missed = np.abs(nodes.weights.T @ node_points - points).max(axis=1) > MAX_RESIDUAL
+    low, high = index.real.min(axis=0), index.real.max(axis=0)
+    room = 0.25 * (high - low) + MAX_RESIDUAL
+    astray = ((nodes.index.real < low - room) | (nodes.index.real > high + room)).any(axis=1)
+    bad = (nodes.bias > tolerance) | missed | (nodes.weights[astray] > 0.0).any(axis=0)
+    return nodes, bad
 
 
-def _along_backbone(index, points, along, pore_share, knots) -> Nodes:
+def _along_backbone(
+    index: np.ndarray,
+    points: np.ndarray,
+    along: np.ndarray,
+    pore_share: tuple[float, float],
+    knots: int,
+) -> Nodes:
     """Return the nodes for a given number of knots."""
     position = (along - along.min()) / np.ptp(along) * (knots - 1)
     segment = np.minimum(position.astype(int), knots - 2)
@@ -89,8 +133,11 @@ def _along_backbone(index, points, along, pore_share, knots) -> Nodes:
         np.concatenate([points, np.zeros((len(bend), points.shape[1]))]),
         rcond=None,
     )[0]
+    fixed = np.ptp(points, axis=0) == 0.0
+    backbone[:, fixed] = points[0, fixed]
     residual = points - hats @ backbone
     across = np.linalg.svd(residual, full_matrices=False)[2][0]
+    across[fixed] = 0.0
     offset = residual @ across
     width = np.abs(offset).max()
     materials = index.shape[1]
@@ -102,21 +149,29 @@ def _along_backbone(index, points, along, pore_share, knots) -> Nodes:
         weights = np.concatenate([hats.T * side, hats.T * (1.0 - side)])
     node_index = centres[:, :materials] + 1j * np.sqrt(np.maximum(centres[:, materials:], 0.0))
     used = weights.max(axis=1) > 0.0
-    return Nodes(
-        node_index[used], weights[used], _interpolation_bias(backbone, segment, t, pore_share)
-    )
+    bias = _interpolation_bias(index.real, segment, t, pore_share)
+    return Nodes(node_index[used], weights[used], bias)
 
 
-def _interpolation_bias(backbone, segment, t, pore_share) -> np.ndarray:
-    """Bound f(t) − linear by t(1−t)/2 · CURVATURE · Δ(ln c)² over all pairs of core and pore."""
-    materials = backbone.shape[1] // 2
-    n = backbone[:, :materials]
-    worst = np.zeros(len(t))
-    for core in range(2, materials):
+def _interpolation_bias(
+    n: np.ndarray, segment: np.ndarray, t: np.ndarray, pore_share: tuple[float, float]
+) -> np.ndarray:
+    """Bound f(t) − linear by t(1−t)/2 · CURVATURE · (Δc/c)² over all pairs of core and pore.
+
+    Δc is the range of the signed contrast within a segment and c its smallest size there: where
+    a contrast passes through zero the bound is infinite, and rightly so.
+    """
+    bias = np.zeros(len(t))
+    for core in range(2, n.shape[1]):
         total = np.zeros(len(t))
         for pore in (0, 1):
-            contrast = np.maximum(np.abs(n[:, core] / n[:, pore] - 1.0), 1e-4)
-            step = np.diff(np.log(contrast))[segment]
-            total += pore_share[pore] * step**2
-        worst = np.maximum(worst, total)
-    return 0.5 * t * (1.0 - t) * CURVATURE * worst
+            contrast = n[:, core] / n[:, pore] - 1.0
+            for j in np.unique(segment):
+                here = segment == j
+                c = contrast[here]
+                smallest = np.abs(c).min() if c.min() * c.max() > 0.0 else 0.0
+                if np.ptp(c) > 0.0 and pore_share[pore] > 0.0:
+                    relative = np.ptp(c) / smallest if smallest > 0.0 else np.inf
+                    total[here] += pore_share[pore] * relative**2
+        bias = np.maximum(bias, total)
+    return np.where(bias > 0.0, 0.5 * CURVATURE * np.maximum(t * (1.0 - t), 0.01) * bias, 0.0)

@@ -42,10 +42,10 @@ def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
 
 
 def check_incidence(incidence_deg: Any) -> float | str:
-    """Return the angle of incidence in [0, 90) degrees, or "diffuse", or refuse it."""
+    """Return the angle of incidence in [0, 89.99] degrees, or "diffuse", or refuse it."""
     if isinstance(incidence_deg, str):
         return one_of("incidence_deg", incidence_deg, ["diffuse"])
-    return in_range("incidence_deg", incidence_deg, 0.0, 90.0, "degrees", open_high=True)
+    return in_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")
 
 
 def spectrophotometer(
@@ -70,7 +70,7 @@ def spectrophotometer(
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
     incidence_deg : float or "diffuse"
-        Polar angle of a collimated beam, [0, 90) degrees, or equal radiance from everywhere.
+        Polar angle of a collimated beam, 0 to 89.99 degrees, or equal radiance from everywhere.
     max_stderr : float
         Largest standard error wanted for any quantity at any wavelength, 1e-6 to 0.5.
     seed : int
@@ -79,7 +79,8 @@ def spectrophotometer(
         Paths shared by all wavelengths, or the papers' algorithm as a reference: one wavelength
         at a time, absorption by coin toss.
     max_rays : int
-        The run stops here at the latest; attribute ``stopped_by`` says which came first.
+        The run stops once this many are traced (the first round is traced in any case);
+        attribute ``stopped_by`` says whether the error or the rays came first.
     threads : int, optional
         Default: every CPU this process may use.
     progress : callable, optional

@@ -97,10 +97,12 @@ class Tabulated:
             )
         x, xp = np.log(w), np.log(self.wavelength_nm)
         n = np.interp(x, xp, self.n)
-        if (self.k > 0).all():
-            k = np.exp(np.interp(x, xp, np.log(self.k)))
-        else:
-            k = np.interp(x, xp, self.k)
+        k = np.interp(x, xp, self.k)
+        # In log wherever both neighbours absorb; next to a row without absorption, linearly.
+        row = np.clip(np.searchsorted(xp, x, side="right"), 1, xp.size - 1)
+        logarithmic = (self.k[row - 1] > 0.0) & (self.k[row] > 0.0)
+        floor = np.log(np.where(self.k > 0.0, self.k, 1.0))
+        k = np.where(logarithmic, np.exp(np.interp(x, xp, floor)), k)
         return n + 1j * k
 
 

@@ -10,8 +10,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import integrate, stats
 
+from splits.transport.rng import table_probabilities
+
 TABLE_POINTS = 1025
-"""Probabilities at which quantile functions are tabulated: relative error below 1e-5."""
+"""Probabilities at which quantile functions are tabulated."""
+
+_PROBABILITIES = table_probabilities(TABLE_POINTS)
 
 
 def surface_to_volume(sphericity: np.ndarray | float) -> np.ndarray:
@@ -47,15 +51,14 @@ def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) ->
     """Return K2 for a sphericity normal within limits: the mean of A(Ψ)/4 (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume(_fixed(minimum, maximum, mean))) / 4.0
-    density = _truncated(minimum, maximum, mean, sd)
-    value, _ = integrate.quad(
-        lambda psi: surface_to_volume(psi) * density.pdf(psi), minimum, maximum, epsrel=1e-10
-    )
-    return float(value) / 4.0
+    # Over the normal's probability, not over Ψ: no peak is too narrow to be seen.
+    x, w = np.polynomial.legendre.leggauss(200)
+    psi = _truncated(minimum, maximum, mean, sd).ppf(0.5 * (x + 1.0))
+    return float(0.5 * w @ surface_to_volume(psi)) / 4.0
 
 
-def struck_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
-    """Return the quantile function of the major axis of struck grains (m).
+def struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
+    """Return the quantile function of the inverse major axis of struck grains (1/m).
 
     Parameters
     ----------
@@ -67,11 +70,11 @@ def struck_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
     Returns
     -------
     numpy.ndarray, shape (TABLE_POINTS,)
+        Increasing, from 1/largest to 1/smallest.
     """
-    u = np.linspace(0.0, 1.0, TABLE_POINTS)
     if weighting == "uniform":
-        return smallest + u * (largest - smallest)
-    return 1.0 / (1.0 / smallest + u * (1.0 / largest - 1.0 / smallest))
+        return 1.0 / (largest - _PROBABILITIES * (largest - smallest))
+    return 1.0 / largest + _PROBABILITIES * (1.0 / smallest - 1.0 / largest)
 
 
 def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
@@ -81,18 +84,20 @@ def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) 
     """
     if sd == 0.0 or minimum == maximum:
         return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    psi = np.linspace(minimum, maximum, 64 * (TABLE_POINTS - 1) + 1)
-    density = surface_to_volume(psi) * _truncated(minimum, maximum, mean, sd).pdf(psi)
-    cumulative = integrate.cumulative_trapezoid(density, psi, initial=0.0)
-    u = np.linspace(0.0, 1.0, TABLE_POINTS)
-    return np.interp(u, cumulative / cumulative[-1], psi)
+    normal = _truncated(minimum, maximum, mean, sd)
+    # Integrate A(Ψ) over the normal's probability, not over Ψ: a narrow peak between far limits
+    # is then as well resolved as a wide one.
+    u = table_probabilities(64 * (TABLE_POINTS - 1) + 1)
+    psi = normal.ppf(u)
+    cumulative = integrate.cumulative_trapezoid(surface_to_volume(psi), u, initial=0.0)
+    return np.interp(_PROBABILITIES, cumulative / cumulative[-1], psi)
 
 
 def truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of a normal distribution within [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:
         return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    return _truncated(minimum, maximum, mean, sd).ppf(np.linspace(0.0, 1.0, TABLE_POINTS))
+    return _truncated(minimum, maximum, mean, sd).ppf(_PROBABILITIES)
 
 
 def _fixed(minimum: float, maximum: float, mean: float) -> float:

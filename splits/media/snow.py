@@ -38,7 +38,7 @@ class Snow:
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
-        Thickness of the sample (m), at least the largest grain.
+        Thickness of the sample (m), more than the largest grain.
     refractive_index : mapping, optional
         Per material ("ice", "water") a dataset's name, a complex constant n + kj or a table; see
         `splits.materials.refractive_index`.
@@ -80,6 +80,8 @@ class Snow:
             raise refuse(
                 "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"
             )
+        if largest > 1e3 * smallest:
+            raise refuse("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
         put("facetness", _limited("facetness", self.facetness, 0.0))
         put("sphericity", _limited("sphericity", self.sphericity, 0.1))
@@ -91,22 +93,21 @@ class Snow:
             in_range(
                 "density_kg_m3",
                 self.density_kg_m3,
-                0.0,
+                1e-9,
                 ice,
                 "kg/m3",
-                open_low=True,
                 open_high=True,
                 hint=f"ice at {self.temperature_c:g} °C has {ice:g} kg/m3",
             ),
         )
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
         put("readings", _readings(self.readings))
-        if self.depth_m < self._diameters_m[1]:
+        if self.depth_m <= self._diameters_m[1]:
             raise refuse(
                 "depth_m",
                 self.depth_m,
-                f"at least the largest grain, {self._diameters_m[1]:g} m",
-                "no such grain fits between the boundaries",
+                f"more than the largest grain, {self._diameters_m[1]:g} m",
+                "such a grain must fit between the boundaries",
             )
         if not isinstance(self.refractive_index, Mapping):
             raise refuse("refractive_index", self.refractive_index, "a mapping by material")
@@ -147,12 +148,12 @@ class Snow:
 
     def grains(self) -> Grains:
         """Return the table of particle types: one, of ice."""
-        sizes = statistics.struck_sizes(*self._diameters_m, self.readings.struck_size)
+        sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)
         return Grains(
             attenuation=1.0 / self.mean_grain_distance_m,
             share=np.ones(1),
             material=np.array([_ICE], dtype=np.int64),
-            semi_major=0.5 * sizes[np.newaxis],
+            curvature=2.0 * sizes[np.newaxis],
             sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
             facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
         )

@@ -87,7 +87,8 @@ def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
     The facet's normal is returned on the side of the ray, so that d·n' < 0, together with the
     cosine of incidence on it.
     """
-    cos_i = -(dx * nx + dy * ny + dz * nz)
+    # Rounding may turn a grazing ray to the far side; at 1e-12 all light is reflected anyway.
+    cos_i = max(-(dx * nx + dy * ny + dz * nz), 1e-12)
     if facetness == 0.0:
         return nx, ny, nz, cos_i
     c, s, cp, sp, cos_facet = facet_angles(state, facetness, cos_i, rule)

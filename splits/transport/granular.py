@@ -25,7 +25,7 @@ TRANSMITTED = 2
 LOST = 3
 """No grain was found that fits; never expected, counted so that it cannot pass unseen."""
 
-MAX_REJECTIONS = 100_000_000
+MAX_REJECTIONS = 1_000_000
 ROULETTE_BELOW = 0.1
 ROULETTE_SURVIVAL = 0.3
 
@@ -40,8 +40,8 @@ def pick(share, u):
 
 
 @njit(cache=True)
-def cross_boundary(state, dx, dy, dz, n1, n2):
-    """Reflect or refract a ray at a smooth horizontal boundary between real indices n1 and n2.
+def cross_boundary(state, dx, dy, dz, n1, n2, k2):
+    """Reflect or refract a ray at a smooth horizontal boundary from index n1 to n2 + i k2.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def cross_boundary(state, dx, dy, dz, n1, n2):
     """
     up = math.copysign(1.0, -dz)
     cos_i = max(abs(dz), 1e-12)
-    reflectance, ratio, cos_t = interface(n1, n2, 0.0, cos_i)
+    reflectance, ratio, cos_t = interface(n1, n2, k2, cos_i)
     if uniform(state) < reflectance:
         return False, dx, dy, -dz
     dx, dy, dz = refracted(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
@@ -96,7 +96,7 @@ def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, 
         kind = 0
         if grains.share.size > 1:
             kind = pick(grains.share, uniform(state))
-        semi_major = from_table(grains.semi_major, kind, uniform(state))
+        semi_major = 1.0 / from_table(grains.curvature, kind, uniform(state))
         sphericity = from_table(grains.sphericity, kind, uniform(state))
         p1, p2, p3, w1, w2, w3, n1, n2, n3 = struck_point(
             state, dx, dy, dz, semi_major, sphericity, rules.entry
@@ -149,7 +149,9 @@ def trace(state, grains, slab, rules, optics, length):
     dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
     pore = draw_pore(state, slab.saturation)
     if pore == WET_PORE and rules.boundary_fresnel:
-        passed, dx, dy, dz = cross_boundary(state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore])
+        passed, dx, dy, dz = cross_boundary(
+            state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
+        )
         if not passed:
             return REFLECTED, weight, x, y, z, dx, dy, dz
     # The leg just travelled (origin, direction, length), on which no other grain can lie.
@@ -179,7 +181,7 @@ def trace(state, grains, slab, rules, optics, length):
             passed = True
             if pore == WET_PORE and rules.boundary_fresnel:
                 passed, dx, dy, dz = cross_boundary(
-                    state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE]
+                    state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE], 0.0
                 )
             if passed:
                 fate = REFLECTED if dz > 0.0 else TRANSMITTED
@@ -212,7 +214,7 @@ def trace(state, grains, slab, rules, optics, length):
 
 @njit(cache=True, nogil=True)
 def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorption):
-    """Trace `rays` rays and sum their weights and squared weights.
+    """Trace `rays` rays and tally their weights.
 
     Parameters
     ----------
@@ -227,20 +229,24 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
 
     Returns
     -------
-    moments : float64[2, 2, wavelengths]
-        Sums over rays, [reflected, transmitted][weight, weight²].
-    lost : int
+    moments : float64[2, 3, wavelengths]
+        Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
+    least : float64[wavelengths]
+        Smallest weight with which any ray left; 0 once one was absorbed.
+    lost : bool
+        Whether a ray found no grain that fits; the batch then ends early.
     """
-    moments = np.zeros((2, 2, absorption.shape[0]))
+    moments = np.zeros((2, 3, absorption.shape[0]))
+    least = np.full(absorption.shape[0], np.inf)
     length = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
-    lost = 0
     for ray in range(first_ray, first_ray + rays):
         start_stream(state, seed, ensemble, ray)
         fate, weight, _, _, _, _, _, _ = trace(state, grains, slab, rules, optics, length)
         if fate == LOST:
-            lost += 1
-        if fate != REFLECTED and fate != TRANSMITTED:
+            return moments, least, True
+        if fate == ABSORBED:
+            least[:] = 0.0
             continue
         side = 0 if fate == REFLECTED else 1
         for i in range(absorption.shape[0]):
@@ -252,4 +258,6 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
                 w *= math.exp(-depth)
             moments[side, 0, i] += w
             moments[side, 1, i] += w * w
-    return moments, lost
+            moments[side, 2, i] = max(moments[side, 2, i], w)
+            least[i] = min(least[i], w)
+    return moments, least, False

@@ -21,8 +21,8 @@ _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30 = np.uint64(30)
 _S27 = np.uint64(27)
 _S31 = np.uint64(31)
-_S11 = np.uint64(11)
-_TO_UNIT = 2.0**-53
+_S12 = np.uint64(12)
+_TO_UNIT = 2.0**-52
 
 
 @njit(cache=True, inline="always")
@@ -45,11 +45,11 @@ def start_stream(state, seed, ensemble, ray):
 def uniform(state):
     """Return the next number of the stream, uniform on the open interval (0, 1).
 
-    53 random bits, centred in their cells: neither 0 nor 1 can occur, so a logarithm of the
-    result is finite and a free flight is capped only at 37 mean free paths.
+    52 random bits, centred in their cells: the sum below is exact, so that neither 0 nor 1 can
+    occur, a logarithm of the result is finite, and a free flight is capped only at 36 mean paths.
     """
     state[0] += _GOLDEN
-    return (float(mix64(state[0]) >> _S11) + 0.5) * _TO_UNIT
+    return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT
 
 
 @njit(cache=True)
@@ -87,11 +87,22 @@ def from_table(table, row, u):
     Parameters
     ----------
     table : float64[rows, m]
-        Quantile functions on m equidistant probabilities from 0 to 1, joined linearly.
+        Quantile functions at the probabilities of `table_probabilities`, joined linearly.
     row : int
     u : float
         Probability in (0, 1).
     """
-    x = u * (table.shape[1] - 1)
-    i = int(x)
+    x = math.sqrt(0.5 * u) if u < 0.5 else 1.0 - math.sqrt(0.5 * (1.0 - u))
+    x *= table.shape[1] - 1
+    i = min(int(x), table.shape[1] - 2)
     return table[row, i] + (x - i) * (table[row, i + 1] - table[row, i])
+
+
+def table_probabilities(points):
+    """Return the probabilities of a quantile table, float64[points], dense at both ends.
+
+    u = 2x² below one half and its mirror image above, x equidistant: the outermost cell of 1025
+    points holds 2e-6 of the probability, so that tails of distributions survive.
+    """
+    x = np.linspace(0.0, 1.0, points)
+    return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)

@@ -27,7 +27,7 @@ FATE = {"reject": True, "keep": False}
 
 
 class Grains(NamedTuple):
-    """Table of particle types; distributions are quantile functions on equidistant probabilities.
+    """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
 
     Attributes
     ----------
@@ -37,8 +37,9 @@ class Grains(NamedTuple):
         Cumulative probability that the grain met is of type 0…i; the last entry is 1.
     material : int64[types]
         Row of the core's material.
-    semi_major : float64[types, m]
-        Semi-major axis of struck grains (m).
+    curvature : float64[types, m]
+        Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
+        sections make uniform, and is exact in a table whatever the range of sizes.
     sphericity : float64[types, m]
         Inscribed-circle sphericity of struck grains.
     facetness : float64[types, m]
@@ -47,7 +48,7 @@ class Grains(NamedTuple):
     attenuation: float
     share: np.ndarray
     material: np.ndarray
-    semi_major: np.ndarray
+    curvature: np.ndarray
     sphericity: np.ndarray
     facetness: np.ndarray
 

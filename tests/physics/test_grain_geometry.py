@@ -105,7 +105,7 @@ def test_cuts_segment_against_points_along_it(random, psi):
 @njit
 def _struck_chord(state, grains, entry):
     """Return the straight chord through a struck grain that does not bend the ray."""
-    b = rng.from_table(grains.semi_major, 0, rng.uniform(state))
+    b = 1.0 / rng.from_table(grains.curvature, 0, rng.uniform(state))
     psi = rng.from_table(grains.sphericity, 0, rng.uniform(state))
     d1, d2, d3 = 0.48, -0.64, 0.6
     p1, p2, p3, w1, w2, w3, _, _, _ = spheroid.struck_point(state, d1, d2, d3, b, psi, entry)

@@ -78,7 +78,7 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     z = []
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
-            moments, lost = granular.batch(
+            moments, _, lost = granular.batch(
                 seed + 10 * analog, ensemble, 0, rays, snow.grains(), Slab(depth, 0.0, mu, False),
                 snow.readings.rules(analog), optics, absorption[np.newaxis],
             )  # fmt: skip

@@ -84,7 +84,9 @@ def _next_leg(state, to_boundary, grains, slab, rules, no_leg):
 
 @njit
 def _crossed(state, mu, n1, n2):
-    passed, dx, dy, dz = granular.cross_boundary(state, math.sqrt(1.0 - mu * mu), 0.0, mu, n1, n2)
+    passed, dx, dy, dz = granular.cross_boundary(
+        state, math.sqrt(1.0 - mu * mu), 0.0, mu, n1, n2, 0.0
+    )
     return 1.0 if passed else 0.0, dx, dy, dz
 
 

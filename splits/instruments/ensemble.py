@@ -29,6 +29,8 @@ class Ensemble:
     optics : Optics
     absorption : float, shape (wavelengths, materials)
         Absorption coefficients of the wavelengths served (1/m).
+    analog : bool
+        Whether absorption is a coin toss, so that any ray might have been absorbed.
     rays : int
         Rays traced so far.
     moments : float, shape (2, 3, wavelengths)
@@ -40,6 +42,7 @@ class Ensemble:
     number: int
     optics: Optics
     absorption: np.ndarray
+    analog: bool = False
     rays: int = 0
     moments: np.ndarray = field(init=False)
     least: np.ndarray = field(init=False)
@@ -72,7 +75,8 @@ class Ensemble:
         largest = np.concatenate([largest, largest.max(axis=0, keepdims=True)])
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
-        smallest[2] = self.least
+        tossed = self.analog & (self.absorption.max(axis=1) > 0.0)
+        smallest[2] = np.where(tossed, 0.0, self.least)
         n = self.rays + 2
         mean = (total + largest + smallest) / n
         return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)

@@ -138,7 +138,7 @@ def analog(
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
         optics = Optics(m.real.copy(), m.imag.copy(), alpha)
-        ensemble = Ensemble(number, optics, alpha[np.newaxis])
+        ensemble = Ensemble(number, optics, alpha[np.newaxis], analog=True)
         runner.trace([(ensemble, ANALOG_PILOT)], 1.0, max_stderr)
         while True:
             variance = ensemble.variances()[:, 0]

@@ -1,0 +1,50 @@
+# make run     set up .venv, run every experiment of config/ and write the report
+# make test    set up .venv and run the tests
+# make resume  go on after an interrupted run
+PYTHON ?= python3
+CORES ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: run test resume draft lint benchmarks lock clean
+
+run: $(VENV)/ready
+	$(BIN)/snakemake --cores $(CORES)
+	$(BIN)/snakemake --report results/report.html
+
+draft: $(VENV)/ready
+	$(BIN)/snakemake --cores $(CORES) --config accuracy=draft
+	$(BIN)/snakemake --report results/draft/report.html --config accuracy=draft
+
+resume: $(VENV)/ready
+	$(BIN)/snakemake --unlock
+	$(MAKE) run
+
+test: $(VENV)/ready
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/snakefmt --check Snakefile workflow
+	$(BIN)/snakemake --lint
+	$(BIN)/mypy
+
+benchmarks: $(VENV)/ready
+	$(BIN)/python benchmarks/speed_against_error.py
+	$(BIN)/python benchmarks/interpolation.py
+
+$(VENV)/ready: pyproject.toml requirements.txt
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+# Needs uv (https://docs.astral.sh/uv/): pins every dependency, with hashes.
+lock:
+	printf 'setuptools>=77\n' | uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+		--no-header --no-annotate --extra tests --output-file requirements.txt pyproject.toml -
+
+clean:
+	rm -rf $(VENV) .snakemake

@@ -124,3 +124,23 @@ def load(path: str | Path) -> xr.Dataset:
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
     return dataset
+
+
+def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
+    """Return the part of a dataset at labels of its grid.
+
+    Raises
+    ------
+    ValueError
+        If a label is not on the grid.
+    """
+    for dimension, label in at.items():
+        values = dataset[dimension].values
+        if np.issubdtype(values.dtype, np.number):
+            hit = np.flatnonzero(np.isclose(values, float(label)))
+        else:
+            hit = np.flatnonzero(values == str(label))
+        if hit.size == 0:
+            raise ValueError(f"figure.at.{dimension} = {label!r}: must be one of {list(values)}")
+        dataset = dataset.isel({dimension: hit[0]}, drop=True)
+    return dataset

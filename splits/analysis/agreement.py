@@ -119,7 +119,7 @@ def _at(dataset: xr.Dataset, quantity: str, wavelength: float) -> Value:
 
 def _largest(dataset: xr.Dataset, quantity: str, low: float, high: float) -> Value:
     part = dataset.sel(wavelength=slice(low, high))
-    i = int(part[quantity].argmax())
+    i = int(np.argmax(part[quantity].values))
     return float(part[quantity][i]), float(part[f"{quantity}_stderr"][i])
 
 

@@ -10,10 +10,9 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.sensitivity import Sensitivity, mean_sensitivity_index
-from splits.dataset import attributes, provenance
-from splits.figures.spectra import at_points
+from splits.dataset import at_points, attributes, provenance
 
-QUANTITIES = {
+QUANTITIES: dict[str, dict[str, Any]] = {
     "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
     "transmittance": {"depth_m": 0.02, "wavelength_nm": (400.0, 1420.0)},
 }

@@ -121,9 +121,11 @@ def _halving(dataset: xr.Dataset) -> list[dict[str, object]]:
     t = band_mean(dataset, "transmittance", 400, 700).values
     e = band_mean(dataset, "transmittance_stderr", 400, 700).values
     rows = []
+    ratio_errors = []
     for i, depth in enumerate(dataset.depth_m.values[:-1]):
         ratio = t[i + 1] / t[i]
         error = ratio * np.hypot(e[i + 1] / t[i + 1], e[i] / t[i])
+        ratio_errors.append(error)
         rows.append(
             _row(
                 f"transmittance, 400-700 nm, {2e3 * depth:g} mm over {1e3 * depth:g} mm: "
@@ -146,7 +148,7 @@ def _halving(dataset: xr.Dataset) -> list[dict[str, object]]:
             "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm",
             "Fig 11",
             value,
-            np.atleast_1d(np.hypot(error, rows[0]["stderr"])),  # type: ignore[arg-type]
+            np.atleast_1d(np.hypot(error, ratio_errors[0])),
         )
     )
     return rows

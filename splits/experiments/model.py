@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +19,7 @@ from splits.checks import in_range, one_of, refuse, suggestion
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.media import GranularMedium, Snow
 
-MEDIA: dict[str, type] = {"snow": Snow}
+MEDIA = {"snow": Snow}
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
     "all", "agreement", "archive", "benchmarks", "figure", "figure_letcher",
@@ -147,7 +148,7 @@ class Experiment(Section):
     def _runnable(self) -> Experiment:
         kind = self.medium.get("kind", "snow")
         one_of("medium.kind", kind, MEDIA)
-        keywords = list(MEDIA[kind].__dataclass_fields__)
+        keywords = [field.name for field in fields(MEDIA[kind])]
         for key in self.medium:
             if key not in (*keywords, "kind"):
                 raise ValueError(_unknown(f"medium.{key}", keywords))

@@ -105,8 +105,8 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {"wavelength": first.wavelength}
-    for parameter, values in experiment.grid.items():
-        coordinates[parameter] = (parameter, _coordinate(values), {"long_name": parameter})
+    for parameter, choices in experiment.grid.items():
+        coordinates[parameter] = (parameter, _coordinate(choices), {"long_name": parameter})
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
     constant = {
         key: value

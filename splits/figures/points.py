@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.figures.spectra import at_points
+from splits.dataset import at_points
 from splits.figures.style import BAND, colours, style
 
 

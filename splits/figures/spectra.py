@@ -12,29 +12,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splits.dataset import at_points
 from splits.figures.style import BAND, colours, style
 
 MATERIAL_COLOURS = {"ice": "#1f6fb4", "water": "#c8553d", "air": "#888888"}
-
-
-def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
-    """Return the part of a dataset at labels of its grid.
-
-    Raises
-    ------
-    ValueError
-        If a label is not on the grid.
-    """
-    for dimension, label in at.items():
-        values = dataset[dimension].values
-        if np.issubdtype(values.dtype, np.number):
-            hit = np.flatnonzero(np.isclose(values, float(label)))
-        else:
-            hit = np.flatnonzero(values == str(label))
-        if hit.size == 0:
-            raise ValueError(f"figure.at.{dimension} = {label!r}: must be one of {list(values)}")
-        dataset = dataset.isel({dimension: hit[0]}, drop=True)
-    return dataset
 
 
 def spectra(

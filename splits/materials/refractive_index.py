@@ -26,8 +26,15 @@ FOUR_PI = 4.0 * np.pi
 class RefractiveIndex(Protocol):
     """A material's complex refractive index."""
 
-    name: str
-    source: str
+    @property
+    def name(self) -> str:
+        """What the table or constant is called."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """Where its values are from."""
+        ...
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k at the vacuum wavelengths `wavelength_nm` (nm)."""

@@ -13,10 +13,25 @@ from splits.transport.scene import Grains
 class GranularMedium(Protocol):
     """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
 
-    kind: str
-    depth_m: float
-    saturation: float
-    readings: Readings
+    @property
+    def kind(self) -> str:
+        """What sort of medium this is, as configuration files name it."""
+        ...
+
+    @property
+    def depth_m(self) -> float:
+        """Thickness (m)."""
+        ...
+
+    @property
+    def saturation(self) -> float:
+        """Share of the pore space that is wet."""
+        ...
+
+    @property
+    def readings(self) -> Readings:
+        """Named readings of the papers."""
+        ...
 
     def grains(self) -> Grains:
         """Return the table of particle types."""

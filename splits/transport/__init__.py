@@ -39,12 +39,12 @@ def _use_content_addressed_cache() -> None:
             pass
     except OSError:
         folder = Path(tempfile.gettempdir()) / f"splits-numba-{sources_digest()}"
-    numba.config.CACHE_DIR = str(folder)
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
 
 
 _use_content_addressed_cache()
 
-if numba.config.DISABLE_JIT:
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     # The random stream wraps around 2**64 on purpose; NumPy scalars warn about it, machine
     # integers do not.
     warnings.filterwarnings("ignore", "overflow encountered", RuntimeWarning)

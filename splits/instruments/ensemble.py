@@ -14,7 +14,7 @@ from splits.media.granular import GranularMedium
 from splits.transport.granular import batch
 from splits.transport.scene import Grains, Optics, Rules, Slab
 
-BATCH = 256
+BATCH = 128
 """Rays per batch: the grain of parallel work."""
 
 

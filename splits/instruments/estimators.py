@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import BATCH, Ensemble, Runner
+from splits.instruments.ensemble import Ensemble, Runner
 from splits.instruments.nodes import choose_nodes
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.scene import Optics
 
-PILOT = 4 * BATCH
-ANALOG_PILOT = 8 * BATCH
+PILOT = 1024
+ANALOG_PILOT = 2048
 """Rays per ensemble of the first round, from which the number needed is foretold.  Stopping on
 the variance of the very rays that form the mean draws dark values down; a first round that is
 large against the few events seen there keeps this far below the standard error."""

@@ -1,0 +1,137 @@
+"""Datasets on disk: round trip, whole or not at all, provenance."""
+
+from __future__ import annotations
+
+import stat
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.dataset import (
+    CONVENTIONS,
+    VOLATILE,
+    at_points,
+    attributes,
+    provenance,
+    without_volatile,
+)
+
+
+def make(**changes):
+    """Return a small dataset over a number, a label and wavelength."""
+    values = {"reflectance": np.arange(12.0).reshape(2, 2, 3) / 12.0, **changes}
+    return xr.Dataset(
+        {
+            name: (("depth_m", "incidence_deg", "wavelength"), v, {"units": "1"})
+            for name, v in values.items()
+        },
+        {
+            "depth_m": [0.02, 0.12],
+            "incidence_deg": ["beam", "diffuse"],
+            "wavelength": ("wavelength", [500.0, 600.0, 700.0], {"units": "nm"}),
+        },
+        attributes({"title": "made up", "sizes": (300, 750), "flag": True, **provenance()}),
+    )
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_round_trip(tmp_path):
+    dataset = make()
+    splits.save(dataset, tmp_path / "new" / "folder" / "made.nc")
+    again = splits.load(tmp_path / "new" / "folder" / "made.nc")
+    xr.testing.assert_equal(again, dataset)
+    assert again.reflectance.attrs == dataset.reflectance.attrs
+    assert set(again.attrs) == set(dataset.attrs)
+    assert list(again.attrs["sizes"]) == [300, 750]
+    assert names(tmp_path / "new" / "folder") == ["made.nc"]
+
+
+def test_a_loaded_dataset_does_not_hold_its_file(tmp_path):
+    path = tmp_path / "made.nc"
+    splits.save(make(), path)
+    loaded = splits.load(path)
+    path.unlink()
+    assert float(loaded.reflectance.sum()) == pytest.approx(5.5)
+
+
+def test_files_are_readable_by_others_as_any_new_file_is(tmp_path):
+    splits.save(make(), tmp_path / "made.nc")
+    (tmp_path / "plain").touch()
+    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("made.nc", "plain")}
+    assert len(modes) == 1
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
+    path = tmp_path / "made.nc"
+    if before:
+        splits.save(make(), path)
+
+    def fail(_dataset, target, **_options):
+        with open(target, "wb") as file:
+            file.write(b"half a fi")
+        raise OSError("disk full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(xr.Dataset, "to_netcdf", fail)
+        with pytest.raises(OSError, match="disk full"):
+            splits.save(make(reflectance=np.zeros((2, 2, 3))), path)
+    assert names(tmp_path) == (["made.nc"] if before else [])
+    if before:
+        xr.testing.assert_equal(splits.load(path), make())
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused_by_name(tmp_path, bad):
+    values = np.zeros((2, 2, 3))
+    values[1, 0, 2] = bad
+    with pytest.raises(ValueError, match=r"made\.nc: transmittance holds values.*not finite"):
+        splits.save(make(transmittance=values), tmp_path / "made.nc")
+    assert names(tmp_path) == []
+
+
+def test_datasets_of_others_are_refused(tmp_path):
+    path = tmp_path / "foreign.nc"
+    xr.Dataset({"x": ("t", [1.0, 2.0])}).to_netcdf(path)
+    with pytest.raises(ValueError, match=r"foreign\.nc: not a dataset written by splits"):
+        splits.load(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nothing\.nc"):
+        splits.load(tmp_path / "nothing.nc")
+
+
+def test_provenance_names_program_versions_and_time():
+    facts = provenance()
+    assert facts["Conventions"] == CONVENTIONS
+    assert facts["source"] == f"splits {facts['splits_version']}"
+    assert facts["date_created"].endswith("+00:00")
+    assert {"splits_commit", "python_version", "numpy_version"} <= set(facts)
+
+
+def test_attributes_fit_netcdf():
+    facts = attributes({"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3})
+    assert [facts[key] for key in "abcef"] == ["none", "true", "false", "text", 3]
+    assert facts["d"].tolist() == [1.0, 2.5]
+
+
+def test_without_volatile_keeps_numbers_and_other_attributes():
+    dataset = make().assign_attrs(dict.fromkeys(VOLATILE, 1))
+    copy = without_volatile(dataset)
+    assert not set(VOLATILE) & set(copy.attrs)
+    assert copy.attrs["title"] == "made up"
+    assert set(VOLATILE) <= set(dataset.attrs), "the original keeps them"
+    xr.testing.assert_equal(copy, dataset)
+
+
+def test_at_points_takes_numbers_and_labels():
+    dataset = make()
+    part = at_points(dataset, {"depth_m": 0.12, "incidence_deg": "beam"})
+    np.testing.assert_array_equal(part.reflectance, dataset.reflectance[1, 0])
+    xr.testing.assert_equal(at_points(dataset, {}), dataset)

@@ -1,0 +1,159 @@
+"""Refractive indices: named datasets, interpolation, constants and tables of the user's own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splits.materials import Constant, dataset_names, refractive_index
+from splits.materials.refractive_index import absorption_coefficient
+
+NAMED = [(material, name) for material in ("ice", "water") for name in dataset_names(material)]
+TABLE = {"wavelength_nm": [400.0, 800.0, 1600.0], "n": [1.3, 1.4, 1.2], "k": [1e-8, 1e-4, 1e-2]}
+CSV = "# made up\nwavelength_nm, n, k\n400, 1.3, 1e-8\n800, 1.4, 1e-4\n1600, 1.2, 1e-2\n"
+# Rows as printed in the tables' sources: wavelength (nm), n, k.
+PUBLISHED = [
+    ("ice", "warren_brandt_2008", 600.0, 1.3094, 5.73e-9),
+    ("ice", "warren_brandt_2008", 1000.0, 1.3015, 1.62e-6),
+    ("water", "hale_querry_1973", 500.0, 1.335, 1.0e-9),
+    ("water", "hale_querry_1973", 1000.0, 1.327, 2.89e-6),
+]
+
+
+@pytest.mark.parametrize(("material", "name"), NAMED)
+def test_a_dataset_gives_its_table_back(material, name):
+    table = refractive_index(material, name)
+    index = table(table.wavelength_nm)
+    np.testing.assert_allclose(index.real, table.n, rtol=1e-14)
+    np.testing.assert_allclose(index.imag, table.k, rtol=1e-12)
+    assert table.name == name
+    assert re.search(r"\b(19|20)\d\d\b", table.source), "the source names a year"
+
+
+@pytest.mark.parametrize(("material", "name", "wavelength", "n", "k"), PUBLISHED)
+def test_published_rows(material, name, wavelength, n, k):
+    index = complex(refractive_index(material, name)(wavelength))
+    assert index.real == pytest.approx(n, abs=6e-4)
+    assert index.imag == pytest.approx(k, rel=5e-3)
+
+
+@pytest.mark.parametrize("material", ["ice", "water"])
+def test_nothing_stands_for_the_first_named_dataset(material):
+    assert refractive_index(material) is refractive_index(material, dataset_names(material)[0])
+
+
+@pytest.mark.parametrize(("material", "name"), NAMED)
+def test_k_is_interpolated_in_log_and_n_linearly_in_log_wavelength(material, name):
+    table = refractive_index(material, name)
+    w, n, k = table.wavelength_nm, table.n, table.k
+    index = table(np.sqrt(w[1:] * w[:-1]))
+    np.testing.assert_allclose(index.real, 0.5 * (n[1:] + n[:-1]), rtol=1e-12)
+    np.testing.assert_allclose(index.imag, np.sqrt(k[1:] * k[:-1]), rtol=1e-10)
+
+
+def test_k_is_interpolated_linearly_beside_a_row_without_absorption():
+    table = refractive_index("ice", {**TABLE, "k": [0.0, 1e-4, 1e-2]})
+    assert table(400.0).imag == 0.0
+    assert table(np.sqrt(400.0 * 800.0)).imag == pytest.approx(0.5e-4)
+    assert table(np.sqrt(800.0 * 1600.0)).imag == pytest.approx(1e-3)
+
+
+def test_picard_differs_from_warren_below_600_nm_only():
+    warren, picard = (refractive_index("ice", name) for name in dataset_names("ice"))
+    long = np.linspace(600.0, 4000.0, 500)
+    np.testing.assert_array_equal(picard(long), warren(long))
+    short = np.linspace(320.0, 599.0, 200)
+    np.testing.assert_allclose(picard(short).real, warren(short).real, atol=3e-4)
+    blue = np.linspace(380.0, 440.0, 20)
+    assert (picard(blue).imag > 2.0 * warren(blue).imag).all()
+
+
+@pytest.mark.parametrize(("material", "name"), NAMED)
+def test_outside_the_table_the_message_names_dataset_and_range(material, name):
+    table = refractive_index(material, name)
+    low, high = table.wavelength_nm[[0, -1]]
+    for outside in (low * 0.99, high * 1.01, np.nan):
+        with pytest.raises(ValueError, match="wavelength_nm") as caught:
+            table([low, outside])
+        for part in (name, f"{low:g}", f"{high:g}", repr(float(outside))):
+            assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [1.31 + 1e-7j, "1.31+1e-7j", "1.31 + 1e-7j", {"n": 1.31, "k": 1e-7}, Constant(1.31 + 1e-7j)],
+)
+def test_constants_in_every_spelling(spec):
+    index = refractive_index("ice", spec)([400.0, 5000.0])
+    np.testing.assert_array_equal(index, np.full(2, 1.31 + 1e-7j))
+
+
+@pytest.mark.parametrize("spec", [1.33, "1.33", {"n": 1.33}, np.float64(1.33)])
+def test_constants_without_absorption(spec):
+    assert refractive_index("water", spec)(500.0) == 1.33
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_table_as_mapping_and_as_csv_are_the_same(tmp_path, kind):
+    path = tmp_path / "made_up.csv"
+    path.write_text(CSV)
+    wavelengths = np.linspace(400.0, 1600.0, 50)
+    mapping, file = refractive_index("ice", TABLE), refractive_index("ice", kind(path))
+    np.testing.assert_array_equal(file(wavelengths), mapping(wavelengths))
+    assert file.name == "made_up.csv"
+    with pytest.raises(ValueError, match=r"made_up\.csv"):
+        file(399.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"wavelength_nm": [800.0, 400.0, 1600.0]},
+        {"wavelength_nm": [400.0, 400.0, 1600.0]},
+        {"wavelength_nm": [-400.0, 800.0, 1600.0]},
+        {"wavelength_nm": [400.0, 800.0, np.inf]},
+        {"n": [1.3, 0.0, 1.2]},
+        {"n": [1.3, 1.4]},
+        {"n": [1.3, np.nan, 1.2]},
+        {"k": [1e-8, -1e-4, 1e-2]},
+        {"wavelength_nm": [400.0], "n": [1.3], "k": [0.0]},
+    ],
+)
+def test_malformed_tables_are_refused(change):
+    with pytest.raises(ValueError, match="refractive index table user table for ice"):
+        refractive_index("ice", {**TABLE, **change})
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "warren_brandt_2007", "1.3-1e-3j", "-1.3", 0.0, 1.3 - 0.1j, complex("nan"), True, [1.3, 0],
+        {"k": 1e-3}, {"n": 1.3, "kappa": 0}, {"n": "ice"}, {"n": 1.3, "k": -1e-3},
+        {**TABLE, "n": [1.3, "dense", 1.2]}, "missing.csv",
+    ],
+)  # fmt: skip
+def test_other_bad_specifications_are_refused_by_name(spec):
+    with pytest.raises(ValueError, match="refractive_index"):
+        refractive_index("ice", spec)
+
+
+def test_a_misspelt_dataset_gets_a_suggestion():
+    with pytest.raises(ValueError, match="did you mean hale_querry_1973"):
+        refractive_index("water", "hale_query_1973")
+    with pytest.raises(ValueError, match="one of ice, water"):
+        dataset_names("sand")
+
+
+def test_a_csv_file_without_its_columns_is_refused(tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text("wavelength_nm, n\n400, 1.3\n800, 1.3\n")
+    with pytest.raises(ValueError, match=r"other\.csv.*wavelength_nm, n, k"):
+        refractive_index("ice", str(path))
+
+
+def test_absorption_coefficient_is_four_pi_k_over_wavelength():
+    alpha = absorption_coefficient(np.array([1.31 + 1e-6j]), np.array([1000.0]))
+    assert alpha == pytest.approx(4e-6 * np.pi / 1e-6)

@@ -1,0 +1,142 @@
+"""Snow as the user describes it: defaults, derived quantities, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from splits import Readings, Snow
+from splits.materials import ice_density
+from splits.media.readings import CHOICES
+
+TABLE1 = Path(__file__).parents[2] / "config" / "media" / "splitsnow_table1.yaml"
+ORDER = "min <= mean <= max <= 1"
+BAD = [
+    ("grain_size_um", (750, 300), "1 <= min <= max <= 100000"),
+    ("grain_size_um", (0.5, 300), "1 <= min <= max <= 100000"),
+    ("grain_size_um", (300, 2e5), "1 <= min <= max <= 100000"),
+    ("grain_size_um", (1, 2000), "max <= 1000 min"),
+    ("grain_size_um", (300,), "2 numbers (min, max)"),
+    ("grain_size_um", 300, "2 numbers (min, max)"),
+    ("grain_size_um", "30", "2 numbers (min, max)"),
+    ("facetness", (-0.1, 0.4, 0.3, 0.1), f"0 <= {ORDER}"),
+    ("facetness", (0.2, 0.4, 0.5, 0.1), f"0 <= {ORDER}"),
+    ("facetness", (0.2, 1.1, 0.5, 0.1), f"0 <= {ORDER}"),
+    ("facetness", (0.2, 0.4, 0.3), "4 numbers (min, max, mean, sd)"),
+    ("sphericity", (0.05, 0.9, 0.8, 0.1), f"0.1 <= {ORDER}"),
+    ("sphericity", (0.9, 0.6, 0.8, 0.1), f"0.1 <= {ORDER}"),
+    ("saturation", 1.2, "[0, 1]"),
+    ("saturation", -0.1, "[0, 1]"),
+    ("saturation", True, "[0, 1]"),
+    ("saturation", "wet", "[0, 1]"),
+    ("saturation", float("nan"), "[0, 1]"),
+    ("density_kg_m3", 950.0, "916.9"),
+    ("density_kg_m3", 917, "916.9"),
+    ("density_kg_m3", 0.0, "916.9"),
+    ("temperature_c", 1.0, "[-40, 0]"),
+    ("temperature_c", -41.0, "[-40, 0]"),
+    ("depth_m", -0.1, "(0, 10000]"),
+    ("depth_m", float("inf"), "(0, 10000]"),
+    ("depth_m", 0.0005, "more than the largest grain, 0.00075 m"),
+    ("refractive_index", 1.31, "mapping"),
+    ("readings", "projected", "mapping"),
+]
+
+
+def test_defaults_are_the_shipped_sample_of_table_1():
+    shipped = yaml.safe_load(TABLE1.read_text(encoding="utf-8"))
+    assert shipped.pop("kind") == Snow.kind
+    assert set(shipped) == set(Snow.__dataclass_fields__) - {"refractive_index", "readings"}
+    assert Snow(**shipped).describe() == Snow().describe()
+
+
+def test_mean_grain_distance_and_specific_surface_area():
+    assert Snow(density_kg_m3=450).mean_grain_distance_m == pytest.approx(4.3e-4, rel=0.03)
+    assert Snow().specific_surface_area_m2_kg == pytest.approx(20.3, abs=0.05)
+
+
+def test_specific_surface_area_of_equal_spheres():
+    snow = Snow(grain_size_um=(500, 500), sphericity=(1, 1, 1, 0))
+    exact = 6.0 / (500e-6 * ice_density(-1.0))
+    assert snow.specific_surface_area_m2_kg == pytest.approx(exact, rel=1e-12)
+    # Mean cross-section over volume of a sphere: 1.5 per diameter.
+    assert snow.attenuation_per_m == pytest.approx(1.5 / 500e-6, rel=1e-12)
+
+
+def test_porosity_is_what_ice_leaves():
+    snow = Snow(density_kg_m3=275, temperature_c=-20)
+    assert snow.porosity == pytest.approx(1.0 - 275 / 920.3, rel=1e-14)
+
+
+def test_semi_axis_reading_doubles_the_grains():
+    single, double = Snow(), Snow(readings={"size_is": "semi_axis"})
+    ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
+    assert ratio == pytest.approx(2.0, rel=1e-14)
+    with pytest.raises(ValueError, match=r"depth_m = 0.001: .*0.0015 m"):
+        Snow(depth_m=0.001, readings=Readings(size_is="semi_axis"))
+
+
+@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key}") as caught:
+        Snow(**{key: value})
+    assert repr(value) in str(caught.value)
+    assert allowed in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["facetness", "sphericity"])
+def test_a_negative_spread_is_refused(key):
+    with pytest.raises(ValueError, match=rf"^{key} \(sd\) = -0.1: must be in \[0, 1\]"):
+        Snow(**{key: (0.2, 0.8, 0.5, -0.1)})
+
+
+def test_unknown_keywords_are_refused():
+    with pytest.raises(TypeError, match="saturaton"):
+        Snow(saturaton=0.1)
+
+
+def test_indices_of_unknown_materials_are_refused():
+    with pytest.raises(ValueError, match=r"refractive_index = \['sand'\].*ice, water"):
+        Snow(refractive_index={"sand": 1.5})
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_bad_readings_are_refused_by_name(name):
+    allowed = ", ".join(sorted(CHOICES[name]))
+    for make in (lambda r: Snow(readings=r), lambda r: Readings(**r)):
+        with pytest.raises(ValueError, match=f"readings.{name} = 'neither': .*{allowed}"):
+            make({name: "neither"})
+    with pytest.raises(ValueError, match=f"did you mean {name}"):
+        Snow(readings={f"{name}x": CHOICES[name][0]})
+
+
+def test_readings_have_their_first_choice_by_default():
+    assert Readings().as_dict() == {name: choices[0] for name, choices in CHOICES.items()}
+
+
+def test_a_snow_does_not_change():
+    snow = Snow()
+    with pytest.raises(AttributeError):
+        snow.saturation = 0.5
+    assert snow.saturation == 0.05
+
+
+def test_indices_have_air_water_and_ice():
+    index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).indices([500.0, 900.0])
+    np.testing.assert_array_equal(index, [[1.0, 1.33, 1.31 + 1e-3j]] * 2)
+    dry = Snow(saturation=0, refractive_index={"ice": 1.31}).indices([500.0])
+    np.testing.assert_array_equal(dry, [[1.0, 1.0, 1.31]])
+    assert len(Snow().materials()) == index.shape[1]
+
+
+def test_description_names_every_input():
+    facts = Snow(refractive_index={"water": 1.33}).describe()
+    assert {f for f in Snow.__dataclass_fields__ if f not in ("refractive_index", "readings")} <= (
+        set(facts)
+    )
+    assert facts["refractive_index_ice"] == "warren_brandt_2008"
+    assert facts["refractive_index_water"] == "1.33+0j"
+    assert {f"reading_{name}" for name in CHOICES} <= set(facts)

@@ -1,0 +1,131 @@
+"""The spectrophotometer as users call it: what comes back, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import splits
+
+QUANTITIES = ("reflectance", "transmittance", "absorptance")
+WAVELENGTHS = [500.0, 1030.0, 1500.0]
+THIN = splits.Snow(depth_m=0.001)
+BAD = [
+    ("wavelength_nm", 100, "in [200, 100000] nm"),
+    ("wavelength_nm", [500, 1e6], "in [200, 100000] nm"),
+    ("wavelength_nm", [], "at least one wavelength"),
+    ("wavelength_nm", [600.0, 500.0], "strictly increasing"),
+    ("wavelength_nm", [500.0, 500.0], "strictly increasing"),
+    ("wavelength_nm", [500.0, float("nan")], "in [200, 100000] nm"),
+    ("wavelength_nm", "green", "numbers in nanometres"),
+    ("incidence_deg", 90, "in [0, 89.99] degrees"),
+    ("incidence_deg", -1, "in [0, 89.99] degrees"),
+    ("incidence_deg", None, "in [0, 89.99] degrees"),
+    ("incidence_deg", "difuse", "did you mean diffuse?"),
+    ("max_stderr", 0, "in [1e-06, 0.5]"),
+    ("max_stderr", 0.6, "in [1e-06, 0.5]"),
+    ("seed", -1, "a whole number of at least 0"),
+    ("seed", True, "a whole number of at least 0"),
+    ("seed", 1.0, "a whole number of at least 0"),
+    ("seed", 2**63, "a whole number of at least 0"),
+    ("max_rays", 0, "a whole number of at least 1"),
+    ("threads", 0, "a whole number of at least 1"),
+    ("estimator", "spektral", "did you mean spectral?"),
+]
+
+
+def measure(**changes):
+    settings = {"wavelength_nm": WAVELENGTHS, "max_stderr": 0.5, "threads": 1, **changes}
+    return splits.spectrophotometer(THIN, **settings)
+
+
+@pytest.fixture(scope="module", params=["spectral", "analog"])
+def measured(request):
+    return measure(estimator=request.param, incidence_deg="diffuse")
+
+
+def test_variables_and_dimensions(measured):
+    assert set(measured.data_vars) == {q + s for q in QUANTITIES for s in ("", "_stderr")}
+    assert all(variable.dims == ("wavelength",) for variable in measured.data_vars.values())
+    np.testing.assert_array_equal(measured.wavelength, WAVELENGTHS)
+
+
+def test_reflectance_transmittance_and_absorptance_add_up_to_one(measured):
+    total = sum(measured[quantity] for quantity in QUANTITIES)
+    np.testing.assert_allclose(total, 1.0, rtol=1e-12)
+    for quantity in QUANTITIES:
+        assert ((measured[quantity] >= 0.0) & (measured[quantity] <= 1.0)).all()
+        assert (measured[f"{quantity}_stderr"] >= 0.0).all()
+    assert measured.attrs["max_stderr_reached"] <= 0.5
+
+
+def test_every_variable_says_what_it_is(measured):
+    for name, variable in measured.variables.items():
+        assert variable.attrs["units"] == ("nm" if name == "wavelength" else "1")
+        assert variable.attrs["long_name"]
+    for quantity in QUANTITIES:
+        assert measured[quantity].attrs["ancillary_variables"] == f"{quantity}_stderr"
+    assert "hemispherical-hemispherical" in measured.reflectance.attrs["long_name"]
+
+
+def test_attributes_hold_all_inputs_and_provenance(measured):
+    facts = measured.attrs
+    assert {f"snow_{key}" for key in THIN.describe()} <= set(facts)
+    for key, value in {"incidence_deg": "diffuse", "max_stderr": 0.5, "seed": 1}.items():
+        assert facts[key] == value
+    for key in ("Conventions", "source", "splits_version", "splits_commit", "date_created"):
+        assert facts[key]
+    assert facts["physics_sources_sha256"]
+    assert facts["threads"] == 1
+    assert facts["stopped_by"] == "error"
+    assert facts["rays"] > 0
+
+
+def test_a_result_survives_a_file(measured, tmp_path):
+    splits.save(measured, tmp_path / "measured.nc")
+    again = splits.load(tmp_path / "measured.nc")
+    assert again.equals(measured)
+    assert set(again.attrs) == set(measured.attrs)
+    assert json.dumps({k: str(v) for k, v in again.attrs.items()})
+
+
+def test_a_number_is_a_spectrum_of_one():
+    one = measure(wavelength_nm=500)
+    assert one.wavelength.values.tolist() == [500.0]
+    assert one.reflectance.attrs["long_name"] == "directional-hemispherical reflectance"
+
+
+def test_the_seed_decides():
+    first, again, other = (measure(seed=seed) for seed in (1, 1, 2))
+    assert first.equals(again)
+    assert not first.equals(other)
+
+
+def test_progress_is_told():
+    told = []
+    measure(progress=told.append)
+    assert told
+    assert told[0].target == 0.5
+    assert told[0].rays > 0
+
+
+def test_a_limit_of_rays_stops_the_run():
+    stopped = measure(max_stderr=1e-6, max_rays=1)
+    assert stopped.attrs["stopped_by"] == "rays"
+    assert stopped.attrs["max_stderr_reached"] > 1e-6
+
+
+@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+def test_bad_arguments_are_refused_with_key_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key} = ") as caught:
+        measure(**{key: value})
+    assert allowed in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_wavelengths_beyond_the_tables_are_refused():
+    narrow = splits.Snow(refractive_index={"ice": "warren_brandt_2008_picard_2016"})
+    with pytest.raises(ValueError, match=r"wavelength_nm = 300\.0.*\[320, .*picard"):
+        splits.spectrophotometer(narrow, [300.0, 500.0])

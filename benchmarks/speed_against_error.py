@@ -22,7 +22,7 @@ MEDIA = {
     "representative (Table 1)": splits.Snow(),
     "thin, fine, dry": splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0),
 }
-STDERR = 0.005
+STDERR = 0.002
 
 
 def seconds(medium: splits.Snow, estimator: str, wavelengths: np.ndarray) -> float:

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import bands, letcher_bands, rmse
-from splits.analysis.trends import trend_rows
+from splits.analysis.trends import ranking_rows, trend_rows
 
 Value = tuple[float, float]
 """A number and its standard error."""
@@ -51,6 +51,7 @@ def agreement_table(
     values = _values(datasets, sensitivities, aviris)
     rows = [_judge(name, row, values.get(str(name))) for name, row in published.iterrows()]
     rows += trend_rows(datasets)
+    rows += ranking_rows(sensitivities)
     rows += _measured_rows(datasets, aviris, letcher)
     return pd.DataFrame(rows)
 

@@ -68,7 +68,7 @@ class Instrument(Section):
     error_factor: float = 1.0
     seed: int | None = Field(default=None, ge=0)
 
-    @field_validator("incidence_deg")
+    @field_validator("incidence_deg", mode="before")
     @classmethod
     def _incidence(cls, value: float | str) -> float | str:
         return check_incidence(value)
@@ -155,8 +155,11 @@ class Experiment(Section):
         for parameter in self.grid:
             if parameter not in (*keywords, "incidence_deg"):
                 raise ValueError(_unknown(f"grid.{parameter}", [*keywords, "incidence_deg"]))
-        for dimension in self.figure.at:
+        for dimension, label in self.figure.at.items():
             one_of("figure.at", dimension, self.grid)
+            labels = self.grid[dimension]
+            if str(label) not in labels and label not in labels.values():
+                raise refuse(f"figure.at.{dimension}", label, "one of " + ", ".join(labels))
         wavelengths = self.instrument.wavelengths()
         for _, medium, incidence in self.points():
             medium.indices(wavelengths)
@@ -170,7 +173,8 @@ class Experiment(Section):
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
-            if "readings" in values and "readings" in base:
+            both = values.get("readings"), base.get("readings")
+            if all(isinstance(readings, Mapping) for readings in both):
                 values["readings"] = {**base["readings"], **values["readings"]}
             medium = MEDIA[self.medium.get("kind", "snow")](**{**base, **values})
             yield chosen, medium, incidence

@@ -115,7 +115,7 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     }
     facts = {
         **constant,
-        "title": experiment.title or experiment.name,
+        "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         "rays": int(sum(r.attrs["rays"] for r in results)),
@@ -150,7 +150,7 @@ def refractive_indices(experiment: Experiment) -> xr.Dataset:
         "material": ("material", list(medium.materials()), {"long_name": "material"}),
     }
     facts = {
-        "title": experiment.title or experiment.name,
+        "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},

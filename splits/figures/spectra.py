@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
@@ -54,8 +55,10 @@ def spectra(
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     with style():
+        lines = math.prod(dataset.sizes[d] for d in dims)
+        width = 6.4 if lines <= 6 else 8.8
         figure, panels = plt.subplots(
-            len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True
+            len(quantity), 1, figsize=(width, 3.9 * len(quantity)), squeeze=False, sharex=True
         )
         for axes, name in zip(panels[:, 0], quantity, strict=True):
             _lines(axes, dataset, name, dims)
@@ -65,8 +68,11 @@ def spectra(
             axes.set_ylim(ylim or (0.0, None))
             axes.margins(x=0.01)
             axes.spines[["top", "right"]].set_visible(False)
-            if axes.get_legend_handles_labels()[0]:
-                axes.legend(title=legend or " · ".join(dims) or None, frameon=False)
+            entries = len(axes.get_legend_handles_labels()[0])
+            if entries:
+                # A long legend stands beside the curves, not on them.
+                place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if entries > 6 else {}
+                axes.legend(title=legend or " · ".join(dims) or None, frameon=False, **place)
         panels[-1, 0].set_xlabel("wavelength (nm)")
         figure.tight_layout()
     return figure
@@ -94,7 +100,9 @@ def _measured(axes: Axes, table: pd.DataFrame, name: str) -> None:
 
 
 def _text(label: object) -> str:
-    return f"{label:g}" if isinstance(label, (int, float, np.number)) else str(label)
+    if isinstance(label, (int, float, np.number)):
+        return f"{label:g}"
+    return str(label).replace("_", " ")
 
 
 def _label(variable: xr.DataArray) -> str:

@@ -21,7 +21,8 @@ ANALOG_PILOT = 2048
 the variance of the very rays that form the mean draws dark values down; a first round that is
 large against the few events seen there keeps this far below the standard error."""
 _GROWTH = 8.0
-_BIAS_SHARE = 0.3
+_BIAS_SHARE = 0.4
+"""Part of the error asked for that interpolation between indices may take."""
 _ANALOG_STREAMS = 1_000_000
 """First ensemble number of the analog estimator: with one seed, both draw different numbers."""
 

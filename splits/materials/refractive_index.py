@@ -221,8 +221,12 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
         k = spec.get("k", 0.0)
         if "wavelength_nm" not in spec:
             return Constant(complex(number(f"{key}.n", spec["n"]), number(f"{key}.k", k)))
-        columns = [np.asarray(c, dtype=float) for c in (spec["wavelength_nm"], spec["n"], k)]
-        columns[2] = np.broadcast_to(columns[2], columns[0].shape)
+        try:
+            columns = [np.asarray(c, dtype=float) for c in (spec["wavelength_nm"], spec["n"], k)]
+        except (TypeError, ValueError):
+            raise refuse(key, dict(spec), "a table of numbers") from None
+        if columns[2].ndim == 0:
+            columns[2] = np.broadcast_to(columns[2], columns[0].shape)
         return Tabulated(f"user table for {material}", "given by the user", *columns)
     if isinstance(spec, (int, float, complex, np.number)) and not isinstance(spec, bool):
         return Constant(complex(spec))

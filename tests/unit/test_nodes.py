@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splits import Snow
-from splits.instruments.nodes import MAX_EXTINCTION, MAX_RESIDUAL, choose_nodes
+from splits.instruments.nodes import CURVATURE, MAX_EXTINCTION, MAX_RESIDUAL, choose_nodes
 
 SPECTRA = {
     "solar": np.arange(400.0, 2501.0, 10.0),
@@ -112,6 +112,22 @@ def test_a_contrast_that_changes_sign_is_not_interpolated_across():
     for weights in nodes.weights.T:
         drawn = contrast[weights > 0.0]
         assert drawn.min() * drawn.max() >= 0.0
+
+
+@pytest.mark.parametrize("sample", ["Table 1", "dry", "filled with water"])
+@pytest.mark.parametrize("step", [10.0, 150.0])
+def test_nodes_lie_as_near_as_the_tolerance_needs(step, sample):
+    # Jensen's gap of a function with |f''| <= CURVATURE, from the nodes that are drawn on.
+    index, share = indices(np.arange(400.0, 2501.0, step), **SAMPLES[sample])
+    tolerance = 1e-3
+    nodes = choose_nodes(index, share, tolerance)
+    gap = np.zeros(len(index))
+    for pore in (0, 1):
+        drawn = (nodes.index[:, 2] / nodes.index[:, pore]).real[:, np.newaxis] - 1.0
+        wanted = (index[:, 2] / index[:, pore]).real - 1.0
+        relative = (drawn - wanted) / np.minimum(np.abs(drawn), np.abs(wanted))
+        gap += share[pore] * 0.5 * CURVATURE * (nodes.weights * relative**2).sum(axis=0)
+    assert gap.max() <= 2.0 * tolerance
 
 
 def test_water_that_is_not_there_does_not_matter():

@@ -15,7 +15,7 @@ rule archive:
         "../../environment.yml"
     threads: 1
     params:
-        configuration=["config/config.yaml", "config/media", "config/experiments"],
+        configuration=["config", SETTINGS.media_folder, SETTINGS.experiments_folder],
     message:
         "Packing results for deposit"
     script:

@@ -1,0 +1,140 @@
+"""Verdicts on published and measured numbers, from data made by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from splits.analysis.agreement import _judge, read_published
+from splits.analysis.measured import (
+    DIFFUSE_SHARE,
+    LETCHER_COLUMNS,
+    bands,
+    letcher_bands,
+    read_measured,
+    rmse,
+)
+from splits.analysis.tables import write_table
+
+CONFIG = Path(__file__).parents[2] / "config"
+PUBLISHED = """\
+# made up
+id,quantity,place,published,bar,low,high
+absolute,q,p,0.5,0.03,,
+relative,q,p,0.5,3%,,
+negative,q,p,-2,10%,,
+between,q,p,0.026,,0.020,0.032
+at_most,q,p,3.6,,,6
+"""
+VERDICTS = [
+    ("absolute", 0.529, "agrees"), ("absolute", 0.531, "outside"), ("absolute", 0.471, "agrees"),
+    ("absolute", 0.469, "outside"),
+    ("relative", 0.514, "agrees"), ("relative", 0.516, "outside"),
+    ("negative", -2.19, "agrees"), ("negative", -2.21, "outside"),
+    ("between", 0.0201, "agrees"), ("between", 0.0199, "outside"), ("between", 0.033, "outside"),
+    ("at_most", 0.0, "agrees"), ("at_most", 6.0, "agrees"), ("at_most", 6.1, "outside"),
+]  # fmt: skip
+
+
+@pytest.fixture
+def published(tmp_path):
+    path = tmp_path / "published.csv"
+    path.write_text(PUBLISHED)
+    return read_published(path)
+
+
+@pytest.mark.parametrize(("name", "ours", "verdict"), VERDICTS)
+def test_a_number_agrees_within_its_bar(published, name, ours, verdict):
+    row = _judge(name, published.loc[name], (ours, 0.001))
+    assert row["verdict"] == verdict
+    assert row["difference"] == pytest.approx(ours - published.loc[name].published)
+    assert row["stderr"] == 0.001
+    assert row["id"] == name
+
+
+def test_bars_are_told_as_they_are_applied(published):
+    bars = {name: _judge(name, row, (1.0, 0.0))["bar"] for name, row in published.iterrows()}
+    assert bars["absolute"] == "±0.03"
+    assert bars["relative"] == "±3 %"
+    assert bars["between"] == "0.02 to 0.032"
+    assert bars["at_most"] == "at most 6"
+
+
+def test_a_number_without_a_counterpart_is_said_to_be_so(published):
+    row = _judge("absolute", published.loc["absolute"], None)
+    assert row["verdict"].startswith("not reproducible")
+    assert "ours" not in row
+
+
+def test_shipped_published_numbers_have_a_bar_each_or_say_why_not():
+    table = read_published(CONFIG / "published" / "splitsnow2021.csv")
+    assert table.index.is_unique
+    bar = table.bar.notna() | table.low.notna() | table.high.notna()
+    assert table.index[~bar].tolist() == ["dumont_rmse"]
+
+
+def test_rmse():
+    value, error = rmse([0.03, -0.04], [0.01, 0.01])
+    assert value == pytest.approx(np.sqrt(0.0025 / 2))
+    assert error == pytest.approx(0.01)
+    assert rmse([0.0, 0.0], [0.01, 0.03]) == (0.0, pytest.approx(np.sqrt(5e-4)))
+
+
+def test_bands_hold_model_against_measurement():
+    dataset = xr.Dataset(
+        {
+            "reflectance": ("wavelength", [0.9, 0.5]),
+            "reflectance_stderr": ("wavelength", [0.1, 0.2]),
+        },
+        {"wavelength": [500.0, 1000.0]},
+    )
+    measured = pd.DataFrame({"wavelength_nm": [1000.0], "reflectance": [0.4]})
+    row = bands(dataset, measured).iloc[0]
+    assert (row.model, row.measured, row.stderr) == (0.5, 0.4, 0.2)
+    assert row.difference == pytest.approx(0.1)
+    with pytest.raises(KeyError):
+        bands(dataset, measured.assign(wavelength_nm=[999.0]))
+
+
+def test_letcher_mixes_beam_and_diffuse_light():
+    dims = ("facetness", "depth_m", "incidence_deg", "wavelength")
+    values = np.zeros((1, 2, 2, 1))
+    values[0, :, 0, 0], values[0, :, 1, 0] = 0.4, 0.8
+    dataset = xr.Dataset(
+        {"reflectance": (dims, values), "reflectance_stderr": (dims, np.full_like(values, 0.01))},
+        {
+            "facetness": ["0.3"],
+            "depth_m": list(LETCHER_COLUMNS),
+            "incidence_deg": ["beam", "diffuse"],
+            "wavelength": [500.0],
+        },
+    )
+    columns = {column: [0.7] for column in LETCHER_COLUMNS.values()}
+    table = letcher_bands(dataset, pd.DataFrame({"wavelength_nm": [500.0], **columns}))
+    share = DIFFUSE_SHARE
+    assert sorted(table.depth_m) == sorted(LETCHER_COLUMNS)
+    np.testing.assert_allclose(table.model, share * 0.8 + (1 - share) * 0.4)
+    np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(share, 1 - share))
+    assert (table.facetness == "0.3").all()
+
+
+@pytest.mark.parametrize("name", ["aviris_ng_varsa2021", "snow_albedo_letcher2022"])
+def test_shipped_measurements_are_shares_of_light_over_wavelength(name):
+    path = CONFIG / "measured" / f"{name}.csv"
+    table = read_measured(path)
+    assert path.read_text(encoding="utf-8").startswith("#"), "the citation comes first"
+    assert (np.diff(table.wavelength_nm) > 0.0).all()
+    values = table.drop(columns="wavelength_nm").to_numpy()
+    # The absolute level of an albedo is good to about 2 %.
+    assert ((values >= 0.0) & (values <= 1.02)).all()
+
+
+def test_tables_are_written_whole(tmp_path):
+    path = tmp_path / "new" / "table.csv"
+    write_table(pd.DataFrame({"a": [1 / 3], "b": ["x"]}), path)
+    assert path.read_text() == "a,b\n0.333333,x\n"
+    assert [p.name for p in path.parent.iterdir()] == ["table.csv"]

@@ -1,0 +1,105 @@
+"""Configuration files: one message with file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
+from splits.experiments.load import read_yaml
+
+ROOT = Path(__file__).parents[2]
+MEDIA = ROOT / "config" / "media"
+SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
+BAD = [
+    ("titel: x", "titel: unknown key.*did you mean title"),
+    ("instrument: {wavelength: [500]}", r"instrument\.wavelength: unknown key.*wavelength_nm"),
+    ("instrument: {estimator: spektral}", r"instrument\.estimator = 'spektral'.*'spectral'"),
+    ("instrument: {seed: -1}", r"instrument\.seed = -1"),
+    ("instrument: {wavelength_nm: []}", r"wavelength_nm = \[\]"),
+    ("instrument: {incidence_deg: 90}", r"incidence_deg = 90.*\[0, 89.99\]"),
+    ("medium: snow", "medium = 'snow': must be a mapping"),
+    ("medium: {base: nowhere}", r"medium\.base = 'nowhere': must be one of splitsnow_table1"),
+    ("medium: {readings: {entry: top}}", r"readings\.entry = 'top': must be one of"),
+    ("medium: {readings: 3}", "readings = 3"),
+    ("medium: {refractive_index: {ice: glass}}", "refractive_index.ice. = 'glass'"),
+    ("grid:", "grid = None"),
+    ("- a list", "must be a mapping of keys to values"),
+    ("", "must be a mapping of keys to values"),
+    ("\ttab: 1", "line 1: not YAML"),
+    ("a: [1\nb: 2", "line 2: not YAML"),
+]
+
+
+def write(folder, name, text=""):
+    path = folder / f"{name}.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"{text}\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("text", "message"), BAD)
+def test_bad_files_are_refused_with_file_key_and_value(tmp_path, text, message):
+    path = write(tmp_path, "wrong", text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_experiment(path, MEDIA)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_not_text_is_refused(tmp_path):
+    path = tmp_path / "binary.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not YAML"):
+        read_yaml(path)
+    with pytest.raises(ConfigError, match=r"missing\.yaml: cannot be read"):
+        read_yaml(tmp_path / "missing.yaml")
+
+
+def test_the_file_gives_the_name_unless_it_says_another(tmp_path):
+    assert load_experiment(write(tmp_path, "plain", "title: T")).name == "plain"
+    assert load_experiment(write(tmp_path, "Any name!", "name: other")).name == "other"
+
+
+def test_a_medium_builds_upon_a_base(tmp_path):
+    path = write(tmp_path, "made", "medium: {base: splitsnow_table1, depth_m: 0.25}")
+    experiment = load_experiment(path, MEDIA)
+    assert experiment.medium["depth_m"] == 0.25
+    assert experiment.medium["density_kg_m3"] == 275
+
+
+def test_folders_are_searched_all_the_way_down(tmp_path):
+    write(tmp_path, "one", "title: T")
+    write(tmp_path / "deep" / "down", "two", "title: T")
+    assert sorted(load_experiments(tmp_path)) == ["one", "two"]
+
+
+def test_a_name_used_twice_is_refused_with_both_files(tmp_path):
+    first, second = write(tmp_path, "a", "name: same"), write(tmp_path, "b", "name: same")
+    with pytest.raises(ConfigError, match="name = 'same': already taken") as caught:
+        load_experiments(tmp_path)
+    assert str(first) in str(caught.value)
+    assert str(second) in str(caught.value)
+
+
+def test_an_empty_folder_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no experiment file"):
+        load_experiments(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"accuracy": "drafd"}, "accuracy = 'drafd'.*did you mean draft"),
+        ({"experiment": "a"}, "experiment: unknown key.*did you mean experiments"),
+        ({"seed": -1}, "seed = -1"),
+        ({"accuracies": {"standard": {"max_stderr": 0}}}, r"accuracies\.standard\.max_stderr = 0"),
+        ({"accuracies": {"standard": {"max_error": 0.1}}}, "max_stderr"),
+        ({"sensitivity": {"a": {"parameter": "b"}}}, r"sensitivity\.a\.experiment: missing"),
+        ({"results": None}, "results = None"),
+    ],
+)
+def test_bad_settings_are_refused(change, message):
+    with pytest.raises(ConfigError, match=f"^config/config.yaml: .*{message}"):
+        load_settings({**SETTINGS, **change})

@@ -1,0 +1,162 @@
+"""Experiments and settings: defaults, grids, labels, names."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splits import Snow
+from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
+from splits.experiments.load import read_yaml
+from splits.experiments.model import RULES, WavelengthGrid, label_of
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
+SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
+
+
+def points(**content):
+    return list(Experiment(name="made", **content).points())
+
+
+def test_names_of_rules_are_known():
+    files = [ROOT / "Snakefile", *sorted((ROOT / "workflow" / "rules").glob("*.smk"))]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in files)
+    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(RULES)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_names_of_rules_are_taken(name):
+    with pytest.raises(ValueError, match=f"name = '{name}': must be none of"):
+        Experiment(name=name)
+
+
+@pytest.mark.parametrize("name", ["", "A", "1a", "a-b", "a/b", "a b", "../a", "é", "a" * 65])
+def test_names_are_file_names(name):
+    with pytest.raises(ValueError, match="lower-case letters, digits and underscores"):
+        Experiment(name=name)
+    assert Experiment(name="a" * 64).name == "a" * 64
+
+
+def test_an_experiment_needs_no_more_than_a_name():
+    experiment = Experiment(name="made")
+    ((labels, medium, incidence),) = experiment.points()
+    assert (labels, incidence) == ({}, 0.0)
+    assert medium.describe() == Snow().describe()
+    np.testing.assert_array_equal(experiment.instrument.wavelengths(), np.arange(400.0, 2501, 10))
+    assert experiment.instrument.estimator == "spectral"
+    assert experiment.figure.quantity == ("reflectance",)
+
+
+@pytest.mark.parametrize(
+    ("value", "label"),
+    [
+        (0.1, "0.1"), (275.0, "275"), (300, "300"), ([300, 750], "300-750"),
+        ([0.2, 0.4, 0.3, 0.072], "0.3"), ("diffuse", "diffuse"),
+    ],
+)  # fmt: skip
+def test_labels(value, label):
+    assert label_of("parameter", value) == label
+
+
+def test_a_mapping_needs_a_name_as_label():
+    with pytest.raises(ValueError, match=r"grid\.readings = .*a mapping from labels"):
+        Experiment(name="made", grid={"readings": [{"entry": "projected"}]})
+
+
+def test_a_grid_runs_all_combinations():
+    grid = {"saturation": [0, 0.1, 0.2], "depth_m": [0.1, 0.2], "incidence_deg": [0, "diffuse"]}
+    made = points(grid=grid, medium={"density_kg_m3": 300})
+    assert len(made) == 12
+    wanted = list(itertools.product(*grid.values()))
+    assert [(m.saturation, m.depth_m, i) for _, m, i in made] == wanted
+    assert made[-1][0] == {"saturation": "0.2", "depth_m": "0.2", "incidence_deg": "diffuse"}
+    assert all(medium.density_kg_m3 == 300 for _, medium, _ in made)
+
+
+def test_labels_of_ones_own():
+    made = points(grid={"grain_size_um": {"fine": [50, 100], "coarse": [500, 1000]}})
+    assert [labels["grain_size_um"] for labels, _, _ in made] == ["fine", "coarse"]
+    assert [medium.grain_size_um for _, medium, _ in made] == [(50, 100), (500, 1000)]
+
+
+def test_readings_on_a_grid_add_to_those_of_the_medium():
+    ((_, medium, _),) = points(
+        medium={"readings": {"entry": "projected"}},
+        grid={"readings": {"any": {"facets": "any"}}},
+    )
+    assert (medium.readings.entry, medium.readings.facets) == ("projected", "any")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"grid": {"saturation": [0.1, 1.2]}}, "saturation = 1.2"),
+        ({"grid": {"saturation": [0.1, 0.1]}}, "grid.saturation = .*different values"),
+        ({"grid": {"saturation": 0.1}}, "grid.saturation = 0.1.*at least one value"),
+        ({"grid": {"saturaton": [0.1]}}, "grid.saturaton: unknown key.*did you mean saturation"),
+        ({"grid": {"incidence_deg": [0, 90]}}, "incidence_deg = 90"),
+        ({"grid": [1]}, "grid = .*mapping"),
+        ({"medium": {"kind": "sand"}}, "medium.kind = 'sand': must be one of snow"),
+        ({"instrument": {"incidence_deg": True}}, "incidence_deg = True"),
+        (
+            {"medium": {"readings": 3}, "grid": {"readings": {"any": {"facets": "any"}}}},
+            "readings = 3",
+        ),
+        ({"instrument": {"error_factor": 0}}, "error_factor = 0"),
+        ({"figure": {"at": {"depth_m": 0.1}}}, "figure.at = 'depth_m'"),
+        ({"figure": {"quantity": "colour"}}, "colour"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(content, message):
+    with pytest.raises(ValueError, match=message):
+        Experiment(name="made", **content)
+
+
+def test_wavelength_grids_hold_both_ends_and_single_ones():
+    assert WavelengthGrid(start=400, stop=500, step=50).values().tolist() == [400, 450, 500]
+    assert WavelengthGrid(start=400, stop=499, step=50).values().tolist() == [400, 450]
+    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).values() == pytest.approx([0.1, 0.2, 0.3])
+    assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).values().tolist() == [
+        400, 842.25,
+    ]  # fmt: skip
+    for bad in ({"stop": 300}, {"step": 1e-9}):
+        with pytest.raises(ValueError, match=f"wavelength_nm.{next(iter(bad))}"):
+            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **bad}).values()
+
+
+def test_words_and_figures_do_not_decide_the_numbers():
+    plain = Experiment(name="made")
+    worded = Experiment(name="made", title="T", caption="C", figure={"quantity": "transmittance"})
+    assert worded.simulation() == plain.simulation()
+    assert Experiment(name="made", medium={"depth_m": 1}).simulation() != plain.simulation()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_a_workflow_hands_on_is_the_same_experiment(name):
+    experiment = SHIPPED[name]
+    handed = Experiment.model_validate(experiment.simulation())
+    assert handed.simulation() == experiment.simulation()
+    assert experiment.title and experiment.caption
+
+
+def test_selecting():
+    every = load_settings(SETTINGS).select(SHIPPED)
+    assert every == SHIPPED
+    two = load_settings({**SETTINGS, "experiments": "fig08_grain_size,fig05_refractive_indices"})
+    assert list(two.select(SHIPPED)) == ["fig08_grain_size", "fig05_refractive_indices"]
+    for key in ("experiments", "archive"):
+        wrong = load_settings({**SETTINGS, key: ["fig08_grainsize"]})
+        with pytest.raises(ConfigError, match=f"{key} = 'fig08_grainsize'.*fig08_grain_size"):
+            wrong.select(SHIPPED)
+
+
+def test_accuracies_have_folders_of_their_own():
+    assert load_settings(SETTINGS).results_folder == "results"
+    tiny = load_settings({**SETTINGS, "accuracy": "tiny", "results": "out"})
+    assert tiny.results_folder == "out/tiny"
+    assert tiny.accuracies["tiny"].max_stderr == 0.05

@@ -1,0 +1,83 @@
+"""Lists of dependencies and settings that must stay in step."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import yaml
+
+from splits.experiments import Settings
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+CONDA_NAMES = {"matplotlib": "matplotlib-base"}
+LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+
+
+def bounds(requirements):
+    """Return the lower bound of each requirement by lower-case name."""
+    parts = (re.fullmatch(r"([\w-]+)(?:>=([\d.]+))?", text).groups() for text in requirements)
+    return {name.lower(): bound for name, bound in parts}
+
+
+def number(version):
+    return tuple(int(part) for part in re.findall(r"\d+", version))
+
+
+def pins():
+    """Return the versions that requirements.txt pins, each with its hashes."""
+    entries = re.split(r"\n(?=\S)", LOCK.strip())
+    pinned = {}
+    for entry in entries:
+        head = re.match(r"([\w.-]+)==(\S+)", entry)
+        assert head, f"not a pin: {entry.splitlines()[0]}"
+        pinned[head[1].lower()] = (head[2], re.findall(r"--hash=sha256:[0-9a-f]{64}\b", entry))
+    return pinned
+
+
+def test_the_conda_environment_is_in_step_with_the_package():
+    listed = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))["dependencies"]
+    by_pip = next(entry["pip"] for entry in listed if isinstance(entry, dict))
+    conda = bounds(entry for entry in listed if isinstance(entry, str))
+    assert conda.pop("python") == PROJECT["requires-python"].removeprefix(">=")
+    conda.pop("pip")
+    wanted = bounds(PROJECT["dependencies"])
+    pip_only = bounds(by_pip)
+    assert set(pip_only) <= set(wanted)
+    assert conda == {
+        CONDA_NAMES.get(name, name): bound for name, bound in wanted.items() if name not in pip_only
+    }
+    assert pip_only == {name: wanted[name] for name in pip_only}
+
+
+def test_every_dependency_is_pinned_within_its_bound():
+    pinned = pins()
+    wanted = bounds(PROJECT["dependencies"]) | bounds(PROJECT["optional-dependencies"]["tests"])
+    for name, bound in wanted.items():
+        assert name in pinned
+        assert number(pinned[name][0]) >= number(bound)
+
+
+def test_every_pin_has_hashes():
+    for name, (_, hashes) in pins().items():
+        assert hashes, f"{name} has no hash"
+
+
+def test_the_lock_names_no_host():
+    assert "://" not in LOCK
+    assert not re.search(
+        r"^\s*(-i|-f|--\w*index\w*|--find-links|--trusted-host)", LOCK, re.MULTILINE
+    )
+
+
+def test_the_main_configuration_spells_out_every_setting():
+    shipped = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
+    assert set(shipped) == set(Settings.model_fields)
+    Settings.model_validate(shipped)
+
+
+def test_the_version_stands_once():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert str(citation["version"]) == PROJECT["version"]

@@ -1,0 +1,110 @@
+"""Mean sensitivity index: spectra made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from splits.analysis.sensitivity import NOISE, mean_sensitivity_index
+from splits.analysis.sensitivity_tables import (
+    QUANTITIES,
+    chosen_sensitivities,
+    pair_sensitivity,
+    sensitivity_table,
+)
+
+WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
+PAIR = {"parameter": "saturation", "experiment": "e", "readings": "r", "low": 0, "high": 1}
+
+
+def spectra(scale, dimension, labels):
+    """Return reflectance scale[i] and half of it as transmittance over two depths."""
+    values = np.asarray(scale)[:, np.newaxis, np.newaxis] * np.ones((1, 2, len(WAVELENGTHS)))
+    dims = (dimension, "depth_m", "wavelength")
+    variables = {"reflectance": values, "transmittance": 0.5 * values}
+    variables |= {f"{name}_stderr": np.full_like(values, 1e-3) for name in QUANTITIES}
+    coordinates = {dimension: labels, "depth_m": [0.12, 0.02], "wavelength": WAVELENGTHS}
+    return xr.Dataset({name: (dims, v) for name, v in variables.items()}, coordinates)
+
+
+def test_equal_spectra_have_no_sensitivity():
+    s = mean_sensitivity_index([0.5, 0.2], [0.01, 0.01], [0.5, 0.2], [0.01, 0.01])
+    assert (s.index, s.index_resolved, s.resolved) == (0.0, 0.0, 1.0)
+
+
+def test_the_index_is_the_mean_relative_difference_to_the_larger():
+    s = mean_sensitivity_index([1.0, 0.2, 0.3], [0, 0, 0], [0.5, 0.8, 0.3], [0, 0, 0])
+    assert s.index == pytest.approx((0.5 + 0.75 + 0.0) / 3)
+    assert s.stderr == 0.0
+
+
+def test_the_order_of_the_two_does_not_matter():
+    y, e, z, f = [0.9, 0.1, 0.0], [0.01, 0.02, 0.01], [0.3, 0.4, 0.2], [0.03, 0.01, 0.02]
+    assert mean_sensitivity_index(y, e, z, f) == mean_sensitivity_index(z, f, y, e)
+
+
+def test_where_both_are_below_the_noise_the_ratio_counts_as_nothing():
+    s = mean_sensitivity_index([0.8, 1e-3], [1e-3, 1e-3], [0.4, 0.0], [1e-3, 1e-3])
+    assert s.index == pytest.approx(0.25)
+    assert s.index_resolved == pytest.approx(0.5)
+    assert s.resolved == 0.5
+
+
+def test_all_below_the_noise():
+    s = mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
+    assert (s.index, s.stderr, s.index_resolved, s.resolved) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_spectrum_that_vanishes_is_fully_sensitive():
+    s = mean_sensitivity_index([0.5, 0.4], [1e-3, 1e-3], [0.0, 0.0], [1e-3, 1e-3])
+    assert s.index == 1.0
+
+
+def test_the_noise_limit_is_not_seen():
+    for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
+        assert mean_sensitivity_index([NOISE * factor], [1.0], [0.0], [1.0]).resolved == resolved
+
+
+def test_the_error_is_that_of_many_noisy_pairs():
+    rng = np.random.default_rng(5)
+    y, e, z, f = 0.6, 0.006, 0.4, 0.008
+    ratios = [
+        mean_sensitivity_index([y + e * a], [e], [z + f * b], [f]).index
+        for a, b in rng.standard_normal((4000, 2))
+    ]
+    stderr = mean_sensitivity_index([y], [e], [z], [f]).stderr
+    assert np.std(ratios) == pytest.approx(stderr, rel=0.06)
+
+
+def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
+    dataset = spectra([0.8, 0.4], "saturation", [0.0, 1.0])
+    dataset.reflectance[0, 1] = 0.0
+    assert pair_sensitivity(dataset, "saturation", 0, 1, "reflectance").index == pytest.approx(0.5)
+    dataset.transmittance[1, 1, 2:] = 0.0
+    assert pair_sensitivity(dataset, "saturation", 0, 1, "transmittance").index == pytest.approx(
+        0.5
+    )
+
+
+def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():
+    ranges = spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
+    readings = xr.concat(
+        [spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 2,
+        dim=pd.Index(["a", "b"], name="readings"),
+    )
+    table = sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
+    assert len(table) == 2 * (3 + 2)
+    chosen = table[table.chosen]
+    assert sorted(chosen.quantity) == sorted(QUANTITIES)
+    np.testing.assert_allclose(chosen.msi, 0.5)
+    np.testing.assert_allclose(table[table.reading == "a"].msi, 0.75)
+
+    published = pd.DataFrame(
+        {"published": [0.4, 0.6]}, index=["msi_r_saturation", "msi_t_saturation"]
+    )
+    dataset = chosen_sensitivities(table, published)
+    np.testing.assert_allclose(dataset.msi, 0.5)
+    assert dataset.published.sel(quantity="transmittance", parameter="saturation") == 0.6
+    assert all(v.attrs["long_name"] and v.attrs["units"] for v in dataset.data_vars.values())

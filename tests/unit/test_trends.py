@@ -1,0 +1,77 @@
+"""Trends: steps of band means along a grid, and how surely they point the stated way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.analysis.trends import SIGNIFICANT, _beyond, _monotone, band_mean, steps
+
+WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
+
+
+def over_depth(values, stderr=0.01):
+    """Return transmittance, one value per depth in 400-600 nm and 9 elsewhere."""
+    rows = np.repeat(np.asarray(values, dtype=float)[:, np.newaxis], len(WAVELENGTHS), axis=1)
+    rows[:, -1] = 9.0
+    error = np.broadcast_to(np.reshape(stderr, (-1, 1)), rows.shape)
+    return xr.Dataset(
+        {
+            "transmittance": (("depth_m", "wavelength"), rows),
+            "transmittance_stderr": (("depth_m", "wavelength"), error),
+        },
+        {"depth_m": np.arange(len(values)) + 1.0, "wavelength": WAVELENGTHS},
+    )
+
+
+def verdict(values, sign, stderr=0.01):
+    datasets = {"made": over_depth(values, stderr)}
+    return _monotone(datasets, "made", "transmittance", "depth_m", sign, 400, 600, "falls", "Fig 0")
+
+
+def test_a_band_mean_takes_its_band_only():
+    dataset = over_depth([0.2, 0.4])
+    np.testing.assert_allclose(band_mean(dataset, "transmittance", 400, 600), [0.2, 0.4])
+    np.testing.assert_allclose(band_mean(dataset, "transmittance", 850, 950), 9.0)
+
+
+def test_steps_and_their_errors():
+    dataset = over_depth([0.8, 0.5, 0.4], stderr=[0.03, 0.04, 0.0])
+    step, error = steps(dataset, "transmittance", "depth_m", 400, 600)
+    np.testing.assert_allclose(step, [-0.3, -0.1])
+    np.testing.assert_allclose(error, [0.05, 0.04])
+
+
+def test_steps_along_any_dimension_of_a_grid():
+    first, second = over_depth([0.8, 0.5, 0.4], [0.03, 0.04, 0.0]), over_depth([0.9, 0.2, 0.1])
+    dataset = xr.concat([first, second], dim="saturation")
+    step, error = steps(dataset, "transmittance", "depth_m", 400, 600)
+    assert step.shape == error.shape == (2, 2)
+    np.testing.assert_allclose(step, [[-0.3, -0.1], [-0.7, -0.1]])
+    np.testing.assert_allclose(error, [[0.05, 0.04], [0.01 * np.sqrt(2)] * 2])
+
+
+def test_a_trend_is_shown_when_its_least_sure_step_is_significant():
+    assert verdict([0.8, 0.5, 0.3], -1)["verdict"] == "agrees"
+    assert verdict([0.8, 0.5, 0.3], +1)["verdict"] == "outside"
+    assert verdict([0.8, 0.5, 0.49], -1)["verdict"] == "outside"
+    assert verdict([0.8, 0.5, 0.51], -1)["verdict"] == "outside"
+    assert verdict([0.3, 0.5, 0.8], +1)["verdict"] == "agrees"
+
+
+def test_the_row_holds_the_least_sure_step():
+    row = verdict([0.8, 0.5, 0.3], -1, stderr=[0.001, 0.001, 0.04])
+    assert row["ours"] == pytest.approx(0.2)
+    assert row["stderr"] == pytest.approx(np.hypot(0.001, 0.04))
+    assert row["id"] == "trend"
+    assert row["place"] == "Fig 0"
+
+
+@pytest.mark.parametrize(("value", "expected"), [(3.01, "agrees"), (2.99, "outside")])
+def test_the_bar_is_three_standard_errors(value, expected):
+    assert SIGNIFICANT == 3.0
+    row = _beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
+    assert row["verdict"] == expected
+    assert row["ours"] == value
+    assert "3 standard errors" in row["bar"]

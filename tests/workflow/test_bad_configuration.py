@@ -1,0 +1,66 @@
+"""Ten configurations that cannot be run: one clear message each, and nothing is started."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+# What is wrong, the experiment file, and what the message must hold.
+BAD = {
+    "misspelt key": ("medium: {saturaton: 0.1}", "medium.saturaton", "did you mean saturation?"),
+    "density above that of ice": ("medium: {density_kg_m3: 950}", "density_kg_m3 = 950", "916.9"),
+    "largest grain below smallest": (
+        "medium: {grain_size_um: [750, 300]}",
+        "grain_size_um = [750, 300]",
+        "min <= max",
+    ),
+    "negative depth": ("medium: {depth_m: -0.1}", "depth_m = -0.1", "(0, 10000] m"),
+    "wavelength too short": (
+        "instrument: {wavelength_nm: [100]}",
+        "wavelength_nm = 100.0",
+        "[200, 100000] nm",
+    ),
+    "mean outside its range": (
+        "medium: {facetness: [0.2, 0.4, 0.5, 0.072]}",
+        "facetness = [0.2, 0.4, 0.5, 0.072]",
+        "min <= mean <= max",
+    ),
+    "too much water": ("medium: {saturation: 1.2}", "saturation = 1.2", "[0, 1]"),
+    "nothing on a grid": (
+        "grid: {saturation: []}",
+        "grid.saturation = []",
+        "at least one value",
+    ),
+    "name with a slash": ("name: a/b", "name = 'a/b'", "letters, digits and underscores"),
+    "not YAML": ("title: [1, 2\nmedium: {}", "line 2", "not YAML"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_experiments_are_refused_before_anything_runs(project, what):
+    text, key, allowed = BAD[what]
+    project.put("good", "instrument: {wavelength_nm: [500]}\n")
+    project.put("wrong", f"{text}\n")
+    run = project.snakemake("--cores", 1)
+    assert run.code != 0
+    lines = [line for line in run.text.splitlines() if "wrong.yaml" in line]
+    assert len(lines) == 1, run.text
+    assert lines[0].startswith("config/experiments/wrong.yaml")
+    assert key in lines[0]
+    assert allowed in lines[0]
+    assert "Traceback" not in run.text
+    assert run.jobs() == []
+    assert not (project.folder / "results").exists()
+
+
+def test_a_misspelt_setting_on_the_command_line_is_refused(project):
+    project.put("good", "instrument: {wavelength_nm: [500]}\n")
+    run = project.snakemake("--cores", 1, config="accuracy=drafd")
+    assert run.code != 0
+    lines = [line for line in run.text.splitlines() if line.startswith("config/config.yaml")]
+    assert len(lines) == 1, run.text
+    assert "accuracy = 'drafd'" in lines[0]
+    assert "did you mean draft?" in lines[0]
+    assert "Traceback" not in run.text
+    assert not (project.folder / "results").exists()

@@ -1,0 +1,129 @@
+"""A workflow of two small experiments: what it makes, and what a change makes it do again."""
+
+from __future__ import annotations
+
+import pytest
+import xarray as xr
+
+import splits
+from splits.dataset import without_volatile
+
+pytestmark = pytest.mark.slow
+
+FIRST = """\
+title: First
+caption: Of two.
+medium: {base: splitsnow_table1, depth_m: 0.01}
+instrument: {wavelength_nm: [500, 1030]}
+"""
+SECOND = """\
+title: Second
+medium: {base: splitsnow_table1, depth_m: 0.01}
+instrument: {wavelength_nm: [500, 800, 1500], incidence_deg: diffuse}
+grid: {saturation: [0, 0.1]}
+figure: {quantity: [reflectance, transmittance]}
+"""
+THIRD = """\
+title: Third
+medium: {base: splitsnow_table1, depth_m: 0.01}
+instrument: {wavelength_nm: [700]}
+grid:
+  density_kg_m3: [200, 300]
+figure: {kind: points}
+"""
+RESULTS = "results/tiny"
+
+
+def made_by(name):
+    return [f"data/{name}.nc", f"figures/{name}.png", f"figures/{name}.svg"]
+
+
+def data_file(project, name):
+    return project.folder / RESULTS / "data" / f"{name}.nc"
+
+
+@pytest.fixture(scope="module")
+def finished(make_project, tmp_path_factory):
+    """Return a project whose two experiments have run on one core."""
+    project = make_project(tmp_path_factory.mktemp("finished"))
+    project.put("first", FIRST)
+    project.put("second", SECOND)
+    run = project.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    return project
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """Return a copy of the finished project, to be changed."""
+    return finished.copy(tmp_path)
+
+
+def test_data_and_figures_are_made(finished):
+    assert finished.results(RESULTS) == sorted(made_by("first") + made_by("second"))
+    assert (finished.folder / RESULTS / "logs" / "simulate" / "first.log").stat().st_size > 0
+    first = splits.load(data_file(finished, "first"))
+    assert dict(first.sizes) == {"wavelength": 2}
+    assert first.attrs["experiment"] == "first"
+    second = splits.load(data_file(finished, "second"))
+    assert second.reflectance.dims == ("saturation", "wavelength")
+    assert second.attrs["max_stderr_reached"] <= 0.05
+    for variable in [*first.variables.values(), *second.data_vars.values()]:
+        assert variable.attrs["long_name"] and variable.attrs["units"]
+
+
+def test_a_second_run_has_nothing_to_do(again):
+    run = again.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    assert "Nothing to be done" in run.text
+    assert run.jobs() == []
+
+
+def test_a_changed_value_reruns_its_experiment_only(again):
+    untouched = data_file(again, "second").stat().st_mtime_ns
+    again.put("first", FIRST.replace("depth_m: 0.01", "depth_m: 0.02"))
+    run = again.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Drawing first", "Simulating first"]
+    assert data_file(again, "second").stat().st_mtime_ns == untouched
+    assert splits.load(data_file(again, "first")).attrs["snow_depth_m"] == 0.02
+
+
+def test_changed_words_rerun_no_simulation(again):
+    words = FIRST.replace("title: First", "title: Number one").replace("Of two", "Of several")
+    again.put("first", words)
+    run = again.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Drawing first"]
+
+
+def test_a_new_file_is_all_a_new_experiment_takes(again):
+    assert len(THIRD.splitlines()) <= 12
+    again.put("third", THIRD)
+    run = again.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Drawing third", "Simulating third"]
+    assert set(made_by("third")) <= set(again.results(RESULTS))
+
+
+def test_a_name_runs_that_experiment_only(project):
+    project.put("second", SECOND)
+    project.put("third", THIRD)
+    run = project.snakemake("third", "--cores", 1)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Drawing third", "Simulating third"]
+    assert project.results(RESULTS) == made_by("third")
+
+
+def test_threads_do_not_change_the_numbers(finished, project):
+    project.put("first", FIRST)
+    project.put("second", SECOND)
+    names = ("first", "second")
+    targets = [f"{RESULTS}/data/{name}.nc" for name in names]
+    run = project.snakemake(*targets, "--cores", 2, "--set-threads", "simulate=2")
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Simulating first", "Simulating second"]
+    for name in names:
+        two, one = (splits.load(data_file(p, name)) for p in (project, finished))
+        assert (two.attrs["threads"], one.attrs["threads"]) == (2, 1)
+        xr.testing.assert_identical(without_volatile(two), without_volatile(one))

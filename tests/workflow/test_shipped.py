@@ -1,0 +1,79 @@
+"""The experiments as shipped: the whole plan, its lint, and a few of them at the coarsest."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import splits
+from splits.experiments import load_experiments
+
+pytestmark = pytest.mark.slow
+
+FEW = ("table1_sample", "fig05_refractive_indices", "fig24b_aviris")
+
+
+@pytest.fixture(scope="module")
+def shipped(make_project, tmp_path_factory):
+    """Return a project with the shipped configuration."""
+    return make_project(tmp_path_factory.mktemp("shipped"), shipped=True)
+
+
+@pytest.fixture(scope="module")
+def few(shipped):
+    """Return the datasets of a few experiments."""
+    run = shipped.snakemake(*FEW, "--cores", 2)
+    assert run.code == 0, run.text
+    for name in FEW:
+        for suffix in (".png", ".svg"):
+            figure = shipped.folder / "results" / "tiny" / "figures" / f"{name}{suffix}"
+            assert figure.stat().st_size > 1000
+    data = shipped.folder / "results" / "tiny" / "data"
+    return {name: splits.load(data / f"{name}.nc") for name in FEW}
+
+
+def test_everything_can_be_planned(shipped):
+    run = shipped.snakemake("--dry-run", config="accuracy=standard")
+    assert run.code == 0, run.text
+    experiments = load_experiments(
+        shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
+    )
+    for rule in ("simulate", "figure"):
+        assert re.search(rf"^{rule} +{len(experiments)}$", run.text, re.MULTILINE)
+    for rule in ("sensitivity", "agreement", "figure_sensitivity", "figure_letcher"):
+        assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
+    assert not (shipped.folder / "results" / "data").exists()
+
+
+def test_snakemake_finds_nothing_to_complain_about(shipped):
+    run = shipped.snakemake("--lint", config="accuracy=standard")
+    assert run.code == 0, run.text
+    assert "in a good condition" in run.text
+
+
+def test_representative_sample(few):
+    sample = few["table1_sample"]
+    assert sample.mean_grain_distance.sel(density_kg_m3=450) == pytest.approx(4.3e-4, rel=0.03)
+    assert sample.specific_surface_area.values == pytest.approx(20.33, abs=0.01)
+    assert sample.attrs["rays"] == int(sample.rays.sum())
+
+
+def test_refractive_indices(few):
+    indices = few["fig05_refractive_indices"]
+    assert indices.material.values.tolist() == ["air", "water", "ice"]
+    assert indices.n.sel(material="ice", wavelength=600) == pytest.approx(1.3094, abs=1e-4)
+    assert (indices.n.sel(material="air") == 1.0).all()
+    assert (indices.k >= 0.0).all()
+
+
+def test_scene_of_aviris(few):
+    scene = few["fig24b_aviris"]
+    assert scene.attrs["incidence_deg"] == 62.3
+    assert {842.25, 1073.76, 1237.93} <= set(scene.wavelength.values)
+    total = scene.reflectance + scene.transmittance + scene.absorptance
+    np.testing.assert_allclose(total, 1.0, rtol=1e-12)
+    at = scene.sel(wavelength=[842.25, 1073.76, 1237.93])
+    published = np.array([0.878, 0.692, 0.495])
+    assert (np.abs(at.reflectance - published) < 0.03 + 4.0 * at.reflectance_stderr).all()

@@ -169,6 +169,8 @@ class Experiment(Section):
     def points(self) -> Iterator[tuple[dict[str, str], GranularMedium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
+        if not isinstance(base.get("readings", {}), Mapping):
+            raise refuse("medium.readings", base["readings"], "a mapping of named readings")
         for labels in itertools.product(*self.grid.values()):
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}

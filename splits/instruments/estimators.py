@@ -13,13 +13,12 @@ from splits.instruments.ensemble import Ensemble, Runner
 from splits.instruments.nodes import choose_nodes
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport.scene import Optics
 
-PILOT = 1024
+PILOT = 256
 ANALOG_PILOT = 2048
-"""Rays per ensemble of the first round, from which the number needed is foretold.  Stopping on
-the variance of the very rays that form the mean draws dark values down; a first round that is
-large against the few events seen there keeps this far below the standard error."""
+"""Rays per level, and per wavelength, of the first round, from which the number needed is
+foretold.  Stopping on the variance of the very rays that form the mean draws dark values down; a
+first round that is large against the few events seen there keeps this far below the error."""
 _GROWTH = 8.0
 _BIAS_SHARE = 0.4
 """Part of the error asked for that interpolation between indices may take."""
@@ -68,55 +67,77 @@ def spectral(
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     share = (1.0 - medium.saturation, medium.saturation)
     nodes = choose_nodes(index, share, _BIAS_SHARE * max_stderr)
-    ensembles = []
-    for number, (m, weights) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
-        # Roulette may only use what holds for every wavelength that draws on this ensemble.
-        least = absorption[weights > 0.0].min(axis=0)
-        optics = Optics(m.real.copy(), m.imag.copy(), least)
-        ensembles.append(Ensemble(number, optics, absorption))
+    ensembles = [
+        Ensemble(number, m, absorption, w > 0.0, runner.grains.attenuation)
+        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    ]
+    levels = [(e, level) for e in ensembles for level in e.levels]
     weights = nodes.weights[:, np.newaxis, :]
 
-    runner.trace([(e, PILOT) for e in ensembles], 1.0, max_stderr)
+    runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
     while True:
-        rays = np.array([e.rays for e in ensembles])
         mean = np.einsum("jw,jqw->qw", nodes.weights, np.stack([e.means() for e in ensembles]))
         mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
         # A share f can bend no more than f(1 − f) allows: near 0 and 1 the bound shrinks with it.
         bias = nodes.bias * np.clip(4.0 * mean * (1.0 - mean), 0.0, 1.0)
         parts = weights**2 * np.stack([e.variances() for e in ensembles])
-        variance = (parts / rays[:, np.newaxis, np.newaxis]).sum(axis=0)
+        count = np.stack([np.maximum(e.count, 1.0) for e in ensembles])
+        variance = (parts / count[:, np.newaxis]).sum(axis=0)
         stderr = np.sqrt(variance + bias**2)
         converged = bool(stderr.max() <= max_stderr)
+        rays = np.array([level.rays for _, level in levels], dtype=float)
         if converged or rays.sum() >= max_rays:
             break
-        wanted = _rays_wanted(parts, rays, max_stderr**2 - bias**2)
+        wanted = _rays_wanted(parts, max_stderr**2 - bias**2, ensembles)
         step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
         step *= min(1.0, (max_rays - rays.sum()) / step.sum())
         left = float((wanted - rays - step).clip(0).sum())
-        work = [(e, int(np.ceil(s))) for e, s in zip(ensembles, step, strict=True) if s > 0.0]
+        work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= 1.0]
         runner.trace(work, float(stderr.max()), max_stderr, left)
     return Estimate(mean, stderr, bias, int(rays.sum()), len(ensembles), converged)
 
 
-def _rays_wanted(parts: np.ndarray, rays: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the rays per ensemble that bring every variance down to its target.
+def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble]) -> np.ndarray:
+    """Return the rays per level that bring every variance to its target at the least cost.
 
-    For one wavelength the cheapest split is proportional to the root of each ensemble's part of
-    the variance, rays_j = √part_j · Σ√part / target; the largest over wavelengths is taken, and
-    then all ensembles are scaled back together as far as every wavelength allows.
+    The cost of a ray is the number of its legs.  At the optimum a level's marginal gain, summed
+    over wavelengths with multipliers that stand at the binding ones, equals its cost; multipliers
+    and rays are iterated to that by multiplicative updates, and then scaled to feasibility.
 
     Parameters
     ----------
     parts : float, shape (ensembles, quantities, wavelengths)
         Variance per ray times squared weight.
-    rays : int, shape (ensembles,)
     target : float, shape (quantities, wavelengths)
         Variances to reach.
+    ensembles : list of Ensemble
     """
-    root = np.sqrt(parts)
-    wanted = np.maximum((root * root.sum(axis=0) / target).max(axis=(1, 2)), rays)
-    excess = ((parts / wanted[:, np.newaxis, np.newaxis]).sum(axis=0) / target).max()
-    return np.maximum(np.ceil(1.05 * wanted * max(excess, 0.25)), rays + 1)
+    levels = [level for e in ensembles for level in e.levels]
+    member = np.array([i for i, e in enumerate(ensembles) for _ in e.levels])
+    served = np.stack([level.served for level in levels]).astype(float)
+    floor = np.array([level.rays for level in levels], dtype=float)
+    cost = np.array([level.legs / level.rays for level in levels]) + 1.0
+    share = parts / target
+    owner = np.zeros((len(ensembles), len(levels)))
+    owner[member, np.arange(len(levels))] = 1.0
+    rays = floor.copy()
+    multipliers = np.full(target.shape, 1.0 / target.size)
+
+    def excess(rays: np.ndarray) -> np.ndarray:
+        count = np.maximum((owner * rays) @ served, 1e-9)
+        return (share / count[:, np.newaxis]).sum(axis=0)
+
+    for _ in range(200):
+        ratio = excess(rays)
+        multipliers *= (ratio / ratio.max()) ** 0.5
+        multipliers /= multipliers.sum()
+        count = np.maximum((owner * rays) @ served, 1e-9)
+        gain = (multipliers * share).sum(axis=1) / count**2
+        rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
+        rays *= excess(rays).max()
+    rays = np.maximum(rays, floor)
+    # What the floor gives away can be saved elsewhere; a little is added against falling short.
+    return np.maximum(np.ceil(1.03 * rays * max(excess(rays).max(), 0.1)), floor + 1.0)
 
 
 def analog(
@@ -136,24 +157,25 @@ def analog(
     limit = max(ANALOG_PILOT, max_rays // len(wavelength_nm))
     mean = np.empty((3, len(wavelength_nm)))
     stderr = np.empty_like(mean)
+    one = np.ones(1, dtype=bool)
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
-        optics = Optics(m.real.copy(), m.imag.copy(), alpha)
-        ensemble = Ensemble(number, optics, alpha[np.newaxis], analog=True)
-        runner.trace([(ensemble, ANALOG_PILOT)], 1.0, max_stderr)
+        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.grains.attenuation, True)
+        level = ensemble.levels[0]
+        runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:
             variance = ensemble.variances()[:, 0]
-            error = np.sqrt(variance / ensemble.rays)
-            if error.max() <= max_stderr or ensemble.rays >= limit:
+            error = np.sqrt(variance / level.rays)
+            if error.max() <= max_stderr or level.rays >= limit:
                 break
             wanted = 1.05 * variance.max() / max_stderr**2
-            step = min(wanted, _GROWTH * ensemble.rays, limit) - ensemble.rays
-            runner.trace([(ensemble, int(np.ceil(step)))], float(error.max()), max_stderr)
+            step = min(wanted, _GROWTH * level.rays, limit) - level.rays
+            runner.trace([(ensemble, level, int(np.ceil(step)))], float(error.max()), max_stderr)
         reflected, transmitted = ensemble.means()[:, 0]
         row = number - _ANALOG_STREAMS
         mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
         stderr[:, row] = error
-        rays += ensemble.rays
+        rays += level.rays
     return Estimate(
         mean,
         stderr,

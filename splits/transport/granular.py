@@ -141,9 +141,12 @@ def trace(state, grains, slab, rules, optics, length):
         1, or the inverse survival probability of the roulette passed.
     x, y, z, dx, dy, dz : float
         Point and direction of exit, the latter outside the slab.
+    legs : int
+        Legs through the pore space: what the ray cost.
     """
     length[:] = 0.0
     weight = 1.0
+    legs = 0
     mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
     x, y, z = 0.0, 0.0, 0.0
     dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
@@ -153,10 +156,11 @@ def trace(state, grains, slab, rules, optics, length):
             state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
         )
         if not passed:
-            return REFLECTED, weight, x, y, z, dx, dy, dz
+            return REFLECTED, weight, x, y, z, dx, dy, dz, legs
     # The leg just travelled (origin, direction, length), on which no other grain can lie.
     last_leg = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
     while True:
+        legs += 1
         to_boundary = math.inf
         if dz > 0.0:
             to_boundary = -z / dz
@@ -166,13 +170,13 @@ def trace(state, grains, slab, rules, optics, length):
             next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         )
         if leg < 0.0:
-            return LOST, weight, x, y, z, dx, dy, dz
+            return LOST, weight, x, y, z, dx, dy, dz, legs
         met_boundary = leg >= to_boundary
         if met_boundary:
             leg = to_boundary
         length[pore] += leg
         if rules.analog and uniform(state) > math.exp(-optics.absorption[pore] * leg):
-            return ABSORBED, weight, x, y, z, dx, dy, dz
+            return ABSORBED, weight, x, y, z, dx, dy, dz, legs
         last_leg = (x, y, z, dx, dy, dz, leg)
         if met_boundary:
             x += leg * dx
@@ -185,7 +189,7 @@ def trace(state, grains, slab, rules, optics, length):
                 )
             if passed:
                 fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, weight, x, y, z, dx, dy, dz
+                return fate, weight, x, y, z, dx, dy, dz, legs
             continue
         facetness = from_table(grains.facetness, kind, uniform(state))
         alive, p1, p2, p3, dx, dy, dz, pore = grain_walk(
@@ -194,7 +198,7 @@ def trace(state, grains, slab, rules, optics, length):
             pore, slab.saturation, optics, rules, length,
         )  # fmt: skip
         if not alive:
-            return ABSORBED, weight, x, y, z, dx, dy, dz
+            return ABSORBED, weight, x, y, z, dx, dy, dz, legs
         x = cx + p1
         y = cy + p2
         z = cz + p3
@@ -208,7 +212,7 @@ def trace(state, grains, slab, rules, optics, length):
                 depth += optics.absorption[material] * length[material]
             if weight * math.exp(-depth) < ROULETTE_BELOW:
                 if uniform(state) > ROULETTE_SURVIVAL:
-                    return ABSORBED, weight, x, y, z, dx, dy, dz
+                    return ABSORBED, weight, x, y, z, dx, dy, dz, legs
                 weight /= ROULETTE_SURVIVAL
 
 
@@ -233,18 +237,22 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
         Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
     least : float64[wavelengths]
         Smallest weight with which any ray left; 0 once one was absorbed.
+    legs : int
+        Legs traced.
     lost : bool
         Whether a ray found no grain that fits; the batch then ends early.
     """
     moments = np.zeros((2, 3, absorption.shape[0]))
     least = np.full(absorption.shape[0], np.inf)
+    legs = 0
     length = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
     for ray in range(first_ray, first_ray + rays):
         start_stream(state, seed, ensemble, ray)
-        fate, weight, _, _, _, _, _, _ = trace(state, grains, slab, rules, optics, length)
+        fate, weight, _, _, _, _, _, _, spent = trace(state, grains, slab, rules, optics, length)
+        legs += spent
         if fate == LOST:
-            return moments, least, True
+            return moments, least, legs, True
         if fate == ABSORBED:
             least[:] = 0.0
             continue
@@ -260,4 +268,4 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
             moments[side, 1, i] += w * w
             moments[side, 2, i] = max(moments[side, 2, i], w)
             least[i] = min(least[i], w)
-    return moments, least, False
+    return moments, least, legs, False

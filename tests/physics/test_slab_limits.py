@@ -78,7 +78,7 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     z = []
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
-            moments, _, lost = granular.batch(
+            moments, _, _, lost = granular.batch(
                 seed + 10 * analog, ensemble, 0, rays, snow.grains(), Slab(depth, 0.0, mu, False),
                 snow.readings.rules(analog), optics, absorption[np.newaxis],
             )  # fmt: skip
@@ -119,7 +119,7 @@ def test_a_ray_that_meets_no_grain_goes_straight(mu):
     optics = Optics(np.array([1.0, 1.0, 1.31]), np.zeros(3), np.zeros(3))
     length = np.ones(3)
     rules = snow.readings.rules()
-    fate, weight, x, y, z, dx, dy, dz = granular.trace(
+    fate, weight, x, y, z, dx, dy, dz, _ = granular.trace(
         stream(), snow.grains(), slab, rules, optics, length
     )
     sine = math.sqrt(1.0 - mu * mu)

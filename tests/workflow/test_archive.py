@@ -47,6 +47,15 @@ def test_the_archive_target(project, tmp_path):
     assert splits.load(tmp_path / "from_archive.nc").attrs["experiment"] == "alone"
 
 
+@pytest.mark.slow
+def test_the_report_needs_no_cores(project, tmp_path):
+    project.put("alone", EXPERIMENT)
+    assert project.snakemake("alone", "--cores", 1).code == 0
+    run = project.snakemake("alone", "--report", "report.html")
+    assert run.code == 0, run.text
+    assert "alone" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_packing_keeps_relative_places(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("out/data/a.nc", "out/tables/b.csv", "config/c.yaml", "config/deep/d.yaml"):

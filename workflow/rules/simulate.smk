@@ -10,9 +10,9 @@ rule simulate:
     priority: 1
     conda:
         "../../environment.yml"
-    # One after the other on all cores: none is left running alone at the end, and a single
-    # experiment is as fast as can be.  The numbers do not depend on it.
-    threads: workflow.cores or 1
+    # Capped at --cores, so one after the other on all cores: none is left running alone at the
+    # end, and a single experiment is as fast as can be.  The numbers do not depend on it.
+    threads: 64
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),

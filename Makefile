@@ -1,20 +1,22 @@
 # make run     set up .venv, run every experiment of config/ and write the report
 # make test    set up .venv and run the tests
-# make resume  go on after an interrupted run
+# make draft   the same, quickly and roughly, into results/draft
+# make resume  go on after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
 CORES ?= 2
+ACCURACY ?= standard
+REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
 .PHONY: run test resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
-	$(BIN)/snakemake --cores $(CORES)
-	$(BIN)/snakemake --report results/report.html
+	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
+	$(BIN)/snakemake --report $(REPORT) --config accuracy=$(ACCURACY)
 
-draft: $(VENV)/ready
-	$(BIN)/snakemake --cores $(CORES) --config accuracy=draft
-	$(BIN)/snakemake --report results/draft/report.html --config accuracy=draft
+draft:
+	$(MAKE) run ACCURACY=draft
 
 resume: $(VENV)/ready
 	$(BIN)/snakemake --unlock

@@ -15,6 +15,8 @@ def refuse(key: str, value: object, allowed: str, hint: str = "") -> ValueError:
 
 def number(key: str, value: object, allowed: str = "a finite number") -> float:
     """Return `value` as a float, or refuse it."""
+    if isinstance(value, str):
+        raise refuse(key, value, allowed, "this is text, not a number; YAML reads 1.0e-1, not 1e-1")
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
         raise refuse(key, value, allowed)
     return float(value)

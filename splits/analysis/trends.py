@@ -106,9 +106,10 @@ def _beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> 
     """Return the row of the least significant of several values that should be positive."""
     worst = int(np.argmin(value / error))
     v, e = float(value[worst]), float(error[worst])
-    return _row(
-        quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors"
-    )
+    row = _row(quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors")
+    if abs(v) <= SIGNIFICANT * e:
+        row["verdict"] = "not resolved at this accuracy"
+    return row
 
 
 def _monotone(

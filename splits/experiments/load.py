@@ -14,6 +14,19 @@ from splits.experiments.model import ConfigError, Experiment, Section, Settings
 Model = TypeVar("Model", bound=BaseModel)
 
 
+class _UniqueKeys(yaml.SafeLoader):
+    """A YAML loader that refuses a key given twice instead of forgetting the first."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.MarkedYAMLError(
+                    problem=f"{key} given twice", problem_mark=node.start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds.
 
@@ -23,7 +36,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         If the file cannot be read, is not YAML or is not a mapping.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -64,7 +77,14 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
         content["medium"] = {**read_yaml(base), **own}
     elif "medium" in content and not isinstance(medium, dict):
         raise ConfigError(f"{path}: medium = {medium!r}: must be a mapping")
-    return _checked(Experiment, content, path)
+    experiment = _checked(Experiment, content, path)
+    measured = experiment.figure.measured
+    if measured and not (Path(media_folder).parent / "measured" / measured).is_file():
+        known = sorted(p.name for p in (Path(media_folder).parent / "measured").glob("*.csv"))
+        raise ConfigError(
+            f"{path}: figure.measured = {measured!r}: must be one of {', '.join(known)}"
+        )
+    return experiment
 
 
 def load_experiments(

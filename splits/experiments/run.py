@@ -64,10 +64,12 @@ def run(
         head = f"{experiment.name} {number}/{len(points)} {where}".rstrip()
 
         def show(progress: Progress, head: str = head) -> None:
-            reached = f"error {progress.stderr:.4f}" if progress.stderr < 1.0 else "first round"
+            if progress.stderr >= 1.0:
+                say(f"{head}: first round, {progress.rays} rays")
+                return
             say(
-                f"{head}: {progress.rays} rays this round, {reached} "
-                f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left"
+                f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+                f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
             )
 
         result = spectrophotometer(

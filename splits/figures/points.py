@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, parameter_label, style, value_label
 
 
 def points(
@@ -35,7 +35,7 @@ def points(
     dataset = at_points(dataset, at or {})
     dims = [str(d) for d in dataset[quantity].dims if d != "wavelength"]
     combinations = list(itertools.product(*(dataset[d].values for d in dims)))
-    names = [" · ".join(_text(label) for label in labels) for labels in combinations]
+    names = [" · ".join(value_label(value) for value in values) for values in combinations]
     with style():
         figure, axes = plt.subplots(figsize=(6.4, 1.6 + 0.32 * len(names)))
         rows = np.arange(len(names))
@@ -63,15 +63,11 @@ def points(
                 )
             axes.set_xlabel(str(dataset[quantity].attrs.get("long_name", quantity)))
             axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.4, 1.12), ncols=3)
-        axes.set_yticks(rows, [name.replace("_", " ") for name in names])
-        axes.set_ylabel(" · ".join(d.replace("_", " ") for d in dims))
+        axes.set_yticks(rows, names)
+        axes.set_ylabel(" · ".join(map(parameter_label, dims)))
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
         axes.margins(y=0.08)
         axes.spines[["top", "right"]].set_visible(False)
         figure.tight_layout()
     return figure
-
-
-def _text(label: object) -> str:
-    return f"{label:g}" if isinstance(label, (int, float, np.number)) else str(label)

@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, parameter_label, style, value_label
 
+STYLES = ("-", "--", ":", "-.")
 MATERIAL_COLOURS = {"ice": "#1f6fb4", "water": "#c8553d", "air": "#888888"}
 
 
@@ -69,10 +70,14 @@ def spectra(
             axes.margins(x=0.01)
             axes.spines[["top", "right"]].set_visible(False)
             entries = len(axes.get_legend_handles_labels()[0])
-            if entries:
+            if entries and axes is panels[0, 0]:
                 # A long legend stands beside the curves, not on them.
                 place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if entries > 6 else {}
-                axes.legend(title=legend or " · ".join(dims) or None, frameon=False, **place)
+                axes.legend(
+                    title=legend or " · ".join(map(parameter_label, dims)) or None,
+                    frameon=False,
+                    **place,
+                )
         panels[-1, 0].set_xlabel("wavelength (nm)")
         figure.tight_layout()
     return figure
@@ -80,12 +85,16 @@ def spectra(
 
 def _lines(axes: Axes, dataset: xr.Dataset, name: str, dims: list[str]) -> None:
     combinations = list(itertools.product(*(dataset[d].values for d in dims)))
-    for labels, colour in zip(combinations, colours(len(combinations)), strict=True):
+    # Colour tells the first parameter, the line's style all others.
+    shades = colours(dataset.sizes[dims[0]] if dims else 1)
+    for number, labels in enumerate(combinations):
+        row, other = divmod(number, len(combinations) // len(shades))
+        colour = shades[row]
         part = dataset.sel(dict(zip(dims, labels, strict=True)))
         x, y = part.wavelength.values, part[name].values
         error = BAND * part[f"{name}_stderr"].values
-        text = " · ".join(_text(label) for label in labels) or ("model" if not dims else None)
-        axes.plot(x, y, color=colour, lw=1.4, label=text)
+        text = " · ".join(map(value_label, labels)) or ("model" if not dims else None)
+        axes.plot(x, y, color=colour, ls=STYLES[other % len(STYLES)], lw=1.4, label=text)
         axes.fill_between(x, np.maximum(y - error, 0.0), y + error, color=colour, alpha=0.25, lw=0)
 
 
@@ -97,12 +106,6 @@ def _measured(axes: Axes, table: pd.DataFrame, name: str) -> None:
     axes.errorbar(
         table["wavelength_nm"], y, span, fmt="s", color="black", ms=4, capsize=3, label="measured"
     )
-
-
-def _text(label: object) -> str:
-    if isinstance(label, (int, float, np.number)):
-        return f"{label:g}"
-    return str(label).replace("_", " ")
 
 
 def _label(variable: xr.DataArray) -> str:
@@ -133,6 +136,8 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         right.set_ylabel("extinction coefficient k (dashed)")
         left.margins(x=0.01)
         lines = [*left.get_lines(), *right.get_lines()]
-        left.legend(handles=lines, frameon=False, loc="lower left")
+        left.legend(
+            handles=lines, frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.14), ncols=4
+        )
         figure.tight_layout()
     return figure

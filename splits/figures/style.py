@@ -12,11 +12,29 @@ import matplotlib
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
+import numpy as np
 import seaborn as sns
 from matplotlib.figure import Figure
 
 BAND = 2.0
 """Error bands and bars reach this many standard errors to either side."""
+
+LABELS = {
+    "grain_size_um": "grain size (µm)",
+    "facetness": "mean facetness",
+    "sphericity": "mean sphericity",
+    "saturation": "water saturation",
+    "density_kg_m3": "density (kg m⁻³)",
+    "temperature_c": "temperature (°C)",
+    "depth_m": "depth (m)",
+    "incidence_deg": "incidence (°)",
+}
+
+
+def parameter_label(parameter: str) -> str:
+    """Return how a figure names a parameter of the grid."""
+    return LABELS.get(parameter, parameter.replace("_", " "))
+
 
 SUFFIXES = (".png", ".svg")
 
@@ -30,6 +48,13 @@ def style() -> Iterator[None]:
         plt.rc_context({"svg.hashsalt": "splits", "svg.fonttype": "none"}),
     ):
         yield
+
+
+def value_label(value: object) -> str:
+    """Return how a figure names a value of the grid."""
+    if isinstance(value, (int, float, np.number)):
+        return f"{value:g}"
+    return str(value).replace("_", " ")
 
 
 def colours(count: int) -> list[tuple[float, float, float]]:

@@ -26,15 +26,16 @@ class Snow:
     Parameters
     ----------
     grain_size_um : (min, max)
-        Major-axis diameter of the grains (µm), uniform between the two.
+        Major-axis diameter of the grains (µm), uniform between the two; 1 to 100 000, max at
+        most 1000 min.
     facetness : (min, max, mean, sd)
         0 (smooth) to 1; normal with mean and standard deviation within [min, max].
     sphericity : (min, max, mean, sd)
         Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
     saturation : float
-        Fraction of the pore space filled with water, 0 to 1.
+        Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
     density_kg_m3 : float
-        Mass of ice per volume of snow, above 0 and below the density of ice.
+        Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
@@ -93,9 +94,10 @@ class Snow:
             in_range(
                 "density_kg_m3",
                 self.density_kg_m3,
-                1e-9,
+                0.0,
                 ice,
                 "kg/m3",
+                open_low=True,
                 open_high=True,
                 hint=f"ice at {self.temperature_c:g} °C has {ice:g} kg/m3",
             ),
@@ -127,7 +129,12 @@ class Snow:
     @property
     def porosity(self) -> float:
         """Volume fraction not filled by ice (SPLITSnow Eq A.1)."""
-        return 1.0 - self.density_kg_m3 / ice_density(self.temperature_c)
+        return 1.0 - self.ice_fraction
+
+    @property
+    def ice_fraction(self) -> float:
+        """Volume fraction of ice, 𝓔 (SPLITSnow Eq A.2)."""
+        return self.density_kg_m3 / ice_density(self.temperature_c)
 
     @cached_property
     def attenuation_per_m(self) -> float:
@@ -139,7 +146,7 @@ class Snow:
     @property
     def mean_grain_distance_m(self) -> float:
         """Mean distance between grains along a ray (m), SPLITSnow Eq A.3."""
-        return 1.0 / ((1.0 - self.porosity) * self.attenuation_per_m)
+        return 1.0 / (self.ice_fraction * self.attenuation_per_m)
 
     @property
     def specific_surface_area_m2_kg(self) -> float:

@@ -55,8 +55,8 @@ def test_steps_along_any_dimension_of_a_grid():
 def test_a_trend_is_shown_when_its_least_sure_step_is_significant():
     assert verdict([0.8, 0.5, 0.3], -1)["verdict"] == "agrees"
     assert verdict([0.8, 0.5, 0.3], +1)["verdict"] == "outside"
-    assert verdict([0.8, 0.5, 0.49], -1)["verdict"] == "outside"
-    assert verdict([0.8, 0.5, 0.51], -1)["verdict"] == "outside"
+    assert verdict([0.8, 0.5, 0.49], -1)["verdict"] == "not resolved at this accuracy"
+    assert verdict([0.8, 0.5, 0.51], -1)["verdict"] == "not resolved at this accuracy"
     assert verdict([0.3, 0.5, 0.8], +1)["verdict"] == "agrees"
 
 
@@ -68,7 +68,10 @@ def test_the_row_holds_the_least_sure_step():
     assert row["place"] == "Fig 0"
 
 
-@pytest.mark.parametrize(("value", "expected"), [(3.01, "agrees"), (2.99, "outside")])
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(3.01, "agrees"), (2.99, "not resolved at this accuracy"), (-3.01, "outside")],
+)
 def test_the_bar_is_three_standard_errors(value, expected):
     assert SIGNIFICANT == 3.0
     row = _beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))

@@ -4,8 +4,8 @@ Both measure 211-wavelength spectra to the same largest standard error in this o
 thread, after a warm-up that compiles the kernels.  The analog estimator is timed at every tenth
 wavelength and scaled to all of them, in two ways:
 
-uniform   the same number of rays at every wavelength, as many as the noisiest one needs, which is
-          how the papers' algorithm is run;
+uniform   the same number of rays at every wavelength, as many as the noisiest one needs: our
+          reading of the papers, which do not say how rays are shared among wavelengths;
 adaptive  every wavelength stops by itself as soon as it has reached the error.
 
     python benchmarks/speed_against_error.py [TABLE.csv]

@@ -65,8 +65,7 @@ def spectral(
     """
     index = medium.indices(wavelength_nm)
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
-    share = (1.0 - medium.saturation, medium.saturation)
-    nodes = choose_nodes(index, share, _BIAS_SHARE * max_stderr)
+    nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     ensembles = [
         Ensemble(number, m, absorption, w > 0.0, runner.grains.attenuation)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from splits.media.readings import Readings
 from splits.transport.scene import Grains
+
+
+class Interface(NamedTuple):
+    """Two materials that meet, and the share of all meetings of light with grains that is theirs.
+
+    Attributes
+    ----------
+    share : float
+    near, far : int
+        Materials on the outer and on the inner side.
+    """
+
+    share: float
+    near: int
+    far: int
 
 
 class GranularMedium(Protocol):
@@ -38,7 +54,11 @@ class GranularMedium(Protocol):
         ...
 
     def materials(self) -> tuple[str, ...]:
-        """Return the names of the materials: dry pores, wet pores, then cores."""
+        """Return the names of the materials: dry pores, wet pores, then those of grains."""
+        ...
+
+    def interfaces(self) -> Sequence[Interface]:
+        """Return the pairs of materials that meet at the surfaces of grains."""
         ...
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

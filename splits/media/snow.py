@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, numbers, refuse, suggestion
-from splits.materials import RefractiveIndex, ice_density, refractive_index
+from splits.materials import ice_density, refractive_index
 from splits.media import grain_statistics as statistics
+from splits.media.granular import Interface
 from splits.media.readings import Readings
-from splits.transport.scene import Grains
+from splits.transport.scene import DRY_PORE, WET_PORE, Grains
 
-_AIR, _WATER, _ICE = 0, 1, 2
+_ICE = 2
 _LIMITS = ("min", "max", "mean", "sd")
 
 
@@ -159,7 +160,9 @@ class Snow:
         return Grains(
             attenuation=1.0 / self.mean_grain_distance_m,
             share=np.ones(1),
-            material=np.array([_ICE], dtype=np.int64),
+            layers=np.ones(1, dtype=np.int64),
+            material=np.array([[_ICE]], dtype=np.int64),
+            thickness=np.zeros((1, 1)),
             curvature=2.0 * sizes[np.newaxis],
             sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
             facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
@@ -169,13 +172,18 @@ class Snow:
         """Return the names of the materials in the rows of index arrays."""
         return ("air", "water", "ice")
 
+    def interfaces(self) -> list[Interface]:
+        """Return the pairs of materials that meet at the surfaces of grains."""
+        dry = Interface(1.0 - self.saturation, DRY_PORE, _ICE)
+        return [dry, Interface(self.saturation, WET_PORE, _ICE)]
+
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 3); water only if present."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         index = np.ones((wavelength_nm.size, 3), dtype=complex)
         index[:, _ICE] = self.refractive_index["ice"](wavelength_nm)
         if self.saturation > 0.0:
-            index[:, _WATER] = self.refractive_index["water"](wavelength_nm)
+            index[:, WET_PORE] = self.refractive_index["water"](wavelength_nm)
         return index
 
     def describe(self) -> dict[str, Any]:
@@ -186,17 +194,12 @@ class Snow:
             if f.name not in ("refractive_index", "readings")
         }
         for material, index in self.refractive_index.items():
-            inputs[f"refractive_index_{material}"] = _label(index)
+            inputs[f"refractive_index_{material}"] = index.name
         inputs |= {f"reading_{k}": v for k, v in self.readings.as_dict().items()}
         return inputs | {
             "mean_grain_distance_m": self.mean_grain_distance_m,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }
-
-
-def _label(index: RefractiveIndex) -> str:
-    value = getattr(index, "value", None)
-    return index.name if value is None else f"{value.real:g}+{value.imag:g}j"
 
 
 def _limited(key: str, value: Any, low: float) -> tuple[float, ...]:

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from splits.transport.frames import around
+from splits.transport.jit import kernel
 from splits.transport.rng import half_normal, uniform, unit_circle
 
 PROJECTED = 0
@@ -23,7 +22,7 @@ ANY = 2
 """Any facet; one that faces away acts through its opposite side."""
 
 
-@njit(cache=True)
+@kernel
 def tilt_cosine(state, facetness):
     """Return n·n' = 1 − |ξ| > 0 for ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4)."""
     while True:
@@ -32,7 +31,7 @@ def tilt_cosine(state, facetness):
             return 1.0 - x
 
 
-@njit(cache=True)
+@kernel
 def facet_angles(state, facetness, cos_i, rule):
     """Draw a facet in the frame whose polar axis is n and whose azimuth 0 faces the ray.
 
@@ -80,7 +79,7 @@ def facet_angles(state, facetness, cos_i, rule):
             return c, s, cp, sp, a + b
 
 
-@njit(cache=True)
+@kernel
 def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
     """Return the unit normal of the facet struck along d on a surface of normal n (d·n < 0).
 

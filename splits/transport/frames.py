@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from splits.transport.jit import kernel
 from splits.transport.rng import uniform, unit_circle
 
 
-@njit(cache=True)
+@kernel
 def orthonormal_basis(nx, ny, nz):
     """Return two unit vectors that complete the unit vector n to a right-handed frame.
 
@@ -29,14 +28,14 @@ def orthonormal_basis(nx, ny, nz):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def normalized(x, y, z):
     """Return (x, y, z) scaled to unit length."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True)
+@kernel
 def around(nx, ny, nz, cos_polar, sin_polar, cos_azimuth, sin_azimuth):
     """Return the unit vector at the given polar and azimuth angles around the unit vector n."""
     ux, uy, uz, vx, vy, vz = orthonormal_basis(nx, ny, nz)
@@ -49,7 +48,7 @@ def around(nx, ny, nz, cos_polar, sin_polar, cos_azimuth, sin_azimuth):
     )
 
 
-@njit(cache=True)
+@kernel
 def cosine_lobe(state, nx, ny, nz):
     """Return a direction around the unit vector n with density cosθ/π (Lambert)."""
     u = uniform(state)
@@ -57,7 +56,7 @@ def cosine_lobe(state, nx, ny, nz):
     return around(nx, ny, nz, math.sqrt(u), math.sqrt(1.0 - u), c, s)
 
 
-@njit(cache=True)
+@kernel
 def mirrored(dx, dy, dz, nx, ny, nz):
     """Return the direction d mirrored in the plane with unit normal n."""
     k = 2.0 * (dx * nx + dy * ny + dz * nz)

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from splits.transport.absorption import WEIGHT, start_purse, survives
 from splits.transport.fresnel import interface, refracted
 from splits.transport.grain import draw_pore, grain_walk
+from splits.transport.jit import entry, kernel
 from splits.transport.rng import from_table, start_stream, uniform
 from splits.transport.scene import DRY_PORE, WET_PORE
 from splits.transport.spheroid import cuts_segment, half_height, struck_point
@@ -26,11 +27,9 @@ LOST = 3
 """No grain was found that fits; never expected, counted so that it cannot pass unseen."""
 
 MAX_REJECTIONS = 1_000_000
-ROULETTE_BELOW = 0.1
-ROULETTE_SURVIVAL = 0.3
 
 
-@njit(cache=True)
+@kernel
 def pick(share, u):
     """Return the first type whose cumulative share exceeds u."""
     i = 0
@@ -39,7 +38,7 @@ def pick(share, u):
     return i
 
 
-@njit(cache=True)
+@kernel
 def cross_boundary(state, dx, dy, dz, n1, n2, k2):
     """Reflect or refract a ray at a smooth horizontal boundary from index n1 to n2 + i k2.
 
@@ -57,13 +56,13 @@ def cross_boundary(state, dx, dy, dz, n1, n2, k2):
     return True, dx, dy, dz
 
 
-@njit(cache=True)
+@kernel
 def no_grain(leg):
     """Return what `next_grain` returns when there is none."""
     return leg, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules):
     """Draw the next grain on a ray, or find that the ray reaches a boundary first.
 
@@ -120,8 +119,8 @@ def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, 
     return no_grain(-1.0)
 
 
-@njit(cache=True)
-def trace(state, grains, slab, rules, optics, length):
+@kernel
+def trace(state, grains, slab, rules, optics, length, purse):
     """Follow one ray from the light source until it leaves the slab or is absorbed.
 
     Parameters
@@ -132,20 +131,20 @@ def trace(state, grains, slab, rules, optics, length):
         See `splits.transport.scene`.
     length : float64[materials]
         Set to the path length in each material (m).
+    purse : float64[3]
+        Set to the roulette's account, see `splits.transport.absorption`.
 
     Returns
     -------
     fate : int
         `ABSORBED`, `REFLECTED`, `TRANSMITTED` or `LOST`.
-    weight : float
-        1, or the inverse survival probability of the roulette passed.
     x, y, z, dx, dy, dz : float
         Point and direction of exit, the latter outside the slab.
     legs : int
         Legs through the pore space: what the ray cost.
     """
     length[:] = 0.0
-    weight = 1.0
+    start_purse(purse)
     legs = 0
     mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
     x, y, z = 0.0, 0.0, 0.0
@@ -156,7 +155,7 @@ def trace(state, grains, slab, rules, optics, length):
             state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
         )
         if not passed:
-            return REFLECTED, weight, x, y, z, dx, dy, dz, legs
+            return REFLECTED, x, y, z, dx, dy, dz, legs
     # The leg just travelled (origin, direction, length), on which no other grain can lie.
     last_leg = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
     while True:
@@ -170,13 +169,12 @@ def trace(state, grains, slab, rules, optics, length):
             next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         )
         if leg < 0.0:
-            return LOST, weight, x, y, z, dx, dy, dz, legs
+            return LOST, x, y, z, dx, dy, dz, legs
         met_boundary = leg >= to_boundary
         if met_boundary:
             leg = to_boundary
-        length[pore] += leg
-        if rules.analog and uniform(state) > math.exp(-optics.absorption[pore] * leg):
-            return ABSORBED, weight, x, y, z, dx, dy, dz, legs
+        if not survives(state, leg, pore, optics, rules, length, purse):
+            return ABSORBED, x, y, z, dx, dy, dz, legs
         last_leg = (x, y, z, dx, dy, dz, leg)
         if met_boundary:
             x += leg * dx
@@ -189,16 +187,16 @@ def trace(state, grains, slab, rules, optics, length):
                 )
             if passed:
                 fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, weight, x, y, z, dx, dy, dz, legs
+                return fate, x, y, z, dx, dy, dz, legs
             continue
         facetness = from_table(grains.facetness, kind, uniform(state))
         alive, p1, p2, p3, dx, dy, dz, pore = grain_walk(
             state, p1, p2, p3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
-            semi_major, sphericity, facetness, grains.material[kind],
-            pore, slab.saturation, optics, rules, length,
+            semi_major, sphericity, facetness, kind, pore, slab.saturation,
+            grains, optics, rules, length, purse,
         )  # fmt: skip
         if not alive:
-            return ABSORBED, weight, x, y, z, dx, dy, dz, legs
+            return ABSORBED, x, y, z, dx, dy, dz, legs
         x = cx + p1
         y = cy + p2
         z = cz + p3
@@ -206,17 +204,9 @@ def trace(state, grains, slab, rules, optics, length):
             # Only a grain kept across a boundary, or rounding, ends a walk out there: the
             # ray counts as standing on that boundary.
             z = 0.0 if z > 0.0 else -slab.depth
-        if not rules.analog:
-            depth = 0.0
-            for material in range(length.size):
-                depth += optics.absorption[material] * length[material]
-            if weight * math.exp(-depth) < ROULETTE_BELOW:
-                if uniform(state) > ROULETTE_SURVIVAL:
-                    return ABSORBED, weight, x, y, z, dx, dy, dz, legs
-                weight /= ROULETTE_SURVIVAL
 
 
-@njit(cache=True, nogil=True)
+@entry
 def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorption):
     """Trace `rays` rays and tally their weights.
 
@@ -246,10 +236,11 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
     least = np.full(absorption.shape[0], np.inf)
     legs = 0
     length = np.zeros(absorption.shape[1])
+    purse = np.zeros(3)
     state = np.zeros(1, dtype=np.uint64)
     for ray in range(first_ray, first_ray + rays):
         start_stream(state, seed, ensemble, ray)
-        fate, weight, _, _, _, _, _, _, spent = trace(state, grains, slab, rules, optics, length)
+        fate, _, _, _, _, _, _, spent = trace(state, grains, slab, rules, optics, length, purse)
         legs += spent
         if fate == LOST:
             return moments, least, legs, True
@@ -258,7 +249,7 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
             continue
         side = 0 if fate == REFLECTED else 1
         for i in range(absorption.shape[0]):
-            w = weight
+            w = purse[WEIGHT]
             if not rules.analog:
                 depth = 0.0
                 for material in range(absorption.shape[1]):

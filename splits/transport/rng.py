@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from splits.transport.jit import kernel
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -25,7 +26,7 @@ _S12 = np.uint64(12)
 _TO_UNIT = 2.0**-52
 
 
-@njit(cache=True, inline="always")
+@kernel
 def mix64(z):
     """Return the SplitMix64 finaliser of the ``uint64`` `z`, a bijection of 64-bit integers."""
     z = (z ^ (z >> _S30)) * _MIX1
@@ -33,7 +34,7 @@ def mix64(z):
     return z ^ (z >> _S31)
 
 
-@njit(cache=True)
+@kernel
 def start_stream(state, seed, ensemble, ray):
     """Set `state` (``uint64[1]``) to the beginning of the stream of one ray."""
     key = mix64(np.uint64(seed) + _GOLDEN)
@@ -41,7 +42,7 @@ def start_stream(state, seed, ensemble, ray):
     state[0] = mix64(key ^ (np.uint64(ray) * _GOLDEN + _MIX2))
 
 
-@njit(cache=True)
+@kernel
 def uniform(state):
     """Return the next number of the stream, uniform on the open interval (0, 1).
 
@@ -52,14 +53,14 @@ def uniform(state):
     return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT
 
 
-@njit(cache=True)
+@kernel
 def half_normal(state):
     """Return |X| for a standard normal X (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(state)))
     return radius * abs(math.cos(0.5 * math.pi * uniform(state)))
 
 
-@njit(cache=True)
+@kernel
 def unit_circle(state):
     """Return (cos, sin) of an angle uniform on the circle, by rejection from the disc."""
     while True:
@@ -71,7 +72,7 @@ def unit_circle(state):
             return x * scale, y * scale
 
 
-@njit(cache=True)
+@kernel
 def unit_sphere(state):
     """Return a unit vector (x, y, z) uniform on the sphere."""
     z = 2.0 * uniform(state) - 1.0
@@ -80,9 +81,9 @@ def unit_sphere(state):
     return r * c, r * s, z
 
 
-@njit(cache=True)
+@kernel
 def from_table(table, row, u):
-    """Return the quantile `u` of the distribution tabulated in ``table[row]``.
+    """Return the quantile `u` of the distribution tabulated in a row, or the only row.
 
     Parameters
     ----------
@@ -94,6 +95,7 @@ def from_table(table, row, u):
     """
     x = math.sqrt(0.5 * u) if u < 0.5 else 1.0 - math.sqrt(0.5 * (1.0 - u))
     x *= table.shape[1] - 1
+    row = min(row, table.shape[0] - 1)
     i = min(int(x), table.shape[1] - 2)
     return table[row, i] + (x - i) * (table[row, i + 1] - table[row, i])
 

@@ -1,7 +1,7 @@
 """What a kernel is told: plain numbers and arrays, in SI units.
 
 These named tuples are the contract between media and kernels.  Materials are rows of the index
-arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are grain cores.
+arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and coatings.
 """
 
 from __future__ import annotations
@@ -29,25 +29,33 @@ FATE = {"reject": True, "keep": False}
 class Grains(NamedTuple):
     """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
 
+    A table of distributions has one row per type, or a single row that holds for all of them.
+
     Attributes
     ----------
     attenuation : float
         Expected number of grains met per metre of pore-space path, all types together.
     share : float64[types]
         Cumulative probability that the grain met is of type 0…i; the last entry is 1.
-    material : int64[types]
-        Row of the core's material.
-    curvature : float64[types, m]
+    layers : int64[types]
+        Number of coatings plus one, the core.
+    material : int64[types, deepest]
+        Rows of the materials from the outermost coating to the core.
+    thickness : float64[types, deepest]
+        Thickness of the coatings as a fraction of the major axis; unused for the core.
+    curvature : float64[rows, m]
         Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
         sections make uniform, and is exact in a table whatever the range of sizes.
-    sphericity : float64[types, m]
+    sphericity : float64[rows, m]
         Inscribed-circle sphericity of struck grains.
-    facetness : float64[types, m]
+    facetness : float64[rows, m]
     """
 
     attenuation: float
     share: np.ndarray
+    layers: np.ndarray
     material: np.ndarray
+    thickness: np.ndarray
     curvature: np.ndarray
     sphericity: np.ndarray
     facetness: np.ndarray

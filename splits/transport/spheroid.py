@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from splits.transport.frames import normalized, orthonormal_basis
+from splits.transport.jit import kernel
 from splits.transport.rng import uniform, unit_circle, unit_sphere
 
 UNIFORM = 0
@@ -25,14 +24,14 @@ PROJECTED = 1
 """Entry point (and orientation) weighted by area projected along the ray: geometry's own law."""
 
 
-@njit(cache=True)
+@kernel
 def quadratic(x1, x2, x3, y1, y2, y3, w1, w2, w3, minor2, shift):
     """Return Q(x, y) with `minor2` = 1/c² and `shift` = 1/b² − 1/c²."""
     dot = x1 * y1 + x2 * y2 + x3 * y3
     return dot * minor2 + (x1 * w1 + x2 * w2 + x3 * w3) * (y1 * w1 + y2 * w2 + y3 * w3) * shift
 
 
-@njit(cache=True)
+@kernel
 def axial_position(state, sphericity):
     """Return z/b of a point uniform over the area of a prolate spheroid, in (−1, 1).
 
@@ -48,7 +47,7 @@ def axial_position(state, sphericity):
             return z
 
 
-@njit(cache=True)
+@kernel
 def normal_at(p1, p2, p3, w1, w2, w3, minor2, shift):
     """Return the outward unit normal at the surface point p."""
     along = (p1 * w1 + p2 * w2 + p3 * w3) * shift
@@ -59,7 +58,7 @@ def normal_at(p1, p2, p3, w1, w2, w3, minor2, shift):
     )
 
 
-@njit(cache=True)
+@kernel
 def struck_point(state, dx, dy, dz, semi_major, sphericity, entry):
     """Draw orientation and entry point of the grain that a ray along d strikes.
 
@@ -101,7 +100,7 @@ def struck_point(state, dx, dy, dz, semi_major, sphericity, entry):
             return p1, p2, p3, w1, w2, w3, n1, n2, n3
 
 
-@njit(cache=True)
+@kernel
 def chord(p1, p2, p3, dx, dy, dz, w1, w2, w3, minor2, shift):
     """Return the length of the straight path from the surface point p along d through the grain."""
     return (
@@ -111,13 +110,13 @@ def chord(p1, p2, p3, dx, dy, dz, w1, w2, w3, minor2, shift):
     )
 
 
-@njit(cache=True)
+@kernel
 def half_height(w3, semi_major, semi_minor):
     """Return how far the grain reaches above (and below) its centre along z."""
     return math.sqrt(semi_minor * semi_minor * (1.0 - w3 * w3) + semi_major * semi_major * w3 * w3)
 
 
-@njit(cache=True)
+@kernel
 def cuts_segment(o1, o2, o3, dx, dy, dz, length, w1, w2, w3, minor2, shift):
     """Tell whether the grain overlaps the segment from o (relative to its centre) along d."""
     qdd = quadratic(dx, dy, dz, dx, dy, dz, w1, w2, w3, minor2, shift)

@@ -12,6 +12,7 @@ from scipy import integrate
 
 import splits
 from splits.transport import granular
+from splits.transport.absorption import WEIGHT
 from splits.transport.fresnel import interface
 from splits.transport.scene import Optics, Slab
 
@@ -119,11 +120,12 @@ def test_a_ray_that_meets_no_grain_goes_straight(mu):
     optics = Optics(np.array([1.0, 1.0, 1.31]), np.zeros(3), np.zeros(3))
     length = np.ones(3)
     rules = snow.readings.rules()
-    fate, weight, x, y, z, dx, dy, dz, _ = granular.trace(
-        stream(), snow.grains(), slab, rules, optics, length
+    purse = np.zeros(3)
+    fate, x, y, z, dx, dy, dz, _ = granular.trace(
+        stream(), snow.grains(), slab, rules, optics, length, purse
     )
     sine = math.sqrt(1.0 - mu * mu)
-    assert (fate, weight, y, dy) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (fate, purse[WEIGHT], y, dy) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (dx, dz, z) == (sine, -mu, -0.12)
     assert x == pytest.approx(0.12 * sine / mu, rel=1e-14)
     assert length == pytest.approx([0.12 / mu, 0.0, 0.0], rel=1e-14)

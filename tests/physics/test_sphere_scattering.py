@@ -13,6 +13,7 @@ from scipy import integrate
 
 import splits
 from splits.transport import grain, spheroid
+from splits.transport.absorption import start_purse
 from splits.transport.scene import Optics
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
@@ -26,16 +27,17 @@ def optics(n, k=0.0, absorption=0.0):
 
 
 @njit
-def _scatter(state, psi, facetness, optics, rules, length):
+def _scatter(state, psi, facetness, grains, optics, rules, length, purse):
     """Return cosθ of scattering, the path inside, survival, and whether the exit is sound."""
     length[:] = 0.0
+    start_purse(purse)
     d1, d2, d3 = 0.48, -0.64, 0.6
     p1, p2, p3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
         state, d1, d2, d3, RADIUS, psi, rules.entry
     )
     alive, q1, q2, q3, e1, e2, e3, _ = grain.grain_walk(
         state, p1, p2, p3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        RADIUS, psi, facetness, 2, 0, 0.0, optics, rules, length,
+        RADIUS, psi, facetness, 0, 0, 0.0, grains, optics, rules, length, purse,
     )  # fmt: skip
     minor2 = 1.0 / (RADIUS * psi * psi) ** 2
     shift = 1.0 / (RADIUS * RADIUS) - minor2
@@ -53,8 +55,9 @@ def _scatter(state, psi, facetness, optics, rules, length):
 def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False):
     rules = splits.Readings(entry=entry).rules(analog)
     out = draw(
-        _scatter, COUNT, psi, facetness, optics(n, 0.0, absorption), rules, np.zeros(3), width=4
-    )
+        _scatter, COUNT, psi, facetness, splits.Snow().grains(), optics(n, 0.0, absorption),
+        rules, np.zeros(3), np.zeros(3), width=4,
+    )  # fmt: skip
     assert out[:, 3].all()
     return out[:, 0], out[:, 1], out[:, 2] == 1.0
 

@@ -110,7 +110,7 @@ def test_share_reflected_at_an_extended_boundary():
 def _interacted(state, cos_i, n1, n2, k2, rules):
     sin_i = math.sqrt(1.0 - cos_i * cos_i)
     passed, dx, dy, dz = grain.interact(
-        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.0, n1, n2, k2, rules
+        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.0, n1, 0.0, n2, k2, rules
     )
     return 1.0 if passed else 0.0, dx, dy, dz
 
@@ -135,7 +135,7 @@ def _rough(state, cos_i, n1, n2, rules):
     )
     expected = fresnel.interface(n1, n2, 0.0, cosine)[0]
     passed, _, _, dz = grain.interact(
-        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.8, n1, n2, 0.0, rules
+        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.8, n1, 0.0, n2, 0.0, rules
     )
     return expected, 0.0 if passed else 1.0, 1.0 if (dz < 0.0) == passed else 0.0
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splits.materials import Constant, dataset_names, refractive_index
-from splits.materials.refractive_index import absorption_coefficient
+from splits.materials import Constant, absorption_coefficient, dataset_names, refractive_index
 
-NAMED = [(material, name) for material in ("ice", "water") for name in dataset_names(material)]
+TABULATED = ("ice", "water", "hematite", "magnetite")
+NAMED = [(material, name) for material in TABULATED for name in dataset_names(material)]
 TABLE = {"wavelength_nm": [400.0, 800.0, 1600.0], "n": [1.3, 1.4, 1.2], "k": [1e-8, 1e-4, 1e-2]}
 CSV = "# made up\nwavelength_nm, n, k\n400, 1.3, 1e-8\n800, 1.4, 1e-4\n1600, 1.2, 1e-2\n"
 # Rows as printed in the tables' sources: wavelength (nm), n, k.
@@ -20,6 +20,9 @@ PUBLISHED = [
     ("ice", "warren_brandt_2008", 1000.0, 1.3015, 1.62e-6),
     ("water", "hale_querry_1973", 500.0, 1.335, 1.0e-9),
     ("water", "hale_querry_1973", 1000.0, 1.327, 2.89e-6),
+    ("hematite", "querry_1985_ordinary", 550.0, 3.318, 0.498),
+    ("hematite", "querry_1985_extraordinary", 650.0, 2.753, 0.103),
+    ("magnetite", "querry_1985", 700.0, 2.355, 0.124),
 ]
 
 
@@ -40,7 +43,7 @@ def test_published_rows(material, name, wavelength, n, k):
     assert index.imag == pytest.approx(k, rel=5e-3)
 
 
-@pytest.mark.parametrize("material", ["ice", "water"])
+@pytest.mark.parametrize("material", TABULATED)
 def test_nothing_stands_for_the_first_named_dataset(material):
     assert refractive_index(material) is refractive_index(material, dataset_names(material)[0])
 
@@ -89,6 +92,11 @@ def test_outside_the_table_the_message_names_dataset_and_range(material, name):
 def test_constants_in_every_spelling(spec):
     index = refractive_index("ice", spec)([400.0, 5000.0])
     np.testing.assert_array_equal(index, np.full(2, 1.31 + 1e-7j))
+
+
+def test_a_constant_is_called_by_its_value_unless_it_has_a_name():
+    assert Constant(1.31 + 1e-7j).name == "1.31+1e-07j"
+    assert Constant(1.31 + 1e-7j, "made up").name == "made up"
 
 
 @pytest.mark.parametrize("spec", [1.33, "1.33", {"n": 1.33}, np.float64(1.33)])
@@ -143,8 +151,54 @@ def test_other_bad_specifications_are_refused_by_name(spec):
 def test_a_misspelt_dataset_gets_a_suggestion():
     with pytest.raises(ValueError, match="did you mean hale_querry_1973"):
         refractive_index("water", "hale_query_1973")
-    with pytest.raises(ValueError, match="one of ice, water"):
+    with pytest.raises(ValueError, match=r"one of goethite, hematite, ice, .*, water"):
         dataset_names("sand")
+
+
+@pytest.mark.parametrize(("material", "name"), NAMED)
+def test_a_factor_scales_k_and_leaves_n(material, name):
+    table = refractive_index(material, name)
+    scaled = refractive_index(material, {"dataset": name, "k_factor": 2.5})
+    w = table.wavelength_nm[::7]
+    np.testing.assert_array_equal(scaled(w).real, table(w).real)
+    np.testing.assert_allclose(scaled(w).imag, 2.5 * table(w).imag, rtol=1e-15)
+    assert scaled.name == f"{name}, k x 2.5"
+    assert table.source in scaled.source
+    with pytest.raises(ValueError, match=f"the range of {name}"):
+        scaled(1.0)
+
+
+def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
+    assert refractive_index("water", {"k_factor": 0.5}).name == "hale_querry_1973, k x 0.5"
+    name = "segelstein_1981"
+    assert refractive_index("water", {"dataset": name}) is refractive_index("water", name)
+
+
+@pytest.mark.parametrize(
+    ("spec", "parts"),
+    [
+        ({"k_factor": 0.0}, ["[ice].k_factor = 0.0", "above 0"]),
+        ({"k_factor": -1}, ["[ice].k_factor = -1", "above 0"]),
+        ({"k_factor": np.inf}, ["[ice].k_factor = inf", "above 0"]),
+        ({"k_factor": "half"}, ["[ice].k_factor = 'half'", "above 0"]),
+        ({"k_factor": True}, ["[ice].k_factor = True", "above 0"]),
+        ({"dataset": "warren_brandt"}, ["[ice].dataset = 'warren_brandt'", "did you mean"]),
+        ({"dataset": ["warren_brandt_2008"]}, ["[ice].dataset", "one of"]),
+        ({"k_factor": 2.0, "n": 1.3}, ["refractive_index[ice] = {", "dataset and k_factor"]),
+        ({"k_facto": 2.0}, ["refractive_index[ice] = {'k_facto': 2.0}", "k_factor"]),
+    ],
+)
+def test_bad_factors_and_datasets_are_refused_with_key_value_and_range(spec, parts):
+    with pytest.raises(ValueError, match="must be") as caught:
+        refractive_index("ice", spec)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("spec", [None, "quartz", 1.5, {"n": 1.5}])
+def test_an_unknown_material_is_refused_whatever_the_specification(spec):
+    with pytest.raises(ValueError, match=r"material = 'quarz'.*did you mean quartz"):
+        refractive_index("quarz", spec)
 
 
 def test_a_csv_file_without_its_columns_is_refused(tmp_path):

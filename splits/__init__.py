@@ -1,6 +1,6 @@
 """Light that snow, sand and rough layers send back.
 
-A *medium* (`Snow`) under a virtual *instrument* (`spectrophotometer`) gives a labelled dataset
+A *medium* (`Snow`, `Sand`) under a virtual *instrument* (`spectrophotometer`) gives a labelled dataset
 with standard errors.
 
 Examples
@@ -13,6 +13,14 @@ True
 
 from splits.dataset import load, save
 from splits.instruments import spectrophotometer
-from splits.media import Readings, Snow
+from splits.media import Readings, Sand, SandReadings, Snow
 
-__all__ = ["Readings", "Snow", "load", "save", "spectrophotometer"]
+__all__ = [
+    "Readings",
+    "Sand",
+    "SandReadings",
+    "Snow",
+    "load",
+    "save",
+    "spectrophotometer",
+]

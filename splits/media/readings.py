@@ -5,34 +5,39 @@ docs/model.md says why each default was taken and what the alternatives do to re
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeVar
 
-from splits.checks import one_of
+from splits.checks import one_of, refuse, suggestion
+from splits.materials import MIXING
+from splits.media.composition import EXCESS_MAGNETITE
 from splits.transport.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "size_is": ("diameter", "semi_axis"),
-    "struck_size": ("attenuation", "uniform"),
     "entry": tuple(ENTRY),
     "facets": tuple(FACETS),
     "wrong_side": tuple(WRONG_SIDE),
     "boundary_fresnel": ("yes", "no"),
     "grain_on_last_leg": tuple(FATE),
     "grain_across_boundary": tuple(FATE),
+    "size_is": ("diameter", "semi_axis"),
+    "struck_size": ("attenuation", "uniform"),
+    "mixing": tuple(MIXING),
+    "sizes": ("separates", "single"),
+    "excess_magnetite": EXCESS_MAGNETITE,
+    "attenuation": ("solid", "printed"),
 }
+
+Kind = TypeVar("Kind", bound="TransportReadings")
 
 
 @dataclass(frozen=True)
-class Readings:
-    """Named readings of SPLITS and SPLITSnow.
+class TransportReadings:
+    """Named readings of the transport that SPLITS and SPLITSnow share.
 
     Parameters
     ----------
-    size_is : {"diameter", "semi_axis"}
-        What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
-    struck_size : {"attenuation", "uniform"}
-        Size distribution of the grains that rays strike: ∝ s⁻² P(s), consistent with the
-        attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
     entry : {"uniform", "projected"}
         Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2), or by
         projected area, as straight rays through real grains have it.
@@ -52,8 +57,6 @@ class Readings:
         that leaves a grain outside the sample counts as standing on the boundary there.
     """
 
-    size_is: str = "diameter"
-    struck_size: str = "attenuation"
     entry: str = "uniform"
     facets: str = "projected"
     wrong_side: str = "lobe"
@@ -64,6 +67,21 @@ class Readings:
     def __post_init__(self) -> None:
         for field in fields(self):
             one_of(f"readings.{field.name}", getattr(self, field.name), CHOICES[field.name])
+
+    @classmethod
+    def of(cls: type[Kind], value: Any) -> Kind:
+        """Return readings, given as such or as a mapping of names to choices, or refuse them."""
+        if isinstance(value, cls):
+            return value
+        if not isinstance(value, Mapping):
+            raise refuse("readings", value, "a mapping of named readings")
+        names = [f.name for f in fields(cls)]
+        for name in value:
+            if name not in names:
+                raise refuse(
+                    "readings", name, "one of " + ", ".join(names), suggestion(name, names)
+                )
+        return cls(**value)
 
     def rules(self, analog: bool = False) -> Rules:
         """Return the readings as kernels take them."""
@@ -80,3 +98,43 @@ class Readings:
     def as_dict(self) -> dict[str, str]:
         """Return all readings by name."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class Readings(TransportReadings):
+    """Named readings of SPLITSnow, besides those of `TransportReadings`.
+
+    Parameters
+    ----------
+    size_is : {"diameter", "semi_axis"}
+        What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
+    struck_size : {"attenuation", "uniform"}
+        Size distribution of the grains that rays strike: ∝ s⁻² P(s), consistent with the
+        attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
+    """
+
+    size_is: str = "diameter"
+    struck_size: str = "attenuation"
+
+
+@dataclass(frozen=True)
+class SandReadings(TransportReadings):
+    """Named readings of SPLITS, besides those of `TransportReadings`.
+
+    Parameters
+    ----------
+    mixing : {"maxwell_garnett", "linear"}
+        Index of a mineral with inclusions (Eq 4), or the mean of the two by volume.
+    sizes : {"separates", "single"}
+        A log-normal per soil separate (section 4.2.6), or one over silt and sand.
+    excess_magnetite : {"first", "clipped"}
+        More magnetite than the pure particles' share (Eq 9); see `splits.media.composition`.
+    attenuation : {"solid", "printed"}
+        Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
+        as Eqs 22-24 print it, without.
+    """
+
+    mixing: str = "maxwell_garnett"
+    sizes: str = "separates"
+    excess_magnetite: str = "first"
+    attenuation: str = "solid"

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, numbers, refuse, suggestion
-from splits.materials import ice_density, refractive_index
+from splits.checks import in_range, numbers, refuse
+from splits.materials import ice_density
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
+from splits.media.inputs import indices_of, limited_normal
 from splits.media.readings import Readings
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains
 
 _ICE = 2
-_LIMITS = ("min", "max", "mean", "sd")
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Snow:
         if largest > 1e3 * smallest:
             raise refuse("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
-        put("facetness", _limited("facetness", self.facetness, 0.0))
-        put("sphericity", _limited("sphericity", self.sphericity, 0.1))
+        put("facetness", limited_normal("facetness", self.facetness, 0.0))
+        put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
         put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
         put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         ice = ice_density(self.temperature_c)
@@ -104,7 +104,7 @@ class Snow:
             ),
         )
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
-        put("readings", _readings(self.readings))
+        put("readings", Readings.of(self.readings))
         if self.depth_m <= self._diameters_m[1]:
             raise refuse(
                 "depth_m",
@@ -112,15 +112,7 @@ class Snow:
                 f"more than the largest grain, {self._diameters_m[1]:g} m",
                 "such a grain must fit between the boundaries",
             )
-        if not isinstance(self.refractive_index, Mapping):
-            raise refuse("refractive_index", self.refractive_index, "a mapping by material")
-        unknown = set(self.refractive_index) - {"ice", "water"}
-        if unknown:
-            raise refuse("refractive_index", sorted(unknown), "a mapping with keys ice, water")
-        put(
-            "refractive_index",
-            {m: refractive_index(m, self.refractive_index.get(m)) for m in ("ice", "water")},
-        )
+        put("refractive_index", indices_of(("ice", "water"), self.refractive_index))
 
     @cached_property
     def _diameters_m(self) -> tuple[float, float]:
@@ -200,24 +192,3 @@ class Snow:
             "mean_grain_distance_m": self.mean_grain_distance_m,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }
-
-
-def _limited(key: str, value: Any, low: float) -> tuple[float, ...]:
-    """Check (min, max, mean, sd) of a normal distribution within limits in [low, 1]."""
-    minimum, maximum, mean, sd = numbers(key, value, _LIMITS)
-    if not low <= minimum <= mean <= maximum <= 1.0:
-        raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
-    in_range(f"{key} (sd)", sd, 0.0, 1.0)
-    return minimum, maximum, mean, sd
-
-
-def _readings(value: Any) -> Readings:
-    if isinstance(value, Readings):
-        return value
-    if not isinstance(value, Mapping):
-        raise refuse("readings", value, "a mapping of named readings")
-    names = [f.name for f in fields(Readings)]
-    for name in value:
-        if name not in names:
-            raise refuse("readings", name, "one of " + ", ".join(names), suggestion(name, names))
-    return Readings(**value)

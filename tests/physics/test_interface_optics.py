@@ -182,7 +182,7 @@ def test_what_counts_as_transparent_hardly_differs_from_it():
     def error(k1, n2):
         pairs = [(interface(n1, n2, 0.0, c), absorbing_interface(n1, k1, n2, 0.0, c))
                  for c in cosines]  # fmt: skip
-        return 2.0 * np.mean([c * abs(a[0] - b[0]) for c, (a, b) in zip(cosines, pairs)])
+        return 2.0 * np.mean([c * abs(a[0] - b[0]) for c, (a, b) in zip(cosines, pairs, strict=True)])
 
     for n2 in (1.0, 1.33, 2.0):
         limit = NEARLY_TRANSPARENT * n1

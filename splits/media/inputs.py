@@ -1,0 +1,42 @@
+"""Checks that several media share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from splits.checks import in_range, numbers, refuse, suggestion
+from splits.materials import RefractiveIndex, refractive_index
+
+_LIMITS = ("min", "max", "mean", "sd")
+
+
+def limited_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
+    """Return (min, max, mean, sd) of a normal distribution within limits in [low, 1], or refuse."""
+    minimum, maximum, mean, sd = numbers(key, value, _LIMITS)
+    if not low <= minimum <= mean <= maximum <= 1.0:
+        raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
+    in_range(f"{key} (sd)", sd, 0.0, 1.0)
+    return minimum, maximum, mean, sd
+
+
+def indices_of(materials: Iterable[str], given: Any) -> dict[str, RefractiveIndex]:
+    """Return the refractive index of every material, where nothing is given the default dataset.
+
+    Raises
+    ------
+    ValueError
+        If `given` is not a mapping, or for a material that the medium does not have.
+    """
+    names = list(materials)
+    if not isinstance(given, Mapping):
+        raise refuse("refractive_index", given, "a mapping by material")
+    for name in given:
+        if name not in names:
+            raise refuse(
+                "refractive_index",
+                name,
+                "a mapping with keys " + ", ".join(names),
+                suggestion(name, names),
+            )
+    return {m: refractive_index(m, given.get(m)) for m in names}

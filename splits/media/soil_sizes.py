@@ -1,0 +1,142 @@
+"""Sizes of soil particles: one log-normal per soil separate, from texture.
+
+SPLITS section 4.2.6 after Shirazi et al. (1988, Soil Science Society of America Journal 52,
+181-190): within clay, silt and sand the distribution of mass is log-normal.  Geometric mean and
+standard deviation of each piece follow from the cumulative mass at its two limits, read as
+points of a normal distribution in log size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import integrate, stats
+
+from splits.checks import in_range, numbers, refuse
+from splits.media.grain_statistics import TABLE_POINTS
+from splits.transport.rng import table_probabilities
+
+LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
+"""Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""
+SEPARATES = ("clay", "silt", "sand")
+_GRID = 16_385
+FINES_LIMIT = 0.15
+"""A sand has silt + 1.5 clay of at most this (USDA; SPLITS Table 2)."""
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """Mass distribution of one separate: log-normal between two sizes.
+
+    Attributes
+    ----------
+    low, high : float
+        Limits of the major axis (m).
+    mass : float
+        Mass per mass of all particles.
+    mean, sd : float
+        Of the natural logarithm of the size in m: a_g and b_g of Eq 19.
+    """
+
+    low: float
+    high: float
+    mass: float
+    mean: float
+    sd: float
+
+    def _shape(self, x: np.ndarray, power: float = 0.0) -> np.ndarray:
+        """Return s^power times the density of x = ln s, up to a factor."""
+        score = (x - self.mean) / self.sd
+        return np.exp(-0.5 * score**2 + power * (x - np.log(self.low)))
+
+    @property
+    def inverse_mean(self) -> float:
+        """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
+        # Not in closed form: its error functions cancel when a separate's limits lie close
+        # together in probability, while this integrand is always smooth.
+        node, weight = np.polynomial.legendre.leggauss(200)
+        low, high = np.log([self.low, self.high])
+        x = low + 0.5 * (node + 1.0) * (high - low)
+        return float(weight @ self._shape(x, -1.0) / (weight @ self._shape(x)) / self.low)
+
+    def struck_size(self, probability: np.ndarray) -> np.ndarray:
+        """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
+        x = np.linspace(*np.log([self.low, self.high]), _GRID)
+        cumulative = integrate.cumulative_simpson(self._shape(x, -1.0), x=x, initial=0.0)
+        return np.exp(np.interp(probability, cumulative / cumulative[-1], x))
+
+
+@dataclass(frozen=True)
+class SoilSizes:
+    """Particle sizes of a soil, separate by separate, from fine to coarse."""
+
+    separates: tuple[LogNormal, ...]
+
+    @property
+    def largest(self) -> float:
+        """Largest major axis (m)."""
+        return max(s.high for s in self.separates)
+
+    @property
+    def attenuation(self) -> float:
+        """Mean of 1/s by volume (1/m): K1 of Eq 23 without v_j."""
+        return sum(s.mass * s.inverse_mean for s in self.separates)
+
+    def struck_inverse_sizes(self) -> np.ndarray:
+        """Return the quantile function of 1/s of struck particles, shape (TABLE_POINTS,)."""
+        u = table_probabilities(TABLE_POINTS)
+        weights = np.array([s.mass * s.inverse_mean for s in self.separates])[::-1]
+        edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
+        edges[-1] = 1.0
+        inverse = np.empty(u.shape)
+        for i, separate in enumerate(reversed(self.separates)):
+            inside = (u >= edges[i]) & (u <= edges[i + 1])
+            part = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
+            inverse[inside] = 1.0 / separate.struck_size(1.0 - part)
+        return inverse
+
+
+def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -> SoilSizes:
+    """Return the particle sizes of a sand of given texture.
+
+    Parameters
+    ----------
+    texture : (clay, silt, sand)
+        Mass fractions ζ1, ζ2, ζ3, adding up to 1, with ζ2 + 1.5 ζ1 at most 0.15.
+    tail : float
+        Mass taken to lie beyond the outermost limits, 1e-6 to 0.01: it decides how far
+        distributions of open separates reach towards the fine end.
+    pieces : {"separates", "single"}
+        A log-normal per separate, or a single one through the limits of silt and of sand.
+
+    Raises
+    ------
+    ValueError
+        For a texture that is no sand's.
+    """
+    clay, silt, sand = numbers("texture", texture, SEPARATES)
+    if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
+        raise refuse("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
+    if silt + 1.5 * clay > FINES_LIMIT + 1e-9:
+        raise refuse(
+            "texture", texture, f"silt + 1.5 clay at most {FINES_LIMIT:g}", "more is no sand"
+        )
+    tail = in_range("size_tail", tail, 1e-6, 0.01)
+    cumulative = np.clip([tail, clay, clay + silt, 1.0 - tail], tail, 1.0 - tail)
+    score = stats.norm.ppf(cumulative)
+    x = np.log(LIMITS_M)
+    if pieces == "single":
+        sd = float((x[3] - x[1]) / (score[3] - score[1]))
+        low = LIMITS_M[0 if clay > tail else 1]
+        return SoilSizes((LogNormal(low, LIMITS_M[3], 1.0, float(x[3]) - sd * score[3], sd),))
+    separates = []
+    for i, mass in enumerate((clay, silt, sand)):
+        if mass > 0.0 and score[i + 1] > score[i]:
+            sd = (x[i + 1] - x[i]) / (score[i + 1] - score[i])
+            mean = x[i] - sd * score[i]
+            separates.append(LogNormal(LIMITS_M[i], LIMITS_M[i + 1], mass, float(mean), float(sd)))
+    total = sum(s.mass for s in separates)
+    return SoilSizes(
+        tuple(LogNormal(s.low, s.high, s.mass / total, s.mean, s.sd) for s in separates)
+    )

@@ -35,20 +35,20 @@ def steps(
 def trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
     """Return one row per trend: the smallest step in the stated direction, with its error."""
     rows = [
-        _monotone(datasets, "fig08_grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
+        monotone(datasets, "fig08_grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
                   "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
-        _monotone(datasets, "fig11_depth", "transmittance", "depth_m", -1, 400, 700,
+        monotone(datasets, "fig11_depth", "transmittance", "depth_m", -1, 400, 700,
                   "transmittance falls with depth, 400-700 nm", "Fig 11"),
-        _monotone(datasets, "fig12_grain_size", "transmittance", "grain_size_um", +1, 400, 700,
+        monotone(datasets, "fig12_grain_size", "transmittance", "grain_size_um", +1, 400, 700,
                   "transmittance rises with grain size, 400-700 nm", "Fig 12"),
-        _monotone(datasets, "fig13_saturation", "transmittance", "saturation", +1, 400, 700,
+        monotone(datasets, "fig13_saturation", "transmittance", "saturation", +1, 400, 700,
                   "transmittance rises with saturation, 400-700 nm", "Fig 13"),
-        _monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 800, 1450,
+        monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 800, 1450,
                   "transmittance falls with saturation, mean over the paper's 800-1450 nm",
                   "Fig 13"),
-        _monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 940, 1450,
+        monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 940, 1450,
                   "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
-        _monotone(datasets, "fig14_density", "transmittance", "density_kg_m3", -1, 400, 700,
+        monotone(datasets, "fig14_density", "transmittance", "density_kg_m3", -1, 400, 700,
                   "transmittance falls with density, 400-700 nm", "Fig 14"),
     ]  # fmt: skip
     sizes = datasets["fig08_grain_size"]
@@ -74,7 +74,7 @@ def ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
     for more, less in steps_down:
         a, b = (reflectance.sel(parameter=p) for p in (more, less))
         rows.append(
-            _beyond(
+            beyond(
                 f"MSI of reflectance: {more.replace('_', ' ')} above {less.replace('_', ' ')}",
                 "Table 2",
                 np.atleast_1d(float(a.msi - b.msi)),
@@ -102,8 +102,13 @@ def _row(
     }
 
 
-def _beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> dict[str, object]:
-    """Return the row of the least significant of several values that should be positive."""
+def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> dict[str, object]:
+    """Return the row of the least significant of several values that should be positive.
+
+    Columns id, quantity, place, ours, stderr, bar, verdict; shown when the value exceeds
+    `SIGNIFICANT` standard errors.
+    """
+    value, error = np.ravel(value), np.ravel(error)
     worst = int(np.argmin(value / error))
     v, e = float(value[worst]), float(error[worst])
     row = _row(quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors")
@@ -112,12 +117,13 @@ def _beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> 
     return row
 
 
-def _monotone(
+def monotone(
     datasets: Mapping[str, xr.Dataset], experiment: str, quantity: str, dimension: str,
     sign: int, low: float, high: float, statement: str, place: str,
 ) -> dict[str, object]:  # fmt: skip
+    """Return the row of a band mean (nm) that rises (+1) or falls (-1) along a grid's dimension."""
     step, error = steps(datasets[experiment], quantity, dimension, low, high)
-    return _beyond(f"{statement}: smallest step", place, sign * step, error)
+    return beyond(f"{statement}: smallest step", place, sign * step, error)
 
 
 def _rise(dataset: xr.Dataset) -> list[dict[str, object]]:
@@ -131,7 +137,7 @@ def _rise(dataset: xr.Dataset) -> list[dict[str, object]]:
     rise, rise_error = steps(ends, "reflectance", "facetness", 700, 1300)
     worst = int(np.argmin(step / error))
     return [
-        _beyond("reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise,
+        beyond("reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise,
                 rise_error),
         _row(
             "reflectance never falls with facetness, 700-1300 nm: smallest step",
@@ -148,7 +154,7 @@ def _steepest_band(dataset: xr.Dataset) -> dict[str, object]:
     """Compare the fall with grain size in 700-1300 nm with that in 400-700 nm."""
     near, near_error = steps(dataset, "reflectance", "grain_size_um", 700, 1300)
     visible, visible_error = steps(dataset, "reflectance", "grain_size_um", 400, 700)
-    return _beyond(
+    return beyond(
         "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
         "Fig 8",
         np.atleast_1d((visible - near).sum()),
@@ -160,7 +166,7 @@ def _peak(dataset: xr.Dataset, peak: float, left: float, right: float) -> dict[s
     at = dataset.sel(wavelength=[left, peak, right])
     r, e = at.reflectance.values, at.reflectance_stderr.values
     height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])
-    return _beyond(
+    return beyond(
         f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm: smallest height",
         "Fig 8",
         height,
@@ -196,7 +202,7 @@ def _halving(dataset: xr.Dataset) -> list[dict[str, object]]:
     error = float(twice.transmittance_stderr.sel(wavelength=1030) / shallow.sel(wavelength=1030))
     value = np.atleast_1d(float(visible - drop))
     rows.append(
-        _beyond(
+        beyond(
             "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm",
             "Fig 11",
             value,

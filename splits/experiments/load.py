@@ -66,17 +66,13 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     path = Path(path)
     content = {"name": path.stem, **read_yaml(path)}
     medium = content.get("medium")
-    if isinstance(medium, dict) and "base" in medium:
-        base = Path(media_folder) / f"{medium['base']}.yaml"
-        if not base.is_file():
-            known = sorted(p.stem for p in Path(media_folder).glob("*.yaml"))
-            raise ConfigError(
-                f"{path}: medium.base = {medium['base']!r}: must be one of {', '.join(known)}"
-            )
-        own = {key: value for key, value in medium.items() if key != "base"}
-        content["medium"] = {**read_yaml(base), **own}
-    elif "medium" in content and not isinstance(medium, dict):
+    if isinstance(medium, dict):
+        content["medium"] = _with_base(medium, path, "medium", Path(media_folder))
+    elif "medium" in content:
         raise ConfigError(f"{path}: medium = {medium!r}: must be a mapping")
+    grid = content.get("grid")
+    if isinstance(grid, dict) and isinstance(grid.get("medium"), (list, dict)):
+        grid["medium"] = _samples(grid["medium"], path, Path(media_folder))
     experiment = _checked(Experiment, content, path)
     measured = experiment.figure.measured
     if measured and not (Path(media_folder).parent / "measured" / measured).is_file():
@@ -85,6 +81,32 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
             f"{path}: figure.measured = {measured!r}: must be one of {', '.join(known)}"
         )
     return experiment
+
+
+def _samples(given: Any, path: Path, folder: Path) -> dict[str, Any]:
+    """Return the media of a grid by label, those given by a file's name read from that file."""
+    named = {str(name): name for name in given} if isinstance(given, list) else given
+    return {
+        label: _with_base(
+            {"base": value} if isinstance(value, str) else value,
+            path,
+            f"grid.medium.{label}",
+            folder,
+        )
+        for label, value in named.items()
+    }
+
+
+def _with_base(medium: Any, path: Path, place: str, folder: Path) -> Any:
+    """Return a medium's settings on top of those of the file that its ``base`` names."""
+    if not isinstance(medium, dict) or "base" not in medium:
+        return medium
+    base = folder / f"{medium['base']}.yaml"
+    if not base.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
+        raise ConfigError(f"{path}: {place}.base = {medium['base']!r}: must be one of {known}")
+    own = {key: value for key, value in medium.items() if key != "base"}
+    return {**read_yaml(base), **own}
 
 
 def load_experiments(

@@ -17,13 +17,17 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from splits.checks import in_range, one_of, refuse, suggestion
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
-from splits.media import GranularMedium, Snow
+from splits.media import GranularMedium, Sand, Snow
 
-MEDIA = {"snow": Snow}
+MEDIA = {"snow": Snow, "sand": Sand}
+SAMPLE = "medium"
+"""Grid dimension whose values are whole media: their settings replace those of the base medium."""
+MERGED = ("readings", "refractive_index")
+"""Keywords that are mappings: a grid's values add to those of the medium."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
     "all", "agreement", "archive", "benchmarks", "figure", "figure_letcher",
-    "figure_sensitivity", "sensitivity", "simulate",
+    "figure_sensitivity", "sand_compositions", "sand_tables", "sensitivity", "simulate",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 
@@ -88,7 +92,7 @@ class FigureSection(Section):
     """How an experiment's figure shows its dataset."""
 
     quantity: tuple[Literal["reflectance", "transmittance", "absorptance"], ...] = ("reflectance",)
-    kind: Literal["spectra", "points", "refractive_index"] = "spectra"
+    kind: Literal["spectra", "points", "refractive_index", "swatches"] = "spectra"
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}
     measured: str | None = None
@@ -105,7 +109,8 @@ class Experiment(Section):
     """A medium under an instrument, over a grid of parameters.
 
     `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
-    is any keyword of the medium, or ``incidence_deg``; all combinations are run.
+    is any keyword of the medium, ``incidence_deg``, or ``medium`` for values that are mappings of
+    several keywords; all combinations are run.
     """
 
     name: str
@@ -149,12 +154,16 @@ class Experiment(Section):
         kind = self.medium.get("kind", "snow")
         one_of("medium.kind", kind, MEDIA)
         keywords = [field.name for field in fields(MEDIA[kind])]
-        for key in self.medium:
-            if key not in (*keywords, "kind"):
-                raise ValueError(_unknown(f"medium.{key}", keywords))
+        samples = self.grid.get(SAMPLE, {})
+        for place, settings in {"medium": self.medium, **_places(samples)}.items():
+            for key in settings:
+                if key not in (*keywords, "kind"):
+                    raise ValueError(_unknown(f"{place}.{key}", keywords))
+            one_of(f"{place}.kind", settings.get("kind", kind), [kind])
+        parameters = [*keywords, "incidence_deg", SAMPLE]
         for parameter in self.grid:
-            if parameter not in (*keywords, "incidence_deg"):
-                raise ValueError(_unknown(f"grid.{parameter}", [*keywords, "incidence_deg"]))
+            if parameter not in parameters:
+                raise ValueError(_unknown(f"grid.{parameter}", parameters))
         for dimension, label in self.figure.at.items():
             one_of("figure.at", dimension, self.grid)
             labels = self.grid[dimension]
@@ -175,11 +184,13 @@ class Experiment(Section):
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
-            both = values.get("readings"), base.get("readings")
-            if all(isinstance(readings, Mapping) for readings in both):
-                values["readings"] = {**base["readings"], **values["readings"]}
-            medium = MEDIA[self.medium.get("kind", "snow")](**{**base, **values})
-            yield chosen, medium, incidence
+            sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
+            settings = {**base, **sample, **values}
+            for key in MERGED:
+                parts = [part[key] for part in (base, sample, values) if key in part]
+                if parts and all(isinstance(part, Mapping) for part in parts):
+                    settings[key] = {k: v for part in parts for k, v in part.items()}
+            yield chosen, MEDIA[self.medium.get("kind", "snow")](**settings), incidence
 
     def simulation(self) -> dict[str, Any]:
         """Return what decides the numbers: everything but title, caption and figure."""
@@ -260,6 +271,15 @@ def label_of(parameter: str, value: Any) -> str:
     if isinstance(value, dict):
         raise refuse(f"grid.{parameter}", value, "named: use a mapping from labels to values")
     return f"{value:g}" if isinstance(value, (int, float)) else str(value)
+
+
+def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the media of a grid by the place that an error message names."""
+    places = {f"grid.{SAMPLE}.{label}": settings for label, settings in samples.items()}
+    for place, settings in places.items():
+        if not isinstance(settings, Mapping):
+            raise refuse(place, settings, "a mapping of the medium's keywords")
+    return places
 
 
 def _unknown(key: str, known: list[str]) -> str:

@@ -9,11 +9,13 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.style import save_figure
+from splits.figures.swatches import swatches
 
 __all__ = [
     "draw",
@@ -23,6 +25,7 @@ __all__ = [
     "save_figure",
     "sensitivity_bars",
     "spectra",
+    "swatches",
 ]
 
 
@@ -43,6 +46,8 @@ def draw(
         return refractive_indices(dataset)
     if section["kind"] == "points":
         return points(dataset, section["quantity"][0], section["at"])
+    if section["kind"] == "swatches":
+        return swatches(at_points(dataset, section["at"]))
     return spectra(
         dataset,
         section["quantity"],

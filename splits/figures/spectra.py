@@ -17,7 +17,16 @@ from splits.dataset import at_points
 from splits.figures.style import BAND, colours, parameter_label, style, value_label
 
 STYLES = ("-", "--", ":", "-.")
-MATERIAL_COLOURS = {"ice": "#1f6fb4", "water": "#c8553d", "air": "#888888"}
+MATERIAL_COLOURS = {
+    "ice": "#1f6fb4",
+    "water": "#c8553d",
+    "quartz": "#666666",
+    "hematite": "#a32a18",
+    "goethite": "#c79100",
+    "magnetite": "#111111",
+    "kaolinite": "#7fb069",
+}
+"""Materials that figures of refractive indices show; mixtures follow from them."""
 
 
 def spectra(
@@ -113,7 +122,7 @@ def _label(variable: xr.DataArray) -> str:
 
 
 def refractive_indices(dataset: xr.Dataset) -> Figure:
-    """Draw n (left axis) and k (right axis, logarithmic) of all materials that absorb.
+    """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
     Parameters
     ----------
@@ -123,13 +132,13 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
     with style():
         figure, left = plt.subplots(figsize=(6.4, 3.9))
         right = left.twinx()
-        for material in dataset.material.values:
-            part = dataset.sel(material=material)
-            if float(part.k.max()) == 0.0:
+        for material, colour in MATERIAL_COLOURS.items():
+            if material not in dataset.material.values:
                 continue
-            colour = MATERIAL_COLOURS.get(str(material))
+            part = dataset.sel(material=material)
             left.plot(part.wavelength, part.n, color=colour, label=f"n, {material}")
-            right.plot(part.wavelength, part.k, color=colour, ls="--", label=f"k, {material}")
+            if float(part.k.max()) > 0.0:
+                right.plot(part.wavelength, part.k, color=colour, ls="--", label=f"k, {material}")
         right.set_yscale("log")
         left.set_xlabel("wavelength (nm)")
         left.set_ylabel("refractive index n (solid)")
@@ -137,7 +146,7 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         left.margins(x=0.01)
         lines = [*left.get_lines(), *right.get_lines()]
         left.legend(
-            handles=lines, frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.14), ncols=4
+            handles=lines, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4
         )
         figure.tight_layout()
     return figure

@@ -28,6 +28,13 @@ LABELS = {
     "temperature_c": "temperature (°C)",
     "depth_m": "depth (m)",
     "incidence_deg": "incidence (°)",
+    "medium": "sample",
+    "iron_oxide": "hematite and goethite by mass",
+    "hematite_ratio": "hematite / iron oxide",
+    "magnetite": "magnetite by mass",
+    "texture": "texture",
+    "refractive_index": "mineral data",
+    "size_tail": "tail by mass",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -209,7 +210,7 @@ class Sand:
             rows = [names.index(m) for m in layers]
             found.append(Interface(share * (1.0 - self.saturation), DRY_PORE, rows[0]))
             found.append(Interface(share * self.saturation, WET_PORE, rows[0]))
-            found += [Interface(share, *pair) for pair in zip(rows, rows[1:], strict=False)]
+            found += [Interface(share, *pair) for pair in pairwise(rows)]
         return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ points of a normal distribution in log size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import integrate, stats
@@ -108,7 +109,9 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
         Mass taken to lie beyond the outermost limits, 1e-6 to 0.01: it decides how far
         distributions of open separates reach towards the fine end.
     pieces : {"separates", "single"}
-        A log-normal per separate, or a single one through the limits of silt and of sand.
+        A log-normal per separate, or a single one with the geometric mean and standard deviation
+        of the texture (Shirazi & Boersma 1984, Soil Science Society of America Journal 48,
+        142-147), between the limits of the separates present.
 
     Raises
     ------
@@ -127,9 +130,7 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
     score = stats.norm.ppf(cumulative)
     x = np.log(LIMITS_M)
     if pieces == "single":
-        sd = float((x[3] - x[1]) / (score[3] - score[1]))
-        low = LIMITS_M[0 if clay > tail else 1]
-        return SoilSizes((LogNormal(low, LIMITS_M[3], 1.0, float(x[3]) - sd * score[3], sd),))
+        return SoilSizes((_single((clay, silt, sand)),))
     separates = []
     for i, mass in enumerate((clay, silt, sand)):
         if mass > 0.0 and score[i + 1] > score[i]:
@@ -140,3 +141,19 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
     return SoilSizes(
         tuple(LogNormal(s.low, s.high, s.mass / total, s.mean, s.sd) for s in separates)
     )
+
+
+def _single(texture: tuple[float, float, float]) -> LogNormal:
+    """Return one log-normal over all separates, from the middles of their limits."""
+    mass = np.array(texture)
+    middle = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *LIMITS_M[1:]))])
+    mean = float(mass @ middle)
+    sd = float(np.sqrt(max(mass @ middle**2 - mean**2, 0.0)))
+    present = np.flatnonzero(mass)
+    low, high = LIMITS_M[present[0]], LIMITS_M[present[-1] + 1]
+    if present.size == 1:
+        raise refuse(
+            "readings.sizes", "single", "'separates' for a texture of one separate alone",
+            "its standard deviation would be zero",
+        )  # fmt: skip
+    return LogNormal(low, high, 1.0, mean, sd)

@@ -180,9 +180,9 @@ def test_what_counts_as_transparent_hardly_differs_from_it():
     n1, cosines = 1.55, (np.arange(2000) + 0.5) / 2000
 
     def error(k1, n2):
-        pairs = [(interface(n1, n2, 0.0, c), absorbing_interface(n1, k1, n2, 0.0, c))
-                 for c in cosines]  # fmt: skip
-        return 2.0 * np.mean([c * abs(a[0] - b[0]) for c, (a, b) in zip(cosines, pairs, strict=True)])
+        off = [interface(n1, n2, 0.0, c)[0] - absorbing_interface(n1, k1, n2, 0.0, c)[0]
+               for c in cosines]  # fmt: skip
+        return 2.0 * cosines @ np.abs(off) / len(cosines)
 
     for n2 in (1.0, 1.33, 2.0):
         limit = NEARLY_TRANSPARENT * n1

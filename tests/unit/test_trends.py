@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.trends import SIGNIFICANT, _beyond, _monotone, band_mean, steps
+from splits.analysis.trends import SIGNIFICANT, band_mean, beyond, monotone, steps
 
 WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
 
@@ -27,7 +27,7 @@ def over_depth(values, stderr=0.01):
 
 def verdict(values, sign, stderr=0.01):
     datasets = {"made": over_depth(values, stderr)}
-    return _monotone(datasets, "made", "transmittance", "depth_m", sign, 400, 600, "falls", "Fig 0")
+    return monotone(datasets, "made", "transmittance", "depth_m", sign, 400, 600, "falls", "Fig 0")
 
 
 def test_a_band_mean_takes_its_band_only():
@@ -74,7 +74,7 @@ def test_the_row_holds_the_least_sure_step():
 )
 def test_the_bar_is_three_standard_errors(value, expected):
     assert SIGNIFICANT == 3.0
-    row = _beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
+    row = beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
     assert row["verdict"] == expected
     assert row["ours"] == value
     assert "3 standard errors" in row["bar"]

@@ -68,3 +68,59 @@ rule agreement:
         "Holding results against published and measured numbers"
     script:
         "../scripts/agreement.py"
+
+
+rule sand_tables:
+    input:
+        data=data(SAND_EXPERIMENTS),
+    output:
+        trends=report(
+            f"{RESULTS}/tables/sand_trends.csv",
+            caption="../report/sand_trends.rst",
+            category="Sand",
+        ),
+        weights=report(
+            f"{RESULTS}/tables/sand_weights.csv",
+            caption="../report/sand_weights.rst",
+            category="Sand",
+        ),
+        colours=report(
+            f"{RESULTS}/tables/sand_colours.csv",
+            caption="../report/sand_colours.rst",
+            category="Sand",
+        ),
+    log:
+        f"{RESULTS}/logs/sand_tables.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/sand_tables.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Holding sand against the trends of SPLITS"
+    script:
+        "../scripts/sand_tables.py"
+
+
+rule sand_compositions:
+    input:
+        physics=PHYSICS,
+    output:
+        report(
+            f"{RESULTS}/tables/sand_compositions.csv",
+            caption="../report/sand_compositions.rst",
+            category="Sand",
+        ),
+    log:
+        f"{RESULTS}/logs/sand_compositions.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/sand_compositions.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    params:
+        experiments={name: e.simulation() for name, e in EXPERIMENTS.items()},
+    message:
+        "Listing the compositions of all sands"
+    script:
+        "../scripts/sand_compositions.py"

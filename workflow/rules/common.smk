@@ -23,6 +23,21 @@ TABLE_EXPERIMENTS = [
     "fig24b_aviris",
     "letcher2022",
 ]
+# Experiments whose numbers the SPLITS tables are made of.
+SAND_EXPERIMENTS = [
+    "sand_fig06_tec_samples",
+    "sand_fig07_wet_colours",
+    "sand_fig08_hematite_ratio",
+    "sand_fig08_iron_oxide",
+    "sand_fig08_magnetite",
+    "sand_fig08_texture",
+    "sand_fig09_colours",
+    "sand_fine_fraction",
+    "sand_mineral_weight",
+    "sand_readings",
+    "sand_size_tail",
+]
+SAND_TABLES = ["sand_trends", "sand_weights", "sand_colours", "sand_compositions"]
 SENSITIVITY_EXPERIMENTS = sorted(
     {
         name
@@ -68,6 +83,8 @@ def paper_products():
                 f"{RESULTS}/figures/letcher2022_measured{suffix}"
                 for suffix in (".png", ".svg")
             ]
+    if set(SAND_EXPERIMENTS) <= set(EXPERIMENTS):
+        made += [f"{RESULTS}/tables/{table}.csv" for table in SAND_TABLES]
     return made
 
 

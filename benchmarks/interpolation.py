@@ -1,9 +1,10 @@
-"""How much reflectance bends with refractive index: the constant behind interpolation's bound.
+"""How much reflectance moves and bends with refractive index: what bounds interpolation's error.
 
 The spectral estimator interpolates linearly between index nodes and bounds what this misses by
-t(1−t)/2 · CURVATURE · (Δc/c)², c the contrast of grain and pore.  This program measures the
-second derivative of reflectance and transmittance by ln c from three indices with absorption
-fixed, for dry, wet and water-filled snow, and prints it with its standard error.
+SLOPE times the relative distance of the contrasts from the chord, and CURVATURE/2 times the mean
+square of the relative distances from the nodes.  This program measures the first and the second
+derivative of reflectance and transmittance by ln c from three contrasts c with absorption fixed,
+for snow and sand, dry and wet, and prints them with their standard errors.
 
     python benchmarks/interpolation.py
 """
@@ -13,41 +14,70 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.instruments.nodes import CURVATURE
+from splits.instruments.nodes import CURVATURE, SLOPE
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.
-INDICES = {
-    "dry": (0.0, (1.42, 1.31, 1.233), (1.0, 1.0, 1.0)),
-    "wet, S = 0.05": (0.05, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
-    "wet, S = 0.3": (0.3, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
-    "water-filled": (1.0, (1.3, 1.3, 1.3), (1.3195, 1.326, 1.3351)),
+SOLIDS = {
+    "snow, dry": (0.0, (1.42, 1.31, 1.233), (1.0, 1.0, 1.0)),
+    "snow, S = 0.05": (0.05, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
+    "snow, S = 0.3": (0.3, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
+    "snow, water-filled": (1.0, (1.3, 1.3, 1.3), (1.3195, 1.326, 1.3351)),
+    "sand, dry": (0.0, (2.0, 1.7, 1.49), (1.0, 1.0, 1.0)),
+    "sand, water-filled": (1.0, (1.65, 1.55, 1.48), (1.33, 1.33, 1.33)),
 }
-ABSORPTION = (1e-9, 1e-6, 1e-5)
+ABSORPTION = {"snow": (1e-9, 1e-6, 1e-5), "sand": (1e-6, 1e-5, 1e-3)}
+
+
+def make(kind: str, saturation: float, solid: complex, water: complex) -> object:
+    """Return a medium of one mineral and given indices."""
+    if kind == "snow":
+        index = {"ice": solid, "water": water}
+        return splits.Snow(saturation=saturation, depth_m=0.03, refractive_index=index)
+    index = {"quartz": solid, "water": water}
+    return splits.Sand(
+        iron_oxide=0.0, partition=(1.0, 0.0, 0.0), saturation=saturation, depth_m=0.01,
+        refractive_index=index,
+    )  # fmt: skip
+
+
+def derivatives(mediums: list[object], x: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return first and second derivative of R and T by x at the middle point, with errors."""
+    values, errors = [], []
+    for seed, medium in enumerate(mediums):
+        ds = splits.spectrophotometer(medium, [1000], max_stderr=0.002, seed=seed)
+        values.append([float(ds.reflectance[0]), float(ds.transmittance[0])])
+        errors.append([float(ds.reflectance_stderr[0]), float(ds.transmittance_stderr[0])])
+    # The parabola through three points, by Lagrange.
+    d = np.array([(x[i] - x[i - 1]) * (x[i] - x[i - 2]) for i in range(3)])
+    other = np.array([2 * x[1] - x[i - 1] - x[i - 2] for i in range(3)])
+    first, second = (other / d)[:, np.newaxis], (2.0 / d)[:, np.newaxis]
+    return tuple(
+        part
+        for factor in (first, second)
+        for part in (
+            (factor * values).sum(axis=0),
+            np.sqrt(((factor * np.array(errors)) ** 2).sum(axis=0)),
+        )
+    )
 
 
 def main() -> None:
-    """Print one line per saturation and absorption."""
-    for name, (saturation, ices, waters) in INDICES.items():
-        for k in ABSORPTION:
-            values, errors = [], []
-            for seed, (ice, water) in enumerate(zip(ices, waters, strict=True)):
-                snow = splits.Snow(
-                    saturation=saturation,
-                    depth_m=0.03,
-                    refractive_index={"ice": complex(ice, k), "water": complex(water, k)},
-                )
-                ds = splits.spectrophotometer(snow, [1000], max_stderr=0.002, seed=seed)
-                values.append([float(ds.reflectance[0]), float(ds.transmittance[0])])
-                errors.append([float(ds.reflectance_stderr[0]), float(ds.transmittance_stderr[0])])
-            pore = np.array(waters) if saturation == 1.0 else np.ones(3)
-            x = np.log(np.abs(np.array(ices) / pore - 1.0))
-            d = np.array([(x[0] - x[1]) * (x[0] - x[2]), (x[1] - x[0]) * (x[1] - x[2]),
-                          (x[2] - x[0]) * (x[2] - x[1])])  # fmt: skip
-            bend = 2.0 * (np.array(values) / d[:, np.newaxis]).sum(axis=0)
-            error = 2.0 * np.sqrt(((np.array(errors) / d[:, np.newaxis]) ** 2).sum(axis=0))
+    """Print one line per medium and absorption."""
+    for name, (saturation, solids, waters) in SOLIDS.items():
+        kind = name[:4]
+        pore = np.array(waters) if saturation == 1.0 else np.ones(3)
+        x = np.log(np.abs(np.array(solids) / pore - 1.0))
+        for k in ABSORPTION[kind]:
+            mediums = [
+                make(kind, saturation, complex(solid, k), complex(water, k))
+                for solid, water in zip(solids, waters, strict=True)
+            ]
+            slope, slope_error, bend, bend_error = derivatives(mediums, x)
             print(
-                f"{name}, k {k:g}: reflectance {bend[0]:+.2f} ± {error[0]:.2f}, "
-                f"transmittance {bend[1]:+.2f} ± {error[1]:.2f} (bound {CURVATURE:g})",
+                f"{name}, k {k:g}: slope R {slope[0]:+.2f} ± {slope_error[0]:.2f}, "
+                f"T {slope[1]:+.2f} ± {slope_error[1]:.2f} (bound {SLOPE:g}); "
+                f"bend R {bend[0]:+.2f} ± {bend_error[0]:.2f}, "
+                f"T {bend[1]:+.2f} ± {bend_error[1]:.2f} (bound {CURVATURE:g})",
                 flush=True,
             )
 

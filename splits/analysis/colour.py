@@ -11,8 +11,8 @@ import xarray as xr
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 ILLUMINANT = "D65"
 VISIBLE_NM = (400.0, 780.0)
-"""Range a spectrum must cover; beyond it, down to 360 nm, its end value is taken, which weighs
-less than 1e-3 of Y."""
+"""Range a spectrum must cover; beyond it, 360 to 830 nm, its end values are taken, which weigh less
+than 1e-3 of Y."""
 
 
 def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
@@ -32,7 +32,7 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
 
     Notes
     -----
-    ASTM E308 weights as colour-science implements them, for D65 and the 2° observer.
+    Integration as of CIE 15 in steps of 1 nm by colour-science, under D65 for the 2° observer.
     """
     import colour
 
@@ -43,14 +43,14 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
             f"wavelength_nm: must cover {low:g} to {high:g} nm in steps of at most 10 nm to have "
             "a colour"
         )
-    grid = np.arange(360.0, 781.0, 5.0)
+    observer = colour.MSDS_CMFS[OBSERVER]
+    grid = observer.wavelengths
     spectrum = colour.SpectralDistribution(
         dict(zip(grid, np.interp(grid, wavelength, reflectance), strict=True))
     )
-    observer = colour.MSDS_CMFS[OBSERVER]
-    return np.asarray(
-        colour.sd_to_XYZ(spectrum, observer, colour.SDS_ILLUMINANTS[ILLUMINANT]) / 100.0
-    )
+    light = colour.SDS_ILLUMINANTS[ILLUMINANT].copy().align(observer.shape)
+    xyz = colour.sd_to_XYZ(spectrum, observer, light, method="Integration")
+    return np.asarray(xyz) / 100.0
 
 
 def lab(xyz: np.ndarray) -> np.ndarray:

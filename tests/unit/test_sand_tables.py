@@ -1,0 +1,88 @@
+"""Trends of sand and shifts by data, on made-up spectra of known slope."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.analysis.sand_tables import sand_trends, shifts
+from splits.experiments import load_experiment
+from splits.experiments.composition_table import composition_table
+
+WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
+GRIDS = {
+    "sand_fig06_tec_samples": ("medium", ["one", "two"], 0.0),
+    "sand_fig08_iron_oxide": ("iron_oxide", [0.01, 0.05], -0.1),
+    "sand_fig08_magnetite": ("magnetite", [0.0, 0.3], -0.1),
+    "sand_fig08_texture": ("texture", ["coarse", "fine"], 0.1),
+    "sand_fine_fraction": ("texture", ["no clay", "clay"], 0.1),
+    "sand_fig08_hematite_ratio": ("hematite_ratio", [0.0, 0.9], 0.0),
+    "sand_fig07_wet_colours": ("saturation", [0.0, 0.5, 1.0], -0.1),
+}
+
+
+def made(dimension, values, step, error=0.005, redder=0.0):
+    """Return spectra that rise with wavelength and change by `step` per value."""
+    number = np.arange(len(values))[:, np.newaxis]
+    slope = 1e-4 * (1.0 + redder * number)
+    r = 0.4 + step * number + slope * (WAVELENGTHS - 400.0)
+    return xr.Dataset(
+        {
+            "reflectance": ((dimension, "wavelength"), r),
+            "reflectance_stderr": ((dimension, "wavelength"), np.full(r.shape, error)),
+        },
+        {dimension: values, "wavelength": WAVELENGTHS},
+    )
+
+
+def datasets(error=0.0005):
+    found = {name: made(*grid, error=error) for name, grid in GRIDS.items()}
+    ratio = GRIDS["sand_fig08_hematite_ratio"]
+    found["sand_fig08_hematite_ratio"] = made(*ratio, error=error, redder=2.0)
+    return found
+
+
+def test_trends_that_hold_are_shown():
+    table = sand_trends(datasets())
+    assert (table.verdict == "agrees").all(), table.to_string()
+    assert len(table) == 8
+
+
+def test_trends_that_do_not_hold_are_told_apart():
+    given = datasets()
+    given["sand_fig08_iron_oxide"] = made("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
+    given["sand_fig08_magnetite"] = made("magnetite", [0.0, 0.3], -1e-4, error=0.005)
+    table = sand_trends(given).set_index("quantity")
+    verdicts = {q: v for q, v in table.verdict.items() if v != "agrees"}
+    assert sorted(verdicts.values()) == ["not resolved at this accuracy", "outside"]
+
+
+def test_shifts_are_differences_to_the_reference_with_errors():
+    both = xr.concat(
+        [made("medium", ["one", "two"], 0.0, 0.003), made("medium", ["one", "two"], 0.1, 0.004)],
+        dim=xr.DataArray(["default", "other"], dims="readings", name="readings"),
+    )
+    table = shifts(both, "readings", "default").set_index("medium")
+    assert table["value"].unique().tolist() == ["other"]
+    assert table.mean_shift["one"] == pytest.approx(0.0)
+    assert table.mean_shift["two"] == pytest.approx(0.1)
+    assert table.mean_shift_stderr["two"] == pytest.approx(0.005)
+    assert table.largest_shift["two"] == pytest.approx(0.1)
+
+
+def test_compositions_are_listed_once_per_sand(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "medium: {kind: sand, partition: [0.5, 0, 0.5]}\n"
+        "grid: {iron_oxide: [0.01, 0.02], saturation: [0, 1]}\n"
+        "instrument: {wavelength_nm: [500]}\n",
+        encoding="utf-8",
+    )
+    snow = tmp_path / "snow.yaml"
+    snow.write_text("instrument: {wavelength_nm: [500]}\n", encoding="utf-8")
+    table = composition_table({p.stem: load_experiment(p) for p in (path, snow)})
+    assert set(table.experiment) == {"mine"}
+    assert table.groupby("iron_oxide").size().tolist() == [3, 3]
+    for _, rows in table.groupby("iron_oxide"):
+        assert rows.volume_fraction.sum() == pytest.approx(1.0, abs=1e-14)

@@ -11,6 +11,8 @@ import xarray as xr
 from splits.analysis.trends import band_mean, beyond, monotone
 
 RISING_NM = ((400, 500), (500, 600), (600, 700), (700, 1000))
+GOOD_RMSE = 0.03
+"""SPLITS section 5.1.1 calls a reconstruction good below this root mean square error."""
 RED_NM, GREEN_NM = (620, 700), (480, 560)
 
 
@@ -118,3 +120,18 @@ def shifts(dataset: xr.Dataset, dimension: str, reference: str | float) -> pd.Da
                 }
             )
     return pd.DataFrame(rows)
+
+
+def fitted_parameters(dataset: xr.Dataset) -> pd.DataFrame:
+    """Return a row per sample, point of the grid and parameter: value, error, determined or not.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `splits.experiments.run_fit.run_fit` returns it.
+    """
+    names = ["value", "value_stderr", "determined", "rmse", "rmse_stderr"]
+    table = dataset[names].to_dataframe().reset_index()
+    table["determined"] = np.where(table.determined > 0.5, "yes", "no")
+    table["verdict"] = np.where(table.rmse < GOOD_RMSE, "good", "not good")
+    return table

@@ -74,12 +74,13 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     if isinstance(grid, dict) and isinstance(grid.get("medium"), (list, dict)):
         grid["medium"] = _samples(grid["medium"], path, Path(media_folder))
     experiment = _checked(Experiment, content, path)
-    measured = experiment.figure.measured
-    if measured and not (Path(media_folder).parent / "measured" / measured).is_file():
-        known = sorted(p.name for p in (Path(media_folder).parent / "measured").glob("*.csv"))
-        raise ConfigError(
-            f"{path}: figure.measured = {measured!r}: must be one of {', '.join(known)}"
-        )
+    given = {"figure": experiment.figure.measured}
+    given["fit"] = experiment.fit.measured if experiment.fit else None
+    for section, measured in given.items():
+        folder = Path(media_folder).parent / "measured"
+        if measured and not (folder / measured).is_file():
+            known = ", ".join(sorted(p.name for p in folder.glob("*.csv")))
+            raise ConfigError(f"{path}: {section}.measured = {measured!r}: must be one of {known}")
     return experiment
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from splits.checks import in_range, one_of, refuse, suggestion
+from splits.experiments.parameters import checked_ranges
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.media import GranularMedium, Sand, Snow
 
@@ -92,7 +93,7 @@ class FigureSection(Section):
     """How an experiment's figure shows its dataset."""
 
     quantity: tuple[Literal["reflectance", "transmittance", "absorptance"], ...] = ("reflectance",)
-    kind: Literal["spectra", "points", "refractive_index", "swatches"] = "spectra"
+    kind: Literal["spectra", "points", "refractive_index", "swatches", "fit"] = "spectra"
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}
     measured: str | None = None
@@ -103,6 +104,25 @@ class FigureSection(Section):
     @classmethod
     def _one_or_more(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
+
+
+class FitSection(Section):
+    """Measured spectra to find sands for, instead of simulating given ones.
+
+    `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
+    sample; `samples` chooses some of them.  `ranges` replaces those of
+    `splits.experiments.parameters.RANGES`.
+    """
+
+    measured: str
+    samples: tuple[str, ...] = ()
+    ranges: dict[str, tuple[float, float]] = {}
+
+    @field_validator("ranges")
+    @classmethod
+    def _ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
+        checked_ranges(value)
+        return value
 
 
 class Experiment(Section):
@@ -119,6 +139,7 @@ class Experiment(Section):
     medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
     instrument: Instrument = Instrument()
     grid: dict[str, dict[str, Any]] = {}
+    fit: FitSection | None = None
     figure: FigureSection = FigureSection()
 
     @field_validator("name")
@@ -164,6 +185,8 @@ class Experiment(Section):
         for parameter in self.grid:
             if parameter not in parameters:
                 raise ValueError(_unknown(f"grid.{parameter}", parameters))
+        if self.fit and kind != "sand":
+            raise refuse("fit", kind, "an experiment with medium.kind = 'sand'")
         for dimension, label in self.figure.at.items():
             one_of("figure.at", dimension, self.grid)
             labels = self.grid[dimension]
@@ -171,12 +194,18 @@ class Experiment(Section):
                 raise refuse(f"figure.at.{dimension}", label, "one of " + ", ".join(labels))
         wavelengths = self.instrument.wavelengths()
         for _, medium, incidence in self.points():
-            medium.indices(wavelengths)
+            if not self.fit:
+                medium.indices(wavelengths)
             check_incidence(incidence)
         return self
 
     def points(self) -> Iterator[tuple[dict[str, str], GranularMedium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
+        for labels, settings, incidence in self.settings():
+            yield labels, MEDIA[self.medium.get("kind", "snow")](**settings), incidence
+
+    def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
+        """Yield what `points` yields, with the medium's keywords in its place."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
         if not isinstance(base.get("readings", {}), Mapping):
             raise refuse("medium.readings", base["readings"], "a mapping of named readings")
@@ -190,11 +219,11 @@ class Experiment(Section):
                 parts = [part[key] for part in (base, sample, values) if key in part]
                 if parts and all(isinstance(part, Mapping) for part in parts):
                     settings[key] = {k: v for part in parts for k, v in part.items()}
-            yield chosen, MEDIA[self.medium.get("kind", "snow")](**settings), incidence
+            yield chosen, settings, incidence
 
     def simulation(self) -> dict[str, Any]:
         """Return what decides the numbers: everything but title, caption and figure."""
-        return self.model_dump(mode="json", include={"name", "medium", "instrument", "grid"})
+        return self.model_dump(mode="json", include={"name", "medium", "instrument", "grid", "fit"})
 
 
 class Accuracy(Section):

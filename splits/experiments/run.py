@@ -108,7 +108,7 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {"wavelength": first.wavelength}
     for parameter, choices in experiment.grid.items():
-        coordinates[parameter] = (parameter, _coordinate(choices), {"long_name": parameter})
+        coordinates[parameter] = (parameter, coordinate_values(choices), {"long_name": parameter})
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
     constant = {
         key: value
@@ -129,7 +129,7 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     return xr.Dataset(variables, coordinates, attributes(facts))
 
 
-def _coordinate(values: dict[str, Any]) -> np.ndarray:
+def coordinate_values(values: dict[str, Any]) -> np.ndarray:
     """Return numbers where all grid values are numbers, and labels otherwise."""
     if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values.values()):
         return np.array([float(v) for v in values.values()])

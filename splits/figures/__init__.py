@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
+from splits.figures.fits import fits
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
 from splits.figures.spectra import refractive_indices, spectra
@@ -19,6 +20,7 @@ from splits.figures.swatches import swatches
 
 __all__ = [
     "draw",
+    "fits",
     "measured_albedo",
     "points",
     "refractive_indices",
@@ -46,6 +48,8 @@ def draw(
         return refractive_indices(dataset)
     if section["kind"] == "points":
         return points(dataset, section["quantity"][0], section["at"])
+    if section["kind"] == "fit":
+        return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":
         return swatches(at_points(dataset, section["at"]))
     return spectra(

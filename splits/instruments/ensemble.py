@@ -65,6 +65,9 @@ class Ensemble:
         Grains met per metre.
     analog : bool
         Whether absorption is a coin toss, so that any ray might have been absorbed.
+    levels : sequence of float
+        Absorption from which wavelengths have rays of their own, at most as many as `LEVELS`; an
+        analog ensemble has one level only.
 
     Attributes
     ----------
@@ -85,6 +88,7 @@ class Ensemble:
         served: np.ndarray,
         attenuation: float,
         analog: bool = False,
+        levels: Sequence[float] = LEVELS,
     ) -> None:
         self.absorption = absorption
         self.analog = analog
@@ -93,7 +97,7 @@ class Ensemble:
         self.least = np.full(len(absorption), np.inf)
         self.levels: list[Level] = []
         strength = absorption.max(axis=1) / attenuation
-        for step, threshold in enumerate((-1.0,) if analog else LEVELS):
+        for step, threshold in enumerate(levels[:1] if analog else levels):
             part = served & (strength >= threshold)
             if not part.any() or (self.levels and part.sum() == self.levels[-1].served.sum()):
                 continue

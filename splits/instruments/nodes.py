@@ -23,7 +23,7 @@ import numpy as np
 
 from splits.media.granular import Interface
 
-SLOPE = 0.5
+SLOPE = 0.3
 CURVATURE = 0.25
 """Bounds on |df/d(ln c)| and |d²f/d(ln c)²| for f a reflectance, transmittance or absorptance and
 c the mean contrast; `benchmarks/interpolation.py` measures both for snow and sand."""
@@ -76,30 +76,80 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     distinct, which = np.unique(index, axis=0, return_inverse=True)
     which = which.reshape(-1)
     u = contrasts(distinct, interfaces)
-    count = len(distinct)
-    chosen = [int(u.sum(axis=1).argmax())]
-    first, second = np.full((2, count), chosen[0])
-    share = np.ones(count)
-    bias = _bias(u, u[chosen[0]], u[chosen[0]], share)
-    while bias.max() > tolerance:
-        new = int(bias.argmax())
-        for partner in [new, *chosen]:
-            t = _position(u, u[new], u[partner])
-            trial = _bias(u, u[new], u[partner], t)
-            better = trial < bias
-            first[better], second[better] = new, partner
-            share[better], bias[better] = t[better], trial[better]
+    draws = _Draws(u, int(u.sum(axis=1).argmax()))
+    chosen = [int(draws.first[0])]
+    while draws.bias.max() > tolerance:
+        new = int(draws.bias.argmax())
+        draws.offer(new, chosen)
         chosen.append(new)
         if len(chosen) > MAX_NODES:
-            chosen = list(range(count))
-            first = second = np.arange(count)
-            share, bias = np.ones(count), np.zeros(count)
-    weights = np.zeros((count, count))
-    rows = np.arange(count)
-    weights[first, rows] += share
-    weights[second, rows] += 1.0 - share
+            draws.keep_apart()
+    weights = draws.weights()
     used = weights.max(axis=1) > 0.0
-    return Nodes(distinct[used], weights[used][:, which], bias[which])
+    return Nodes(distinct[used], weights[used][:, which], draws.bias[which])
+
+
+def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[int]) -> Nodes:
+    """Return the nodes at given wavelengths, each wavelength served by the best of them.
+
+    All of `rows` are kept, in their order, even if no wavelength draws on one.
+
+    Parameters
+    ----------
+    index : complex, shape (wavelengths, materials)
+        Refractive indices.
+    interfaces : sequence of Interface
+        What light meets, and how often.
+    rows : sequence of int
+        Different rows of `index`, at least one.
+    """
+    draws = _Draws(contrasts(index, interfaces), rows[0])
+    for i, row in enumerate(rows):
+        draws.offer(row, rows[:i])
+    return Nodes(index[list(rows)], draws.weights()[list(rows)], draws.bias)
+
+
+class _Draws:
+    """Which nodes every wavelength draws on: one, or two with shares.
+
+    Attributes
+    ----------
+    first, second : int, shape (wavelengths,)
+        Rows of the nodes drawn on.
+    share : float, shape (wavelengths,)
+        Weight of the first; the second has the rest.
+    bias : float, shape (wavelengths,)
+        Bound on what this misses.
+    """
+
+    def __init__(self, u: np.ndarray, start: int) -> None:
+        self.u = u
+        self.first, self.second = np.full((2, len(u)), start)
+        self.share = np.ones(len(u))
+        self.bias = _bias(u, u[start], u[start], self.share)
+
+    def offer(self, new: int, partners: Sequence[int]) -> None:
+        """Let every wavelength use a new node, alone or with one of the others, if that helps."""
+        for partner in [new, *partners]:
+            t = _position(self.u, self.u[new], self.u[partner])
+            trial = _bias(self.u, self.u[new], self.u[partner], t)
+            better = trial < self.bias
+            self.first[better], self.second[better] = new, partner
+            self.share[better], self.bias[better] = t[better], trial[better]
+
+    def keep_apart(self) -> None:
+        """Make every wavelength a node of its own."""
+        count = len(self.u)
+        self.first = self.second = np.arange(count)
+        self.share, self.bias = np.ones(count), np.zeros(count)
+
+    def weights(self) -> np.ndarray:
+        """Return convex weights, shape (wavelengths, wavelengths): rows are nodes."""
+        rows = np.arange(len(self.u))
+        weights = np.zeros((len(rows), len(rows)))
+        weights[self.first, rows] += self.share
+        weights[self.second, rows] += 1.0 - self.share
+        return weights
 
 
 def _position(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from splits.checks import in_range, numbers, refuse
 from splits.materials import MINERAL_KG_M3
 from splits.media.grain_statistics import surface_to_volume
@@ -146,13 +148,14 @@ def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, flo
     quartz, kaolinite = MINERAL_KG_M3["quartz"], MINERAL_KG_M3["kaolinite"]
     iron = MINERAL_KG_M3[oxide]
     core = quartz * (1.0 - coat)
-    room = iron * coat * (1.0 - iron_oxide) - core * iron_oxide
-    if room < 0.0:
-        limit = iron * coat / (iron * coat + core)
+    limit = iron * coat / (iron * coat + core)
+    # A coating full of oxide has no room left but for rounding.
+    room = iron * coat * (1.0 - iron_oxide) - core * iron_oxide if iron_oxide < limit else 0.0
+    if iron_oxide > limit * (1.0 + 1e-12):
         raise refuse(
             "iron_oxide",
             iron_oxide,
-            f"at most {limit:.4f}, what a coating of {oxide} can hold",
+            f"at most {np.floor(1e4 * limit) / 1e4:g}, what a coating of {oxide} can hold",
             "a thicker coating holds more: relative_coating_thickness; or set partition (coated) 0",
         )
     matrix = kaolinite / iron * room / (core + kaolinite * coat)

@@ -7,6 +7,8 @@ both belong to one and the same medium (SPLITS section 4.3.3, SPLITSnow appendix
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy import integrate, stats
 
@@ -16,6 +18,7 @@ TABLE_POINTS = 1025
 """Probabilities at which quantile functions are tabulated."""
 
 _PROBABILITIES = table_probabilities(TABLE_POINTS)
+_GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(200)
 
 
 def surface_to_volume(sphericity: np.ndarray | float) -> np.ndarray:
@@ -47,12 +50,13 @@ def size_attenuation(smallest: float, largest: float) -> float:
     return float(1.0 / smallest if r == 0.0 else -np.expm1(-r) / (r * smallest))
 
 
+@cache
 def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
     """Return K2 for a sphericity normal within limits: the mean of A(Ψ)/4 (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume(_fixed(minimum, maximum, mean))) / 4.0
     # Over the normal's probability, not over Ψ: no peak is too narrow to be seen.
-    x, w = np.polynomial.legendre.leggauss(200)
+    x, w = _GAUSS_LEGENDRE
     psi = _truncated(minimum, maximum, mean, sd).ppf(0.5 * (x + 1.0))
     return float(0.5 * w @ surface_to_volume(psi)) / 4.0
 
@@ -77,6 +81,7 @@ def struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.
     return 1.0 / largest + _PROBABILITIES * (1.0 / smallest - 1.0 / largest)
 
 
+@cache
 def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of the sphericity of struck grains (SPLITS Eq 26).
 
@@ -93,6 +98,7 @@ def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) 
     return np.interp(_PROBABILITIES, cumulative / cumulative[-1], psi)
 
 
+@cache
 def truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of a normal distribution within [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:

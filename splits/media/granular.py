@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from splits.media.readings import Readings
+from splits.media.readings import TransportReadings
 from splits.transport.scene import Grains
 
 
@@ -45,7 +45,7 @@ class GranularMedium(Protocol):
         ...
 
     @property
-    def readings(self) -> Readings:
+    def readings(self) -> TransportReadings:
         """Named readings of the papers."""
         ...
 

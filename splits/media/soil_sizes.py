@@ -22,6 +22,7 @@ LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
 """Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""
 SEPARATES = ("clay", "silt", "sand")
 _GRID = 16_385
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
 FINES_LIMIT = 0.15
 """A sand has silt + 1.5 clay of at most this (USDA; SPLITS Table 2)."""
 
@@ -56,14 +57,13 @@ class LogNormal:
         """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
         # Not in closed form: its error functions cancel when a separate's limits lie close
         # together in probability, while this integrand is always smooth.
-        node, weight = np.polynomial.legendre.leggauss(200)
         low, high = np.log([self.low, self.high])
-        x = low + 0.5 * (node + 1.0) * (high - low)
-        return float(weight @ self._shape(x, -1.0) / (weight @ self._shape(x)) / self.low)
+        x = low + 0.5 * (_NODES + 1.0) * (high - low)
+        return float(_WEIGHTS @ self._shape(x, -1.0) / (_WEIGHTS @ self._shape(x)) / self.low)
 
     def struck_size(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
-        x = np.linspace(*np.log([self.low, self.high]), _GRID)
+        x = np.linspace(np.log(self.low), np.log(self.high), _GRID)
         cumulative = integrate.cumulative_simpson(self._shape(x, -1.0), x=x, initial=0.0)
         return np.exp(np.interp(probability, cumulative / cumulative[-1], x))
 

@@ -89,6 +89,11 @@ rule sand_tables:
             caption="../report/sand_colours.rst",
             category="Sand",
         ),
+        fits=report(
+            f"{RESULTS}/tables/sand_fits.csv",
+            caption="../report/sand_fits.rst",
+            category="Sand",
+        ),
     log:
         f"{RESULTS}/logs/sand_tables.log",
     benchmark:

@@ -9,6 +9,11 @@ PHYSICS = sorted(
     for path in (PACKAGE / folder).glob("*.py")
 ) + [str(PACKAGE / "experiments" / "run.py")]
 
+FITTING = [
+    str(PACKAGE / "experiments" / name)
+    for name in ("fit.py", "parameters.py", "run_fit.py")
+]
+
 # Experiments whose numbers the SPLITSnow tables are made of.
 TABLE_EXPERIMENTS = [
     "table1_sample",
@@ -33,11 +38,18 @@ SAND_EXPERIMENTS = [
     "sand_fig08_texture",
     "sand_fig09_colours",
     "sand_fine_fraction",
+    "sand_fit",
     "sand_mineral_weight",
     "sand_readings",
     "sand_size_tail",
 ]
-SAND_TABLES = ["sand_trends", "sand_weights", "sand_colours", "sand_compositions"]
+SAND_TABLES = [
+    "sand_trends",
+    "sand_weights",
+    "sand_colours",
+    "sand_fits",
+    "sand_compositions",
+]
 SENSITIVITY_EXPERIMENTS = sorted(
     {
         name
@@ -92,3 +104,14 @@ def measured_files(name):
     """Return the measured table that an experiment's figure shows, if any."""
     measured = EXPERIMENTS[name].figure.measured
     return [f"config/measured/{measured}"] if measured else []
+
+
+def fitted_files(name):
+    """Return the measured table that an experiment fits sands to, if any."""
+    fit = EXPERIMENTS[name].fit
+    return [f"config/measured/{fit.measured}"] if fit else []
+
+
+def physics_of(name):
+    """Return the sources that an experiment's numbers depend on."""
+    return PHYSICS + FITTING if EXPERIMENTS[name].fit else PHYSICS

@@ -1,6 +1,7 @@
 rule simulate:
     input:
-        physics=PHYSICS,
+        physics=lambda wildcards: physics_of(wildcards.experiment),
+        measured=lambda wildcards: fitted_files(wildcards.experiment),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:

@@ -3,8 +3,10 @@
 import sys
 
 from splits import save
+from splits.analysis.measured import read_measured
 from splits.experiments.model import Accuracy, Experiment
 from splits.experiments.run import run
+from splits.experiments.run_fit import run_fit
 
 with open(snakemake.log[0], "w", encoding="utf-8") as log:
 
@@ -13,11 +15,12 @@ with open(snakemake.log[0], "w", encoding="utf-8") as log:
         print(line, file=sys.stderr, flush=True)
         print(line, file=log, flush=True)
 
-    dataset = run(
-        Experiment.model_validate(snakemake.params.experiment),
-        Accuracy.model_validate(snakemake.params.accuracy),
-        seed=snakemake.params.seed,
-        threads=snakemake.threads,
-        say=say,
-    )
+    experiment = Experiment.model_validate(snakemake.params.experiment)
+    accuracy = Accuracy.model_validate(snakemake.params.accuracy)
+    settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
+    if experiment.fit:
+        measured = read_measured(snakemake.input.measured[0])
+        dataset = run_fit(experiment, accuracy, measured, **settings)
+    else:
+        dataset = run(experiment, accuracy, **settings)
     save(dataset, snakemake.output[0])

@@ -1,0 +1,186 @@
+"""Fits as experiments: every sample of a measured table, at every point of the grid."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.checks import one_of, refuse
+from splits.dataset import attributes, provenance
+from splits.experiments.fit import Effort, FitResult, fit
+from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.run import coordinate_values
+from splits.transport import sources_digest
+
+FACTS = {
+    "rmse": ("root mean square misfit", "1"),
+    "rmse_stderr": ("standard error of root mean square misfit", "1"),
+    "evaluations": ("number of sands simulated", "1"),
+}
+
+
+def run_fit(
+    experiment: Experiment,
+    accuracy: Accuracy,
+    measured: pd.DataFrame,
+    seed: int = 1,
+    threads: int | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> xr.Dataset:
+    """Fit a sand to every sample of a measured table, for every point of an experiment's grid.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a ``fit`` section.
+    accuracy : Accuracy
+        ``max_stderr`` is that of the last spectrum; a fit's effort shrinks when it is coarse.
+    measured : pandas.DataFrame
+        Column ``wavelength_nm`` and one of reflectances per sample.
+    seed, threads, say
+        As for `splits.experiments.run.run`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the grid's parameters and ``sample``: ``reflectance``, its error and ``measured`` over
+        wavelength; ``rmse``; ``value``, ``value_stderr`` and ``determined`` over ``parameter``;
+        ``correlation`` over ``coordinate`` twice.
+
+    Raises
+    ------
+    ValueError
+        For a sample that the table does not have.
+    """
+    assert experiment.fit is not None
+    begun = time.perf_counter()
+    if "wavelength_nm" not in measured:
+        raise refuse("fit.measured", list(measured.columns), "a table with column wavelength_nm")
+    known = [c for c in measured.columns if c != "wavelength_nm"]
+    samples = [one_of("fit.samples", s, known) for s in experiment.fit.samples] or known
+    wavelength = measured.wavelength_nm.to_numpy(dtype=float)
+    max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
+    results = []
+    points = list(experiment.settings())
+    for number, ((labels, settings, incidence), sample) in enumerate(
+        itertools.product(points, samples), start=1
+    ):
+        where = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
+        head = f"{experiment.name} {number}/{len(points) * len(samples)} {where}"
+
+        def show(line: str, head: str = head) -> None:
+            say(f"{head}: {line}")
+
+        results.append(
+            fit(
+                settings,
+                wavelength,
+                measured[sample].to_numpy(dtype=float),
+                incidence,
+                experiment.fit.ranges,
+                seed if experiment.instrument.seed is None else experiment.instrument.seed,
+                threads,
+                show,
+                effort=effort_for(max_stderr),
+            )
+        )
+    return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
+
+
+def effort_for(max_stderr: float) -> Effort:
+    """Return the effort that suits an accuracy: a coarse one asks for a quick look only."""
+    if max_stderr <= 0.005:
+        return Effort(max_stderr=max_stderr)
+    return Effort(
+        points=32, starts=(2, 1), evaluations=(20, 20), rays=(128, 256, 512), max_stderr=max_stderr
+    )
+
+
+def _dataset(
+    experiment: Experiment,
+    results: list[FitResult],
+    samples: list[str],
+    wavelength: np.ndarray,
+    max_stderr: float,
+    begun: float,
+) -> xr.Dataset:
+    """Return all fits as one dataset."""
+    shape = (*(len(values) for values in experiment.grid.values()), len(samples))
+    dims = (*experiment.grid, "sample")
+    first = results[0]
+    parameters = list(first.parameters)
+
+    def stacked(values: list[Any], *tail: int) -> np.ndarray:
+        return np.array(values, dtype=float).reshape(*shape, *tail)
+
+    def per_parameter(what: str) -> np.ndarray:
+        values = [[float(getattr(r.parameters[p], what)) for p in parameters] for r in results]
+        return stacked(values, len(parameters))
+
+    def about(long_name: str) -> dict[str, str]:
+        return {"long_name": long_name, "units": "1"}
+
+    spectrum = (*dims, "wavelength")
+    count = len(wavelength)
+    variables: dict[str, Any] = {
+        "reflectance": (
+            spectrum,
+            stacked([r.modelled for r in results], count),
+            about("modelled reflectance"),
+        ),
+        "reflectance_stderr": (
+            spectrum,
+            stacked([r.modelled_stderr for r in results], count),
+            about("standard error of modelled reflectance"),
+        ),
+        "measured": (
+            spectrum,
+            stacked([r.measured for r in results], count),
+            about("measured reflectance"),
+        ),
+        "value": ((*dims, "parameter"), per_parameter("value"), about("fitted parameter")),
+        "value_stderr": (
+            (*dims, "parameter"),
+            per_parameter("stderr"),
+            about("standard error of fitted parameter"),
+        ),
+        "determined": (
+            (*dims, "parameter"),
+            per_parameter("determined"),
+            about("1 where the spectrum determines the parameter, else 0"),
+        ),
+        "correlation": (
+            (*dims, "coordinate", "other_coordinate"),
+            stacked([r.correlation for r in results], len(first.names), len(first.names)),
+            about("correlation of the fit's coordinates"),
+        ),
+    }
+    for name, (long_name, _units) in FACTS.items():
+        variables[name] = (dims, stacked([getattr(r, name) for r in results]), about(long_name))
+    coordinates: dict[str, Any] = {
+        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "sample": samples,
+        "parameter": parameters,
+        "coordinate": list(first.names),
+        "other_coordinate": list(first.names),
+    }
+    for parameter, choices in experiment.grid.items():
+        coordinates[parameter] = (parameter, coordinate_values(choices), {"long_name": parameter})
+    facts = {
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "medium": "sand",
+        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        "max_stderr": max_stderr,
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "physics_sources_sha256": sources_digest(),
+        **provenance(),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))

@@ -1,0 +1,60 @@
+"""Fitted against measured spectra."""
+
+from __future__ import annotations
+
+import itertools
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.figures.style import BAND, colours, parameter_label, style, value_label
+
+
+def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
+    """Draw measured and fitted reflectance, a column per sample, and their difference below.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `splits.experiments.run_fit.run_fit` returns it.
+    legend : str, optional
+        Title of the legend; the grid's parameters by default.
+    """
+    dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
+    combinations = list(itertools.product(*(dataset[d].values for d in dims)))
+    samples = dataset.sample.values
+    with style():
+        figure, panels = plt.subplots(
+            2, len(samples), figsize=(3.4 * len(samples) + 0.8, 5.2), sharex=True, sharey="row",
+            gridspec_kw={"height_ratios": [2.2, 1]}, squeeze=False,
+        )  # fmt: skip
+        for column, sample in enumerate(samples):
+            top, bottom = panels[:, column]
+            part = dataset.sel(sample=sample)
+            x = part.wavelength.values
+            for labels, colour in zip(combinations, colours(len(combinations)), strict=True):
+                one = part.sel(dict(zip(dims, labels, strict=True)))
+                y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
+                name = " · ".join(map(value_label, labels)) or "model"
+                text = f"{name}: {float(one.rmse):.4f}"
+                top.plot(x, y, color=colour, lw=1.4, label=text)
+                top.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
+                off = y - one.measured.values
+                bottom.plot(x, off, color=colour, lw=1.4)
+                bottom.fill_between(x, off - error, off + error, color=colour, alpha=0.25, lw=0)
+            measured = part.measured.isel(dict.fromkeys(dims, 0)).values
+            top.plot(x, measured, "ks", ms=3.5, label="measured")
+            bottom.axhline(0.0, color="black", lw=0.8)
+            top.set_title(value_label(sample))
+            top.set_ylim(0.0, 1.12 * float(np.nanmax(dataset.measured)))
+            title = legend or " · ".join(map(parameter_label, dims)) or "model"
+            top.legend(title=f"{title}: misfit", frameon=False, fontsize=8, title_fontsize=8)
+            bottom.set_xlabel("wavelength (nm)")
+            for axes in (top, bottom):
+                axes.spines[["top", "right"]].set_visible(False)
+        panels[0, 0].set_ylabel("directional-hemispherical reflectance")
+        panels[1, 0].set_ylabel("model − measured")
+        figure.tight_layout()
+    return figure

@@ -1,0 +1,207 @@
+"""Sand whose answer is known: that of snow, of no absorption, of another estimator; trends."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numba
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.media import grain_statistics
+from splits.media.composition import OXIDES
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+
+WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
+# Ice absorbs from nothing to almost all here; quartz has no say.
+ICE_WAVELENGTHS = np.array([500.0, 900.0, 1030.0, 1250.0, 1500.0])
+MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
+TEC_10039240 = {"iron_oxide": 0.05, "hematite_ratio": 0.359, "partition": (0.5, 0.0, 0.5)}
+TEC_13J9823 = {
+    "iron_oxide": 0.01,
+    "hematite_ratio": 0.498,
+    "magnetite": 0.17,
+    "partition": (0.0, 1.0, 0.0),
+    "texture": (0.0, 0.072, 0.928),
+}
+ALL_TYPES = {
+    "iron_oxide": 0.03,
+    "hematite_ratio": 0.4,
+    "magnetite": 0.05,
+    "partition": (0.4, 0.35, 0.25),
+}
+ONE_TYPE = {"iron_oxide": 0.0, "partition": (1.0, 0.0, 0.0)}
+# Eight types; the coatings are so thin that they hide no more than this iron oxide and no light.
+EIGHT_TYPES = {
+    "iron_oxide": 1e-6,
+    "hematite_ratio": 0.5,
+    "magnetite": 0.1,
+    "partition": (0.4, 0.3, 0.3),
+    "relative_coating_thickness": 1e-6,
+}
+SAMPLES = {
+    "thin and dry": {"depth_m": 0.004},
+    "thin and wet": {"depth_m": 0.004, "saturation": 0.3},
+    "shapely": {"depth_m": 0.01, "saturation": 0.1, "sphericity": (0.3, 0.7, 0.5, 0.1)},
+}
+
+
+class UniformSizes:
+    """Snow's sizes, uniform from 300 to 750 µm, in place of a soil's."""
+
+    limits = (3e-4, 7.5e-4)
+    largest = limits[1]
+    attenuation = grain_statistics.size_attenuation(*limits)
+
+    def struck_inverse_sizes(self):
+        return grain_statistics.struck_inverse_sizes(*self.limits, "attenuation")
+
+
+class IcySand(splits.Sand):
+    """Sand of snow's sizes."""
+
+    @cached_property
+    def sizes(self):
+        return UniformSizes()
+
+
+def pair(types, settings):
+    """Return snow and the sand that is the same, with any number of types of particle."""
+    snow = splits.Snow(**{"saturation": 0.0, **settings}, facetness=(0.0, 1.0, 0.3, 0.072))
+    ice = snow.refractive_index["ice"]
+    sand = IcySand(
+        **types,
+        **settings,
+        porosity=snow.porosity,
+        roundness=(0.7, 0.072),
+        refractive_index=dict.fromkeys(MINERALS, ice),
+    )
+    return snow, sand
+
+
+def both_sides(ds, what=""):
+    return np.concatenate([ds[f"reflectance{what}"].values, ds[f"transmittance{what}"].values])
+
+
+def difference(one, other):
+    error = np.hypot(both_sides(one, "_stderr"), both_sides(other, "_stderr"))
+    return (both_sides(one) - both_sides(other)) / error
+
+
+def test_one_type_of_ice_has_the_tables_of_snow():
+    for settings in SAMPLES.values():
+        snow, sand = pair(ONE_TYPE, settings)
+        assert sand.materials() == ("air", "water", "quartz")
+        for name, table in snow.grains()._asdict().items():
+            np.testing.assert_allclose(getattr(sand.grains(), name), table, rtol=1e-12)
+        np.testing.assert_array_equal(sand.indices(ICE_WAVELENGTHS), snow.indices(ICE_WAVELENGTHS))
+
+
+@pytest.mark.parametrize("types", [ONE_TYPE, EIGHT_TYPES], ids=["one type", "eight types"])
+def test_sand_of_ice_is_snow(types):
+    z = []
+    for number, settings in enumerate(SAMPLES.values()):
+        snow, sand = pair(types, settings)
+        assert sand.grains().share.size == (1 if types is ONE_TYPE else 8)
+        measured = [
+            splits.spectrophotometer(medium, ICE_WAVELENGTHS, 30.0, max_stderr=0.005, seed=seed)
+            for medium, seed in ((snow, 10 + number), (sand, 20 + number))
+        ]
+        z.append(difference(*measured))
+    judge_z(z, f"sand against snow, types {sand.grains().share.size}")
+    assert np.abs(z).max() < 3.0
+
+
+def test_types_that_are_alike_may_be_split():
+    """Mixed and coated grains of one index are pure ones: soil's sizes, coins and weights."""
+    common = {"depth_m": 0.004, "saturation": 0.2}
+    index = dict.fromkeys(MINERALS, 1.55 + 2e-6j)
+    z = []
+    for number, estimator in enumerate(("spectral", "analog")):
+        pure, split = (
+            splits.spectrophotometer(
+                splits.Sand(**types, **common, refractive_index=index),
+                [450.0, 900.0],
+                max_stderr=0.006,
+                seed=seed + number,
+                estimator=estimator,
+            )
+            for types, seed in ((ONE_TYPE, 30), (EIGHT_TYPES, 40))
+        )
+        z.append(difference(pure, split))
+    judge_z(z, "identical types")
+
+
+@pytest.mark.parametrize("estimator", ["spectral", "analog"])
+@pytest.mark.parametrize("saturation", [0.0, 0.4])
+def test_nothing_is_lost_without_absorption(estimator, saturation):
+    index = dict(zip(MINERALS, (1.55, 2.9, 2.3, 2.5, 1.56), strict=True))
+    sand = splits.Sand(
+        **ALL_TYPES, depth_m=0.005, saturation=saturation, refractive_index={**index, "water": 1.33}
+    )
+    wavelengths = [400.0, 1000.0]
+    assert (sand.indices(wavelengths).imag == 0.0).all()
+    ds = splits.spectrophotometer(sand, wavelengths, 30.0, max_stderr=0.03, estimator=estimator)
+    assert np.abs(ds.reflectance + ds.transmittance - 1.0).max() < 1e-12
+    assert np.abs(ds.absorptance).max() < 1e-12
+
+
+def test_coins_agree_with_weights():
+    z = []
+    for number, settings in enumerate((TEC_10039240, {**TEC_13J9823, "saturation": 0.3})):
+        sand = splits.Sand(**settings)
+        coins, shared = (
+            splits.spectrophotometer(
+                sand, WAVELENGTHS, max_stderr=0.004, seed=seed + number, estimator=estimator
+            )
+            for estimator, seed in (("analog", 50), ("spectral", 60))
+        )
+        assert coins.attrs["stopped_by"] == shared.attrs["stopped_by"] == "error"
+        error = np.hypot(coins.reflectance_stderr, shared.reflectance_stderr)
+        z.append(((coins.reflectance - shared.reflectance) / error).values)
+    judge_z(z, "analog against spectral")
+
+
+def reflectance(seed=7, wavelengths=WAVELENGTHS, **settings):
+    """Return reflectance and its standard error."""
+    ds = splits.spectrophotometer(splits.Sand(**settings), wavelengths, max_stderr=0.006, seed=seed)
+    return ds.reflectance.values, ds.reflectance_stderr.values
+
+
+def judge_darker(bright, dark):
+    """Fail unless the spectrum is darker beyond doubt, and nowhere brighter beyond error."""
+    z = (bright[0] - dark[0]) / np.hypot(bright[1], dark[1])
+    assert z.min() > -2.0 and z.sum() / np.sqrt(z.size) > 10.0, z
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1.0], ids=reversed(OXIDES))
+def test_more_iron_oxide_darkens(ratio):
+    """SPLITS section 5.2 and Fig 8."""
+    little, more = (
+        reflectance(iron_oxide=iron, hematite_ratio=ratio, seed=seed)
+        for iron, seed in ((0.005, 7), (0.05, 8))
+    )
+    judge_darker(little, more)
+
+
+def test_magnetite_darkens():
+    little, more = (reflectance(magnetite=m, seed=int(10 + 10 * m)) for m in (0.0, 0.3))
+    judge_darker(little, more)
+
+
+def test_wet_sand_is_darker():
+    """SPLITS section 2.1.2 and Fig 10."""
+    dry, wet = (reflectance(**TEC_10039240, saturation=s, seed=int(20 + s)) for s in (0.0, 1.0))
+    judge_darker(dry, wet)
+
+
+def test_hematite_for_goethite_reddens():
+    """SPLITS section 5.2: reflectance moves to the red end of the spectrum."""
+    ends = [450.0, 700.0]
+    goethite, hematite = (
+        reflectance(hematite_ratio=r, wavelengths=ends, seed=int(30 + 10 * r)) for r in (0.0, 0.9)
+    )
+    assert hematite[0][1] / hematite[0][0] > goethite[0][1] / goethite[0][0] * 1.05

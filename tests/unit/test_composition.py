@@ -1,0 +1,239 @@
+"""From masses to particle types: SPLITS Tables 3-4 and Eqs 5-18, worked out by hand."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from splits.media.composition import coated_particle, coating_fraction, compose
+
+# Table 2, written out again: kg/m³ of quartz, hematite, goethite, magnetite and kaolinite.
+Q, H, G, M, K = 2650.0, 5250.0, 4300.0, 5200.0, 2590.0
+DENSITY = {"quartz": Q, "hematite": H, "goethite": G, "magnetite": M, "kaolinite": K}
+COAT = 0.03373714131006917  # Eqs 13-14 at Ψ = 0.798, h' = 5/1200
+LIMIT = {"hematite": 0.06469624868642761, "goethite": 0.05361699945633398}
+
+# Name: mass fraction (Table 3), particle density (Eq 15), volume fraction (Eq 18), volume of the
+# oxide per volume of its mixture (4.2.5).  The kaolinite of the coated ones follows below.
+TEC_10039240 = {
+    "pure quartz": (0.475, Q, 0.48525840222675, 0.0),
+    "pure hematite": (0.008975, H, 0.004628075999583, 0.0),
+    "pure goethite": (0.016025, G, 0.010089157710434, 0.0),
+    "quartz coated by hematite": (0.1795, 2716.80140716970, 0.178867685607716, 0.766938101782187),
+    "quartz coated by goethite": (0.3205, 2701.69553150836, 0.321156678455516, 0.931171495270958),
+}
+TEC_13J9823 = {
+    "pure magnetite": (0.17, M, 0.094891215154932, 0.0),
+    "quartz mixed with hematite": (0.41334, 2663.18912710567, 0.450490727692912, 0.005072741194487),
+    "quartz mixed with goethite": (0.41666, 2660.20777401658, 0.454618057152156, 0.006186529707015),
+}
+SAMPLES = {
+    "10039240": ((0.05, 0.359, 0.0, (0.5, 0.0, 0.5)), TEC_10039240, 2707.2310861071),
+    "13j9823": ((0.01, 0.498, 0.17, (0.0, 1.0, 0.0)), TEC_13J9823, 2902.5548165038),
+}
+OTHERS = {
+    "all eight types": (0.03, 0.3, 0.05, (0.4, 0.35, 0.25)),
+    "no goethite": (0.03, 1.0, 0.05, (0.4, 0.35, 0.25)),
+    "no hematite": (0.03, 0.0, 0.05, (0.4, 0.35, 0.25)),
+    "no iron oxide": (0.0, 0.3, 0.05, (0.4, 0.35, 0.25)),
+}
+CASES = {**{name: case[0] for name, case in SAMPLES.items()}, **OTHERS}
+
+
+def minerals(made):
+    """Return the mass of every mineral per mass of sand."""
+    return {
+        m: math.fsum(t.mass_fraction * t.concentration.get(m, 0.0) for t in made.types)
+        for m in DENSITY
+    }
+
+
+def test_volume_of_a_coating():
+    e = math.sqrt(1.0 - 0.798**4)
+    per_volume = 3.0 * (1.0 + math.asin(e) / (0.798**2 * e))
+    assert per_volume == pytest.approx(8.37961828046923, rel=1e-14)
+    layer = per_volume * 5.0 / 1200.0
+    assert coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(layer / (1.0 + layer), rel=1e-14)
+    assert coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(COAT, rel=1e-14)
+    # Six faces' worth of surface per volume and diameter of a sphere.
+    assert coating_fraction(1.0, 0.01) == pytest.approx(0.06 / 1.06, rel=1e-14)
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_samples_of_table_5_by_hand(sample):
+    arguments, expected, density = SAMPLES[sample]
+    made = compose(*arguments, COAT)
+    assert {t.name for t in made.types} == set(expected)
+    assert made.density == pytest.approx(density, rel=1e-12)
+    for particle, volume in zip(made.types, made.volume_fractions, strict=True):
+        mass, gamma, share, inclusions = expected[particle.name]
+        assert particle.mass_fraction == pytest.approx(mass, rel=1e-12)
+        assert particle.density == pytest.approx(gamma, rel=1e-12)
+        assert volume == pytest.approx(share, rel=1e-12)
+        assert particle.inclusion_fraction == pytest.approx(inclusions, rel=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
+    made = compose(*CASES[case], COAT)
+    assert math.fsum(t.mass_fraction for t in made.types) == pytest.approx(1.0, abs=1e-14)
+    assert math.fsum(made.volume_fractions) == pytest.approx(1.0, abs=1e-14)
+    for particle in made.types:
+        assert particle.mass_fraction > 0.0
+        assert sum(particle.concentration.values()) == pytest.approx(1.0, abs=1e-14)
+        assert sum(particle.volumes.values()) == pytest.approx(1.0, abs=1e-14)
+        parts = [DENSITY[m] for m in particle.concentration]
+        assert min(parts) * (1 - 1e-14) <= particle.density <= max(parts) * (1 + 1e-14)
+    densities = [t.density for t in made.types]
+    assert min(densities) < made.density < max(densities)
+
+
+@pytest.mark.parametrize("case", [name for name in CASES if name != "13j9823"])
+def test_every_mineral_has_the_mass_asked_for(case):
+    """Eqs 8-9 have a solution where magnetite finds room among the pure particles."""
+    iron, ratio, magnetite, _ = CASES[case]
+    found = minerals(compose(*CASES[case], COAT))
+    assert found["hematite"] == pytest.approx(ratio * iron, abs=1e-15)
+    assert found["goethite"] == pytest.approx((1.0 - ratio) * iron, abs=1e-15)
+    assert found["magnetite"] == pytest.approx(magnetite, abs=1e-15)
+
+
+@pytest.mark.parametrize("oxide", LIMIT)
+@pytest.mark.parametrize("iron", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("coat", [COAT, 0.2])
+def test_kaolinite_fills_the_coating(oxide, iron, coat):
+    """Eqs 10-11 as a balance of volumes: coating to core as coat to 1 − coat."""
+    found = coated_particle(oxide, iron, coat)
+    clay = (coat * (1 - iron) / Q - iron * (1 - coat) / DENSITY[oxide]) / (
+        (1 - coat) / K + coat / Q
+    )
+    assert found["kaolinite"] == pytest.approx(clay, rel=1e-12)
+    assert found.get(oxide, 0.0) == iron and (oxide in found) == (iron > 0.0)
+    volume = {m: c / DENSITY[m] for m, c in found.items()}
+    layer = volume["kaolinite"] + volume.get(oxide, 0.0)
+    assert layer / sum(volume.values()) == pytest.approx(coat, rel=1e-12)
+
+
+@pytest.mark.parametrize(("oxide", "printed"), [("hematite", "0.0647"), ("goethite", "0.0536")])
+def test_more_iron_oxide_than_the_coating_holds_is_refused_by_name(oxide, printed):
+    assert coated_particle(oxide, LIMIT[oxide] * (1 - 1e-12), COAT)["kaolinite"] >= 0.0
+    beyond = LIMIT[oxide] * 1.001
+    ratio = 1.0 if oxide == "hematite" else 0.0
+    with pytest.raises(ValueError, match=r"^iron_oxide = ") as caught:
+        compose(beyond, ratio, 0.0, (0.5, 0.0, 0.5), COAT)
+    for part in (repr(beyond), printed, oxide, "relative_coating_thickness", "partition"):
+        assert part in str(caught.value)
+    # Without coated particles, or without any of that oxide, nothing has to be held.
+    compose(beyond, ratio, 0.0, (0.5, 0.5, 0.0), COAT)
+    if oxide == "goethite":
+        compose(beyond, 1.0, 0.0, (0.5, 0.0, 0.5), COAT)
+
+
+@pytest.mark.parametrize("oxide", LIMIT)
+def test_the_limit_that_a_refusal_names_is_accepted(oxide):
+    with pytest.raises(ValueError) as caught:
+        coated_particle(oxide, 0.5, COAT)
+    named = float(re.search(r"at most ([\d.]+)", str(caught.value))[1])
+    assert coated_particle(oxide, named, COAT)["kaolinite"] >= 0.0
+
+
+@pytest.mark.parametrize("oxide", LIMIT)
+def test_a_full_coating_has_no_kaolinite(oxide):
+    core, iron = Q * (1.0 - COAT), DENSITY[oxide] * COAT
+    found = coated_particle(oxide, iron / (iron + core), COAT)
+    assert found["kaolinite"] == pytest.approx(0.0, abs=1e-15)
+    ratio = 1.0 if oxide == "hematite" else 0.0
+    made = compose(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COAT)
+    (particle,) = made.types
+    assert particle.coated and particle.oxide == oxide
+    assert particle.inclusion_fraction == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"partition": (0.5, 0.2, 0.2)}, r"^partition = \(0.5, 0.2, 0.2\): .*add up to 1"),
+        ({"partition": (0.5, 0.6, -0.1)}, r"^partition = \(0.5, 0.6, -0.1\): .*at least 0"),
+        ({"partition": (0.5, 0.5)}, r"^partition = .*3 numbers \(pure, mixed, coated\)"),
+        ({"magnetite": 0.98}, r"^magnetite = 0.98: must be in \[0, 0.97\]"),
+        ({"magnetite": -0.1}, r"^magnetite = -0.1: must be in \[0, 0.97\]"),
+        ({"iron_oxide": 1.1}, r"^iron_oxide = 1.1: must be in \[0, 1\]"),
+        ({"hematite_ratio": -0.1}, r"^hematite_ratio = -0.1: must be in \[0, 1\]"),
+    ],
+)
+def test_impossible_sands_are_refused(change, message):
+    good = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
+    with pytest.raises(ValueError, match=message):
+        compose(**{**good, **change}, coat=COAT)
+
+
+def test_types_without_mass_are_absent():
+    names = {case: {t.name for t in compose(*CASES[case], COAT).types} for case in CASES}
+    everything = names["all eight types"]
+    assert len(everything) == 8
+    assert names["no goethite"] == {n for n in everything if "goethite" not in n}
+    assert names["no hematite"] == {n for n in everything if "hematite" not in n}
+    assert names["no iron oxide"] == everything - {"pure hematite", "pure goethite"}
+    bare = compose(*CASES["no iron oxide"], COAT)
+    assert all(t.oxide is None and t.inclusion_fraction == 0.0 for t in bare.types)
+    assert [t.coated for t in bare.types].count(True) == 2
+    (only,) = compose(0.0, 0.5, 1.0, (0.0, 0.5, 0.5), COAT).types
+    assert (only.name, only.mass_fraction, only.density) == ("pure magnetite", 1.0, M)
+    assert {t.name for t in compose(1.0, 0.5, 0.0, (1, 0, 0), COAT).types} == {
+        "pure hematite",
+        "pure goethite",
+    }
+
+
+@pytest.mark.parametrize("excess", ["first", "clipped"])
+def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
+    """Eq 9 reaches zero at ϑ_m = μ'_p − β_hg; nothing jumps there."""
+    partition, iron, ratio = (0.4, 0.35, 0.25), 0.03, 0.3
+    share = 0.4 - 0.4 * iron
+
+    def masses(magnetite):
+        made = compose(iron, ratio, magnetite, partition, COAT, excess)
+        return {t.name: t.mass_fraction for t in made.types}
+
+    below, at, beyond = (masses(share + step) for step in (-1e-9, 0.0, 1e-9))
+    assert below["pure quartz"] == pytest.approx(1e-9, rel=1e-6)
+    for name in set(below) - {"pure quartz"}:
+        assert at[name] == pytest.approx(below[name], abs=2e-9)
+        assert at[name] == pytest.approx(beyond[name], abs=2e-9)
+    assert at.get("pure quartz", 0.0) < 1e-15 and "pure quartz" not in beyond
+
+
+def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left():
+    iron, ratio, magnetite, pure, mixed, coated = 0.03, 0.3, 0.6, 0.4, 0.35, 0.25
+    made = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT)
+    mass = {t.name: t.mass_fraction for t in made.types}
+    left = 1.0 - magnetite - iron * pure
+    assert mass["pure magnetite"] == pytest.approx(magnetite, rel=1e-14)
+    assert mass["pure hematite"] == pytest.approx(ratio * iron * pure, rel=1e-14)
+    assert mass["quartz mixed with goethite"] == pytest.approx(0.7 * left * mixed / 0.6, rel=1e-14)
+    assert mass["quartz coated by hematite"] == pytest.approx(0.3 * left * coated / 0.6, rel=1e-14)
+    clipped = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT, "clipped")
+    total = magnetite + iron * pure + mixed + coated
+    mass = {t.name: t.mass_fraction for t in clipped.types}
+    assert mass["pure magnetite"] == pytest.approx(magnetite / total, rel=1e-14)
+    assert mass["quartz mixed with goethite"] == pytest.approx(0.7 * mixed / total, rel=1e-14)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_table_of_intermediates_is_complete(case):
+    made = compose(*CASES[case], COAT)
+    rows = made.rows()
+    columns = {"particle_type", "mass_fraction", "density_kg_m3", "volume_fraction"}
+    columns |= {f"{kind}_{m}" for kind in ("mass", "volume") for m in DENSITY}
+    columns |= {"inclusion_fraction", "coating_fraction"}
+    assert [row["particle_type"] for row in rows] == [t.name for t in made.types]
+    for row in rows:
+        assert set(row) == columns
+        mass = np.array([row[f"mass_{m}"] for m in DENSITY])
+        volume = np.array([row[f"volume_{m}"] for m in DENSITY])
+        assert mass.sum() == pytest.approx(1.0) and volume.sum() == pytest.approx(1.0)
+        np.testing.assert_allclose(volume * list(DENSITY.values()), mass * row["density_kg_m3"])
+        assert row["coating_fraction"] == (COAT if row["mass_kaolinite"] > 0.0 else 0.0)

@@ -1,0 +1,193 @@
+"""Fits: every proposal is a sand, a known sand's spectrum is met, errors say what is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splits import Sand, spectrophotometer
+from splits.experiments.fit import Effort, central, check_measured, descend, fit
+from splits.experiments.parameters import (
+    PRIOR_SD,
+    RANGES,
+    Cube,
+    checked_ranges,
+    covariance_of,
+    parameter_errors,
+)
+
+WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
+LITTLE = Effort(
+    points=32,
+    starts=(2, 1),
+    evaluations=(20, 20),
+    rays=(128, 512, 8192),
+    max_stderr=0.002,
+)
+LEAST = Effort(points=8, starts=(1,), evaluations=(10,), rays=(128, 128), max_stderr=0.02)
+
+
+def test_every_place_in_the_cube_is_a_sand_within_the_ranges():
+    cube = Cube({})
+    places = np.random.default_rng(1).random((500, len(cube.names)))
+    # Faces, edges and corners too, where rounding could lead outside.
+    places[250:] = np.clip(np.round(3.0 * places[250:] - 1.0, 1), 0.0, 1.0)
+    for place in places:
+        sand = cube.sand(place)
+        clay, silt, _ = sand.texture
+        assert 0.0005 <= sand.iron_oxide <= 0.05
+        assert 0.0 <= sand.magnetite <= 0.3
+        assert 1e-4 <= clay <= 0.1
+        assert 0.005 - 1e-12 <= silt + 1.5 * clay <= 0.15 + 1e-12
+        assert sum(sand.partition) == pytest.approx(1.0)
+        assert list(cube.natural(place).values())[-1] == sand.texture[2]
+
+
+def test_the_corners_of_the_cube_are_the_ends_of_the_ranges():
+    cube = Cube({"porosity": 0.4}, {"iron_oxide": (0.001, 0.02), "pure": (0.1, 0.5)})
+    low, high = (cube.settings(np.full(len(RANGES), end)) for end in (0.0, 1.0))
+    assert low["iron_oxide"] == 0.001
+    assert high["iron_oxide"] == pytest.approx(0.02)
+    assert low["partition"] == (0.1, 0.9, 0.0)
+    assert high["partition"] == (0.5, 0.0, 0.5)
+    assert low["texture"] == pytest.approx((1e-4, 0.005 - 1.5e-4, 0.995 + 0.5e-4))
+    assert high["texture"] == pytest.approx((0.1, 0.0, 0.9))
+    assert low["porosity"] == high["porosity"] == 0.4
+
+
+def test_a_geometric_coordinate_has_its_middle_at_the_geometric_mean():
+    middle = Cube({}).natural(np.full(len(RANGES), 0.5))
+    assert middle["iron_oxide"] == pytest.approx(0.005)
+    assert 0.02 < middle["magnetite"] < 0.04
+    assert middle["hematite_ratio"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"iron_oxyde": (0.0, 0.1)}, "ranges = 'iron_oxyde'.*did you mean iron_oxide"),
+        ({"magnetite": (0.2, 0.1)}, "ranges.magnetite.*low < high"),
+        ({"magnetite": (0.1, 0.1)}, "ranges.magnetite.*low < high"),
+        ({"magnetite": (0.1,)}, "ranges.magnetite.*2 numbers"),
+        ({"hematite_ratio": (0.0, 1.5)}, r"ranges.hematite_ratio \(high\) = 1.5"),
+        ({"fines": (0.01, 0.2)}, r"ranges.fines \(high\) = 0.2.*0.15"),
+        ({"clay": (0.01, 0.1)}, r"ranges.clay \(low\) = 0.01.*at most 0.003"),
+    ],
+)
+def test_bad_ranges_are_refused(ranges, message):
+    with pytest.raises(ValueError, match=message):
+        checked_ranges(ranges)
+
+
+def test_what_sand_does_not_allow_is_refused():
+    with pytest.raises(ValueError, match=r"ranges: .*iron_oxide.*coating"):
+        Cube({"relative_coating_thickness": 0.001})
+    with pytest.raises(ValueError, match=r"iron_oxide = 0.01: must be left out"):
+        Cube({"iron_oxide": 0.01})
+    with pytest.raises(ValueError, match="porosity"):
+        Cube({"porosity": 1.5})
+
+
+def test_bad_measurements_are_refused():
+    with pytest.raises(ValueError, match=r"measured.*13 numbers"):
+        fit({}, WAVELENGTHS, np.full(12, 0.3), 10.0)
+    with pytest.raises(ValueError, match=r"measured = 1.2: must be in \[0, 1\]"):
+        check_measured([0.1, 1.2], 2)
+    with pytest.raises(ValueError, match="measured"):
+        check_measured([0.1, np.nan], 2)
+    with pytest.raises(ValueError, match="measured"):
+        check_measured(["dark", "bright"], 2)
+    with pytest.raises(ValueError, match="more than 7 wavelengths"):
+        fit({}, WAVELENGTHS[:7], np.full(7, 0.3), 10.0)
+    with pytest.raises(ValueError, match="seed = -1"):
+        fit({}, WAVELENGTHS, np.full(13, 0.3), 10.0, seed=-1)
+    with pytest.raises(ValueError, match="incidence_deg"):
+        fit({}, WAVELENGTHS, np.full(13, 0.3), 95.0)
+    with pytest.raises(ValueError, match="effort"):
+        Effort(starts=(1,))
+
+
+def smooth(x):
+    """Return a spectrum that bends, of three coordinates of which the last does nothing."""
+    t = np.linspace(0.0, 1.0, 12)
+    return np.exp(-(x[0] ** 2) * t) + 0.5 * x[1] * t**2
+
+
+@pytest.mark.parametrize("truth", [(0.4, 0.7), (0.9, 0.0), (1.0, 1.0)])
+def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
+    wanted = smooth(np.array([*truth, 0.0]))
+    calls = []
+
+    def model(x):
+        calls.append(x)
+        assert (x >= 0.0).all() and (x <= 1.0).all()
+        return smooth(x)
+
+    misfit, place = descend(model, np.full(3, 0.5), wanted, 60, 0.3)
+    assert misfit < 1e-3
+    assert len(calls) < 70
+    np.testing.assert_allclose(place[:2], truth, atol=0.02)
+
+
+def test_errors_are_those_of_least_squares_and_the_prior():
+    place = np.array([0.6, 0.5, 0.5])
+    jacobian = central(smooth, place)
+    covariance = covariance_of([jacobian, jacobian], 1e-4, np.zeros(12))
+    exact = np.linalg.inv(jacobian[:, :2].T @ jacobian[:, :2] / 1e-4 + 12.0 * np.eye(2))
+    np.testing.assert_allclose(covariance[:2, :2], exact, rtol=1e-6)
+    assert covariance[2, 2] == pytest.approx(PRIOR_SD**2)
+    noisier = covariance_of([jacobian, jacobian], 1e-4, np.full(12, 0.01))
+    assert (np.linalg.eigvalsh(noisier - covariance) > -1e-12).all()
+    assert np.trace(noisier) > np.trace(covariance)
+
+
+def test_noise_of_derivatives_does_not_pass_for_knowledge():
+    random = np.random.default_rng(3)
+    noisy = [random.normal(0.0, 0.02, (25, 7)) for _ in range(4)]
+    sd = np.sqrt(np.diag(covariance_of(noisy, 1e-4, np.zeros(25))))
+    one_sample = np.sqrt(np.diag(covariance_of([noisy[0]] * 2, 1e-4, np.zeros(25))))
+    assert sd.mean() > 2.0 * one_sample.mean()
+    assert sd.max() <= PRIOR_SD * (1.0 + 1e-9)
+
+
+def test_what_is_known_is_told_from_what_is_not():
+    cube = Cube({})
+    sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, PRIOR_SD)
+    found = parameter_errors(cube, np.full(7, 0.5), np.diag(sd**2))
+    assert [name for name, p in found.items() if p.determined] == ["iron_oxide"]
+    # A coordinate's 0.02 times ln 100, the logarithm of the range.
+    assert found["iron_oxide"].stderr == pytest.approx(0.005 * 0.02 * np.log(100.0), rel=0.1)
+    assert found["hematite_ratio"].value == 0.5
+
+
+def test_a_known_sand_is_met():
+    # A dark sand, for its light is cheap, within narrow ranges, because the search is short.
+    truth = {"iron_oxide": 0.02, "hematite_ratio": 0.4, "magnetite": 0.03}
+    sand = Sand(**truth, partition=(0.2, 0.5, 0.3), texture=(0.0005, 0.08, 0.9195))
+    wanted = spectrophotometer(sand, WAVELENGTHS, 10.0, max_stderr=0.002, seed=9).reflectance
+    ranges = {"iron_oxide": (0.005, 0.05), "magnetite": (0.01, 0.1), "clay": (1e-4, 0.005)}
+    lines = []
+    result = fit({}, WAVELENGTHS, wanted.values, 10.0, ranges, say=lines.append, effort=LITTLE)
+    assert result.rmse < 0.006
+    assert result.rmse_stderr <= 0.002
+    misfit = np.sqrt(np.mean((result.modelled - wanted.values) ** 2))
+    assert result.rmse == pytest.approx(misfit)
+    assert result.spectrum.attrs["sand_iron_oxide"] == result.settings["iron_oxide"]
+    for name, true in truth.items():
+        fitted = result.parameters[name]
+        assert abs(fitted.value - true) < 3.0 * fitted.stderr
+    np.testing.assert_allclose(np.diag(result.correlation), 1.0)
+    assert np.abs(result.correlation).max() <= 1.0 + 1e-9
+    assert (result.coordinates_stderr > 0.0).all()
+    assert len(lines) == 4
+    assert result.evaluations > 32
+
+
+def test_the_same_seed_gives_the_same_sand_on_any_number_of_threads():
+    wanted = np.linspace(0.1, 0.4, len(WAVELENGTHS))
+    one, two = (fit({}, WAVELENGTHS, wanted, 10.0, threads=t, effort=LEAST) for t in (1, 2))
+    np.testing.assert_array_equal(one.coordinates, two.coordinates)
+    np.testing.assert_array_equal(one.modelled, two.modelled)
+    np.testing.assert_array_equal(one.correlation, two.correlation)
+    assert one.parameters == two.parameters
+    assert one.evaluations == two.evaluations

@@ -1,0 +1,93 @@
+"""Fits as experiments: the dataset, its table and its figure; what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splits import load, save
+from splits.analysis.sand_tables import fitted_parameters
+from splits.experiments import ConfigError, load_experiment
+from splits.experiments import run_fit as module
+from splits.experiments.fit import Effort
+from splits.experiments.model import Accuracy
+from splits.figures import draw
+
+WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
+TINY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
+TEXT = """
+medium: {kind: sand}
+instrument: {incidence_deg: 10}
+fit: {measured: mine.csv}
+grid: {refractive_index: {as modelled: {}, goethite k / 2: {goethite: {k_factor: 0.5}}}}
+figure: {kind: fit}
+"""
+
+
+@pytest.fixture
+def experiment(tmp_path):
+    measured = tmp_path / "measured" / "mine.csv"
+    measured.parent.mkdir()
+    table = pd.DataFrame({"wavelength_nm": WAVELENGTHS})
+    for name, level in (("dark", 0.1), ("bright", 0.5)):
+        table[name] = level + 2e-4 * (WAVELENGTHS - 400.0)
+    table.to_csv(measured, index=False)
+    path = tmp_path / "found.yaml"
+    path.write_text(TEXT, encoding="utf-8")
+    return load_experiment(path, tmp_path / "media"), table
+
+
+def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
+    monkeypatch.setattr(module, "effort_for", lambda _: TINY)
+    settings, table = experiment
+    lines = []
+    ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, say=lines.append)
+    assert dict(ds.rmse.sizes) == {"refractive_index": 2, "sample": 2}
+    np.testing.assert_array_equal(ds.measured.sel(sample="dark")[0], table.dark)
+    off = ds.reflectance - ds.measured
+    np.testing.assert_allclose(ds.rmse, np.sqrt((off**2).mean("wavelength")), rtol=1e-12)
+    assert (ds.value_stderr >= 0.0).all()
+    shares = ["partition_pure", "partition_mixed", "partition_coated"]
+    np.testing.assert_allclose(ds.value.sel(parameter=shares).sum("parameter"), 1.0)
+    np.testing.assert_allclose(ds.value.sel(parameter=["clay", "silt", "sand"]).sum("parameter"), 1)
+    assert any("4/4 refractive_index=goethite k / 2 bright" in line for line in lines)
+    save(ds, tmp_path / "found.nc")
+    again = load(tmp_path / "found.nc")
+    rows = fitted_parameters(again)
+    assert len(rows) == ds.value.size
+    assert set(rows.determined) <= {"yes", "no"} and set(rows.verdict) <= {"good", "not good"}
+    figure = draw(again, settings.figure.model_dump(mode="json"))
+    assert len(figure.axes) == 4
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("fit: {measured: other.csv}", r"fit\.measured = 'other\.csv': must be one of mine\.csv"),
+        ("fit: {measured: mine.csv, ranges: {iron: [0, 1]}}", "iron"),
+        ("fit: {measured: mine.csv, ranges: {clay: [0.5, 0.1]}}", "clay"),
+    ],
+)
+def test_fits_that_cannot_be_run_are_refused(experiment, tmp_path, line, message):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(TEXT.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        load_experiment(path, tmp_path / "media")
+
+
+def test_only_sand_is_fitted(experiment, tmp_path):
+    path = tmp_path / "wrong.yaml"
+    path.write_text("instrument: {wavelength_nm: [500]}\nfit: {measured: mine.csv}\n", "utf-8")
+    with pytest.raises(ConfigError, match=r"fit = 'snow'.*sand"):
+        load_experiment(path, tmp_path / "media")
+
+
+def test_an_unknown_sample_is_refused(experiment):
+    settings, table = experiment
+    chosen = settings.fit.model_copy(update={"samples": ("brigt",)})
+    wrong = settings.model_copy(update={"fit": chosen})
+    with pytest.raises(ValueError, match=r"fit\.samples = 'brigt'.*did you mean bright"):
+        module.run_fit(
+            settings.model_copy(update={"fit": chosen}), Accuracy(max_stderr=0.05), table
+        )

@@ -1,0 +1,249 @@
+"""Sand as the user describes it: defaults, derived quantities, indices, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+import splits
+from splits import Sand, SandReadings
+from splits.dataset import attributes, provenance
+from splits.materials import refractive_index
+from splits.media.grain_statistics import surface_to_volume
+from splits.media.readings import CHOICES
+
+MEDIA = Path(__file__).parents[2] / "config" / "media"
+ORDER = "min <= mean <= max <= 1"
+READINGS = list(SandReadings.__dataclass_fields__)
+EIGHT = {
+    "iron_oxide": 0.03,
+    "hematite_ratio": 0.4,
+    "magnetite": 0.05,
+    "partition": (0.4, 0.35, 0.25),
+}
+MATERIALS = ("air", "water", "quartz", "magnetite", *(
+    f"{prefix}{oxide}" for oxide in ("hematite", "goethite")
+    for prefix in ("", "quartz with ", "kaolinite with ")
+))  # fmt: skip
+WAVELENGTHS = np.array([450.0, 600.0, 900.0])
+TABLE = {"wavelength_nm": [400, 1000], "n": [2.4, 2.2], "k": [0.1, 0.01]}
+BAD = [
+    ("iron_oxide", -0.01, "[0, 1]"),
+    ("iron_oxide", 0.06, "at most 0.0536, what a coating of goethite can hold"),
+    ("iron_oxide", "1e-2", "[0, 1]"),
+    ("hematite_ratio", 1.1, "[0, 1]"),
+    ("magnetite", 0.995, "[0, 0.99]"),
+    ("partition", (0.5, 0.5, 0.5), "three numbers of at least 0 that add up to 1"),
+    ("partition", (1.2, -0.2, 0.0), "three numbers of at least 0 that add up to 1"),
+    ("texture", (0.0, 0.3, 0.7), "silt + 1.5 clay at most 0.15"),
+    ("texture", (0.0, 0.1, 0.8), "three fractions (clay, silt, sand) that add up to 1"),
+    ("saturation", 1.2, "[0, 1]"),
+    ("porosity", 1.0, "(0, 1)"),
+    ("roundness", (0.5,), "2 numbers (mean, sd)"),
+    ("sphericity", (0.05, 0.9, 0.8, 0.1), f"0.1 <= {ORDER}"),
+    ("sphericity", (0.9, 0.6, 0.8, 0.1), f"0.1 <= {ORDER}"),
+    ("relative_coating_thickness", 0.0, "(0, 0.05]"),
+    ("relative_coating_thickness", 0.06, "(0, 0.05]"),
+    ("depth_m", -1.0, "(0, 10000]"),
+    ("depth_m", 0.002, "more than the largest grain, 0.002 m"),
+    ("size_tail", 0.1, "[1e-06, 0.01]"),
+    ("refractive_index", 1.55, "mapping"),
+    ("readings", "linear", "mapping"),
+]
+
+
+class Refuse:
+    """An index that must not be asked for."""
+
+    name = "refuses"
+    source = "nowhere"
+
+    def __call__(self, _wavelength_nm):
+        raise AssertionError("asked for this index")
+
+
+def test_defaults_are_the_shipped_base_case():
+    shipped = yaml.safe_load((MEDIA / "splits_base.yaml").read_text(encoding="utf-8"))
+    assert shipped.pop("kind") == Sand.kind
+    # The base case of Fig 8 but for its texture, with the constants of Table 2.
+    assert shipped.pop("texture") == [0, 0.1, 0.9]
+    assert shipped.pop("partition") == pytest.approx(Sand.partition, abs=1e-15)
+    assert Sand(**shipped).describe() == Sand().describe()
+    table2 = {"porosity": 0.425, "depth_m": 1.0, "saturation": 0.0, "roundness": (0.482, 0.072)}
+    assert table2.items() <= Sand().describe().items()
+    assert Sand().sphericity[2:] == (0.798, 0.064)
+    assert Sand().relative_coating_thickness == pytest.approx(5e-6 / 1.2e-3, rel=1e-15)
+
+
+@pytest.mark.parametrize("sample", ["10019201", "10039240", "13j9823", "19au9815"])
+def test_the_samples_of_table_5_are_accepted(sample):
+    shipped = yaml.safe_load((MEDIA / f"tec_{sample}.yaml").read_text(encoding="utf-8"))
+    assert shipped.pop("kind") == Sand.kind
+    sand = Sand(**shipped)
+    assert 2650.0 < sand.density_kg_m3 < 3000.0
+    assert sum(sand.composition.volume_fractions) == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key}") as caught:
+        Sand(**{key: value})
+    assert repr(value) in str(caught.value)
+    assert allowed in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "part"),
+    [
+        ("roundness", (1.1, 0.1), "mean"),
+        ("roundness", (0.5, -0.1), "sd"),
+        ("sphericity", (0.6, 0.9, 0.8, -0.1), "sd"),
+    ],
+)
+def test_impossible_spreads_are_refused(key, value, part):
+    with pytest.raises(ValueError, match=rf"^{key} \({part}\) = .*: must be in \[0, 1\]"):
+        Sand(**{key: value})
+
+
+def test_unknown_keywords_materials_and_readings_are_refused():
+    with pytest.raises(TypeError, match="porositi"):
+        Sand(porositi=0.4)
+    with pytest.raises(ValueError, match=r"refractive_index = 'geothite'.*did you mean goethite"):
+        Sand(refractive_index={"geothite": 2.3})
+    with pytest.raises(ValueError, match=r"readings = 'size_is'"):
+        Sand(readings={"size_is": "diameter"})
+
+
+@pytest.mark.parametrize("name", READINGS)
+def test_readings_are_checked_and_have_their_first_choice_by_default(name):
+    assert getattr(SandReadings(), name) == CHOICES[name][0]
+    with pytest.raises(ValueError, match=f"readings.{name} = 'neither'"):
+        Sand(readings={name: "neither"})
+
+
+def test_materials_are_listed_once_in_the_order_of_their_types():
+    assert Sand(**EIGHT).materials() == MATERIALS
+    plain = Sand(iron_oxide=0.0, partition=(0.2, 0.3, 0.5))
+    assert plain.materials() == ("air", "water", "quartz", "kaolinite")
+    grains = Sand(**EIGHT).grains()
+    rows = zip(grains.material, grains.layers, strict=True)
+    layers = [tuple(MATERIALS[m] for m in row[:n]) for row, n in rows]
+    iron = [
+        [(oxide,), (f"quartz with {oxide}",), (f"kaolinite with {oxide}", "quartz")]
+        for oxide in ("hematite", "goethite")
+    ]
+    assert layers == [("quartz",), ("magnetite",), *iron[0], *iron[1]]
+    coated = grains.layers == 2
+    assert (grains.thickness[coated, 0] == 5.0 / 1200.0).all()
+    assert (grains.thickness[~coated] == 0.0).all() and (grains.thickness[:, 1] == 0.0).all()
+
+
+def test_indices_by_hand():
+    """Eq 4 with volume fractions from the balance of volumes in each particle."""
+    sand = Sand(**EIGHT, saturation=0.1)
+    index = dict(zip(MATERIALS, sand.indices(WAVELENGTHS).T, strict=True))
+    pure = {m: refractive_index(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
+    np.testing.assert_array_equal(index["air"], 1.0)
+    np.testing.assert_array_equal(index["water"], refractive_index("water")(WAVELENGTHS))
+    np.testing.assert_array_equal(index["magnetite"], refractive_index("magnetite")(WAVELENGTHS))
+    for mineral, values in pure.items():
+        np.testing.assert_array_equal(index[mineral], values)
+    coat = 0.0337371413100692
+    for oxide, density in (("hematite", 5250.0), ("goethite", 4300.0)):
+        mixed = 0.03 / density / (0.03 / density + 0.97 / 2650.0)
+        # In a coating of volume c per core of volume 1 − c: oxide from its mass, clay the rest.
+        clay = coat * 0.97 / 2650.0 - 0.03 * (1.0 - coat) / density
+        clay /= (1.0 - coat) / 2590.0 + coat / 2650.0
+        coating = 0.03 / density / (0.03 / density + clay / 2590.0)
+        for matrix, em, v in (
+            ("quartz", pure["quartz"] ** 2, mixed),
+            ("kaolinite", (1.56 + 5e-4j) ** 2, coating),
+        ):
+            beta = (pure[oxide] ** 2 - em) / (pure[oxide] ** 2 + 2.0 * em)
+            epsilon = em * (1.0 + 3.0 * v * beta / (1.0 - v * beta))
+            found = index[f"{matrix} with {oxide}"]
+            np.testing.assert_allclose(found**2, epsilon, rtol=1e-12)
+            assert (found.imag > 0.0).all()
+
+
+def test_water_is_asked_for_only_where_there_is_some():
+    dry = Sand(saturation=0.0, refractive_index={"water": Refuse()})
+    assert (dry.indices(WAVELENGTHS)[:, 1] == 1.0).all()
+    with pytest.raises(AssertionError, match="asked for"):
+        Sand(saturation=0.01, refractive_index={"water": Refuse()}).indices(WAVELENGTHS)
+    # Nor are minerals that are not there.
+    absent = dict.fromkeys(("magnetite", "hematite"), Refuse())
+    assert np.isfinite(Sand(refractive_index=absent).indices(WAVELENGTHS)).all()
+
+
+@pytest.mark.parametrize("goethite", [{"k_factor": 0.5}, 2.3 + 0.05j, TABLE], ids=str)
+def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
+    before = Sand(**EIGHT).indices(WAVELENGTHS)
+    sand = Sand(**EIGHT, refractive_index={"goethite": goethite})
+    changed = (sand.indices(WAVELENGTHS) != before).all(axis=0)
+    assert [m for m, c in zip(MATERIALS, changed, strict=True) if c] == [
+        m for m in MATERIALS if "goethite" in m
+    ]
+    assert ((sand.indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
+    own = sand.indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
+    np.testing.assert_array_equal(own, refractive_index("goethite", goethite)(WAVELENGTHS))
+
+
+def test_description_is_written_to_a_file_and_read_again(tmp_path):
+    sand = Sand(**EIGHT, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
+    facts = sand.describe()
+    inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "readings"}
+    assert inputs | {f"reading_{name}" for name in READINGS} <= set(facts)
+    assert facts["refractive_index_goethite"] == "oscillators, k x 2"
+    assert facts["refractive_index_water"] == "1.33+0j"
+    assert len(facts["particle_types"].split(", ")) == len(facts["particle_volume_fractions"]) == 8
+    path = tmp_path / "sand.nc"
+    splits.save(xr.Dataset({"x": 1.0}, attrs=attributes({**facts, **provenance()})), path)
+    read = splits.load(path).attrs
+    for key, value in facts.items():
+        if isinstance(value, str):
+            assert read[key] == value
+        else:
+            np.testing.assert_array_equal(read[key], value)
+
+
+def test_mean_grain_distance():
+    """One over (1 − P) K1 K2: spheres of sand alone, K1 from the table of sizes."""
+    spheres = {"texture": (0, 0, 1), "sphericity": (1, 1, 1, 0), "porosity": 0.4}
+    sand = Sand(**spheres)
+    k1 = sand.sizes.attenuation
+    assert sand.attenuation_per_m == pytest.approx(1.5 * k1, rel=1e-12)
+    assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
+    printed = Sand(**spheres, readings={"attenuation": "printed"})
+    assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
+    assert 1.0 / sand.grains().attenuation == pytest.approx(sand.mean_grain_distance_m, rel=1e-15)
+    # Surface per mass of spheres: 6 per diameter and volume.
+    assert sand.specific_surface_area_m2_kg == pytest.approx(6.0 * k1 / sand.density_kg_m3)
+    one_shape = Sand(sphericity=(0.8, 0.8, 0.8, 0.1))
+    k2 = float(surface_to_volume(0.8)) / 4.0
+    assert one_shape.attenuation_per_m == pytest.approx(k2 * one_shape.sizes.attenuation, rel=1e-12)
+
+
+def test_meetings_with_interfaces_add_up():
+    sand = Sand(**EIGHT, saturation=0.3)
+    volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.rows()}
+    outer = [i for i in sand.interfaces() if i.near < 2]
+    assert sum(i.share for i in outer if i.near == 1) == pytest.approx(0.3)
+    assert sum(i.share for i in outer) == pytest.approx(1.0)
+    inner = {
+        (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.interfaces() if i.near > 1
+    }
+    assert inner == {
+        (f"kaolinite with {oxide}", "quartz"): volumes[f"quartz coated by {oxide}"]
+        for oxide in ("hematite", "goethite")
+    }
+
+
+def test_a_sand_does_not_change():
+    sand = Sand()
+    with pytest.raises(AttributeError):
+        sand.porosity = 0.5

@@ -77,8 +77,9 @@ def spectral(
     while True:
         mean = np.einsum("jw,jqw->qw", nodes.weights, np.stack([e.means() for e in ensembles]))
         mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
-        # A share f can bend no more than f(1 − f) allows: near 0 and 1 the bound shrinks with it.
-        bias = nodes.bias * np.clip(4.0 * mean * (1.0 - mean), 0.0, 1.0)
+        # Near 0 and 1 a share changes in proportion to its distance from there; 8 allows for
+        # elasticities up to 2.4, what a single reflection has is 4/(2 + c).
+        bias = nodes.bias * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
         parts = weights**2 * np.stack([e.variances() for e in ensembles])
         count = np.stack([np.maximum(e.count, 1.0) for e in ensembles])
         variance = (parts / count[:, np.newaxis]).sum(axis=0)

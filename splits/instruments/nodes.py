@@ -5,13 +5,15 @@ refraction are not, but they depend on wavelength only through refractive indice
 slowly.  Paths are therefore traced at a few *nodes*, the indices of some of the wavelengths, and
 each wavelength takes its answer from one node or, linearly, from a pair.
 
-What a node misses is judged by the scattering strength of the interfaces that light meets: the
-vector u(λ) of their contrasts, each weighted by its share.  The contrast of an interface is that
-of the transparent pair with the same reflectance at normal incidence,
+What a node misses is judged by two vectors of interfaces that light meets.  The first holds their
+contrasts, each weighted by its share; the contrast of an interface is that of the transparent pair
+with the same reflectance at normal incidence,
 
-    c = 2√F / (1 − √F),   F = |(m₂ − m₁)/(m₂ + m₁)|²,
+    c = ± 2√F / (1 − √F),   F = |(m₂ − m₁)/(m₂ + m₁)|²,   with the sign of n₂ − n₁,
 
-so |n₂/n₁ − 1| where nothing absorbs and n₂ > n₁, and extinction counts as far as it reflects.
+so n₂/n₁ − 1 where nothing absorbs and n₂ > n₁, and extinction counts as far as it reflects.  The
+second holds the light that enters absorbing grains, 1 − F times their share: where most grains
+are clear, few dark ones decide.
 """
 
 from __future__ import annotations
@@ -22,11 +24,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from splits.media.granular import Interface
+from splits.transport.scene import DRY_PORE, WET_PORE
 
 SLOPE = 0.3
 CURVATURE = 0.25
-"""Bounds on |df/d(ln c)| and |d²f/d(ln c)²| for f a reflectance, transmittance or absorptance and
-c the mean contrast; `benchmarks/interpolation.py` measures both for snow and sand."""
+"""Bounds on |df/d(ln x)| and |d²f/d(ln x)²| for f a reflectance, transmittance or absorptance and
+x the mean contrast or the light that enters absorbing grains; `benchmarks/interpolation.py`
+measures them for snow and sand."""
+
+DARK = 1e-3
+"""Extinction coefficient at which a material counts half as absorbing: a grain of a tenth of a
+millimetre then absorbs most of the visible light that enters it."""
 
 MAX_NODES = 64
 """Where more would be needed, every wavelength becomes a node of its own."""
@@ -52,11 +60,29 @@ class Nodes:
 
 
 def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
-    """Return u(λ), the contrast of every interface times its share, shape (wavelengths, …)."""
+    """Return the contrast of every interface times its share, shape (wavelengths, interfaces)."""
+    near, far, share = _sides(index, interfaces)
+    root = np.abs((far - near) / (far + near))
+    return share * np.sign(far.real - near.real) * 2.0 * root / (1.0 - root)
+
+
+def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
+    """Return the light that enters absorbing grains, shape (wavelengths, interfaces).
+
+    Interfaces within grains do not count, nor do grains that hardly absorb at any wavelength.
+    """
+    near, far, share = _sides(index, interfaces)
+    outer = np.array([i.near in (DRY_PORE, WET_PORE) for i in interfaces])
+    k = far.imag.max(axis=0)
+    return outer * share * k / (k + DARK) * (1.0 - np.abs((far - near) / (far + near)) ** 2)
+
+
+def _sides(
+    index: np.ndarray, interfaces: Sequence[Interface]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     near = index[:, [i.near for i in interfaces]]
     far = index[:, [i.far for i in interfaces]]
-    root = np.abs((far - near) / (far + near))
-    return np.array([i.share for i in interfaces]) * 2.0 * root / (1.0 - root)
+    return near, far, np.array([i.share for i in interfaces])
 
 
 def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: float) -> Nodes:
@@ -76,7 +102,8 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     distinct, which = np.unique(index, axis=0, return_inverse=True)
     which = which.reshape(-1)
     u = contrasts(distinct, interfaces)
-    draws = _Draws(u, int(u.sum(axis=1).argmax()))
+    start = int(np.abs(u).sum(axis=1).argmax())
+    draws = _Draws((u, entering(distinct, interfaces)), start)
     chosen = [int(draws.first[0])]
     while draws.bias.max() > tolerance:
         new = int(draws.bias.argmax())
@@ -103,7 +130,7 @@ def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[
     rows : sequence of int
         Different rows of `index`, at least one.
     """
-    draws = _Draws(contrasts(index, interfaces), rows[0])
+    draws = _Draws((contrasts(index, interfaces), entering(index, interfaces)), rows[0])
     for i, row in enumerate(rows):
         draws.offer(row, rows[:i])
     return Nodes(index[list(rows)], draws.weights()[list(rows)], draws.bias)
@@ -122,30 +149,35 @@ class _Draws:
         Bound on what this misses.
     """
 
-    def __init__(self, u: np.ndarray, start: int) -> None:
-        self.u = u
-        self.first, self.second = np.full((2, len(u)), start)
-        self.share = np.ones(len(u))
-        self.bias = _bias(u, u[start], u[start], self.share)
+    def __init__(self, vectors: Sequence[np.ndarray], start: int) -> None:
+        self.vectors = vectors
+        count = len(vectors[0])
+        self.first, self.second = np.full((2, count), start)
+        self.share = np.ones(count)
+        self.bias = self._bias(start, start, self.share)
 
     def offer(self, new: int, partners: Sequence[int]) -> None:
         """Let every wavelength use a new node, alone or with one of the others, if that helps."""
         for partner in [new, *partners]:
-            t = _position(self.u, self.u[new], self.u[partner])
-            trial = _bias(self.u, self.u[new], self.u[partner], t)
+            u = self.vectors[0]
+            t = _position(u, u[new], u[partner])
+            trial = self._bias(new, partner, t)
             better = trial < self.bias
             self.first[better], self.second[better] = new, partner
             self.share[better], self.bias[better] = t[better], trial[better]
 
+    def _bias(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
+        return sum((_bias(u, u[a], u[b], t) for u in self.vectors), np.zeros(len(t)))
+
     def keep_apart(self) -> None:
         """Make every wavelength a node of its own."""
-        count = len(self.u)
+        count = len(self.share)
         self.first = self.second = np.arange(count)
         self.share, self.bias = np.ones(count), np.zeros(count)
 
     def weights(self) -> np.ndarray:
         """Return convex weights, shape (wavelengths, wavelengths): rows are nodes."""
-        rows = np.arange(len(self.u))
+        rows = np.arange(len(self.share))
         weights = np.zeros((len(rows), len(rows)))
         weights[self.first, rows] += self.share
         weights[self.second, rows] += 1.0 - self.share
@@ -168,7 +200,7 @@ def _bias(u: np.ndarray, a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndar
     of Jensen's inequality, CURVATURE/2 times the mean square of the relative distances from both
     ends.
     """
-    strength = u.sum(axis=1)
+    strength = np.abs(u).sum(axis=1)
 
     def relative(distance: np.ndarray, other: np.ndarray | float) -> np.ndarray:
         least = np.minimum(strength, other)
@@ -181,7 +213,7 @@ def _bias(u: np.ndarray, a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndar
     off = relative(np.abs(chord - u).sum(axis=1), np.inf)
     total = SLOPE * off
     for end, weight in ((a, t), (b, 1.0 - t)):
-        apart = relative(np.abs(end - u).sum(axis=1), end.sum())
+        apart = relative(np.abs(end - u).sum(axis=1), np.abs(end).sum())
         gap = np.multiply(weight, apart**2, out=np.zeros(len(u)), where=weight > 0.0)
         total += 0.5 * CURVATURE * gap
     return total

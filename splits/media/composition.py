@@ -150,7 +150,7 @@ def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, flo
     core = quartz * (1.0 - coat)
     limit = iron * coat / (iron * coat + core)
     # A coating full of oxide has no room left but for rounding.
-    room = iron * coat * (1.0 - iron_oxide) - core * iron_oxide if iron_oxide < limit else 0.0
+    room = max(iron * coat * (1.0 - iron_oxide) - core * iron_oxide, 0.0)
     if iron_oxide > limit * (1.0 + 1e-12):
         raise refuse(
             "iron_oxide",

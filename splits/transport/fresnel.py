@@ -1,23 +1,20 @@
 """Fresnel reflection and Snell refraction of unpolarised light at a plane interface.
 
-Both sides may absorb (Born & Wolf 1999, Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and
-14.2; SPLITS section 4.3.4).  Rays follow the planes of constant real phase.  `interface` takes
-the side of incidence as transparent, in real arithmetic; `absorbing_interface` does not, and
-`between` picks the one that a pair of media needs.
+The light arrives through a medium of real refractive index n1 and meets a medium of complex
+index n2 + i k2.  The far side may absorb, totally reflect, or both: one formula covers all of
+it (Born & Wolf 1999, Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section
+4.3.4).  Rays follow the planes of constant real phase, so the side of incidence, too, is taken by
+its real index: total reflection then stays total and no surface outshines a black body, which
+a complex tangential wave number would violate to first order in k1/n1.  Against the flux of an
+inhomogeneous wave the neglect is below 1 % of diffuse light up to k1/n1 = 0.1, beyond which a
+coating or a grain lets hardly any light arrive from inside.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from splits.transport.jit import kernel
-
-NEARLY_TRANSPARENT = 3e-3
-"""Up to this k1/n1 the side of incidence counts as transparent, which moves the reflectance of
-diffuse light by 1.5 % at most, through total reflection that absorption makes incomplete.  Ice and
-water stay below it up to 2.6 µm."""
 
 
 @kernel
@@ -76,42 +73,11 @@ def interface(n1, n2, k2, cos_i):
 
 
 @kernel
-def absorbing_interface(n1, k1, n2, k2, cos_i):
-    """Return reflectance and refraction at an interface between two absorbing media.
-
-    With complex indices m1, m2 and a homogeneous wave incident at a real angle, the normal
-    component of the refracted wave vector is q = √(m2² − m1² sin²θ_i), Re q ≥ 0, and
-
-        r_s = (m1 cosθ_i − q)/(m1 cosθ_i + q),
-        r_p = (m2² m1 cosθ_i − m1² q)/(m2² m1 cosθ_i + m1² q).
-
-    Parameters and returns are those of `interface`, with the index n1 + i k1 on the side of
-    incidence.  In an absorbing medium incident and reflected waves interfere, so that |r|² alone
-    can exceed 1 by O(k1/n1) near total reflection; as a probability it then is 1.
-    """
-    m1 = complex(n1, k1)
-    m2 = complex(n2, k2)
-    sin2 = max(0.0, 1.0 - cos_i * cos_i)
-    q = np.sqrt(m2 * m2 - m1 * m1 * sin2)
-    near = m1 * cos_i
-    s = (near - q) / (near + q)
-    p = (m2 * m2 * near - m1 * m1 * q) / (m2 * m2 * near + m1 * m1 * q)
-    reflectance = 0.5 * (s.real**2 + s.imag**2 + p.real**2 + p.imag**2)
-    scale = 1.0 / math.sqrt(n1 * n1 * sin2 + q.real * q.real)
-    return min(reflectance, 1.0), n1 * scale, q.real * scale
-
-
-@kernel
 def between(n1, k1, n2, k2, cos_i):
-    """Return what `interface` returns, for a side of incidence of index n1 + i k1.
-
-    Equal indices on both sides are no interface at all.
-    """
+    """Return what `interface` returns; media of equal complex index have no interface at all."""
     if n1 == n2 and k1 == k2:
         return 0.0, 1.0, cos_i
-    if k1 <= NEARLY_TRANSPARENT * n1:
-        return interface(n1, n2, k2, cos_i)
-    return absorbing_interface(n1, k1, n2, k2, cos_i)
+    return interface(n1, n2, k2, cos_i)
 
 
 @kernel

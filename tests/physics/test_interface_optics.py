@@ -7,13 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from splits.transport.fresnel import (
-    NEARLY_TRANSPARENT,
-    absorbing_interface,
-    between,
-    interface,
-    refracted,
-)
+from splits.transport.fresnel import between, interface, refracted
 
 COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
 INDICES = [
@@ -140,52 +134,17 @@ def test_refracted_direction_obeys_snell(indices):
             assert real_index == pytest.approx(indices[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("indices", [i for i in INDICES if i[1:] != (1.0, 0.0)], ids=str)
-def test_an_absorbing_side_of_incidence_tends_to_a_transparent_one(indices):
-    n1, n2, k2 = indices
-    for cos_i in COSINES:
-        expected = interface(n1, n2, k2, cos_i)
-        np.testing.assert_allclose(
-            absorbing_interface(n1, 0.0, n2, k2, cos_i), expected, rtol=1e-7, atol=1e-9
-        )
-
-
-@pytest.mark.parametrize("near", [(1.56, 0.01), (2.0, 0.1), (2.6, 0.6)], ids=str)
-@pytest.mark.parametrize("far", [(1.0, 0.0), (1.33, 1e-8), (1.55, 0.0), (2.9, 0.9)], ids=str)
-def test_absorption_on_both_sides(near, far):
-    for cos_i in COSINES:
-        reflectance, ratio, cos_t = absorbing_interface(*near, *far, cos_i)
-        assert 0.0 <= reflectance <= 1.0
-        assert cos_t >= 0.0
-        sine = ratio * math.sqrt(1.0 - cos_i * cos_i)
-        assert sine * sine + cos_t * cos_t == pytest.approx(1.0, rel=1e-12)
-        # Snell for planes of constant real phase, Born & Wolf: tangential wave numbers match.
-        m1, m2 = complex(*near), complex(*far)
-        normal = np.sqrt(m2 * m2 - (m1 * math.sqrt(1.0 - cos_i * cos_i)) ** 2)
-        assert sine * abs(normal.real) == pytest.approx(
-            near[0] * math.sqrt(1.0 - cos_i * cos_i) * cos_t, rel=1e-9, abs=1e-12
-        )
-    m1, m2 = complex(*near), complex(*far)
-    head_on = abs((m1 - m2) / (m1 + m2)) ** 2
-    assert absorbing_interface(*near, *far, 1.0)[0] == pytest.approx(head_on, rel=1e-12)
+@pytest.mark.parametrize("n1", [1.56, 2.3, 2.6])
+@pytest.mark.parametrize("far", [(1.0, 0.0), (1.33, 1e-8), (1.55, 0.0), (1.56, 0.01)], ids=str)
+def test_no_surface_outshines_a_black_body(n1, far):
+    # Etendue: what diffuse light inside sends out cannot exceed n2²/n1² of it.
+    cosines = (np.arange(4000) + 0.5) / 4000
+    passed = [1.0 - interface(n1, *far, c)[0] for c in cosines]
+    transmittance = 2.0 * cosines @ passed / len(cosines)
+    assert transmittance <= min(1.0, (far[0] / n1) ** 2) + 1e-3
 
 
 def test_interfaces_between_equal_media_do_not_exist():
     for k in (0.0, 1e-3, 0.3):
         assert between(1.56, k, 1.56, k, 0.3) == (0.0, 1.0, 0.3)
-
-
-def test_what_counts_as_transparent_hardly_differs_from_it():
-    # Total reflection becomes incomplete to first order in k1: at most 1.5 % of diffuse light.
-    n1, cosines = 1.55, (np.arange(2000) + 0.5) / 2000
-
-    def error(k1, n2):
-        off = [interface(n1, n2, 0.0, c)[0] - absorbing_interface(n1, k1, n2, 0.0, c)[0]
-               for c in cosines]  # fmt: skip
-        return 2.0 * cosines @ np.abs(off) / len(cosines)
-
-    for n2 in (1.0, 1.33, 2.0):
-        limit = NEARLY_TRANSPARENT * n1
-        assert between(n1, limit, n2, 0.0, 0.2) == interface(n1, n2, 0.0, 0.2)
-        assert error(limit, n2) < 0.015
-        assert error(0.1 * limit, n2) < 0.15 * error(limit, n2)
+    assert between(1.31, 1e-3, 1.0, 0.0, 0.9) == interface(1.31, 1.0, 0.0, 0.9)

@@ -88,6 +88,4 @@ def test_an_unknown_sample_is_refused(experiment):
     chosen = settings.fit.model_copy(update={"samples": ("brigt",)})
     wrong = settings.model_copy(update={"fit": chosen})
     with pytest.raises(ValueError, match=r"fit\.samples = 'brigt'.*did you mean bright"):
-        module.run_fit(
-            settings.model_copy(update={"fit": chosen}), Accuracy(max_stderr=0.05), table
-        )
+        module.run_fit(wrong, Accuracy(max_stderr=0.05), table)

@@ -4,7 +4,8 @@ The spectral estimator interpolates linearly between index nodes and bounds what
 SLOPE times the relative distance of the contrasts from the chord, and CURVATURE/2 times the mean
 square of the relative distances from the nodes.  This program measures the first and the second
 derivative of reflectance and transmittance by ln c from three contrasts c with absorption fixed,
-for snow and sand, dry and wet, and prints them with their standard errors.
+for snow and sand, dry and wet, and prints them with their standard errors; and, for sands, what
+interpolated spectra miss of spectra traced at every wavelength.
 
     python benchmarks/interpolation.py
 """
@@ -14,7 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.instruments.nodes import CURVATURE, SLOPE
+from splits.instruments.fixed import fixed_spectrum
+from splits.instruments.nodes import CURVATURE, SLOPE, choose_nodes
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.
 SOLIDS = {
@@ -61,8 +63,40 @@ def derivatives(mediums: list[object], x: np.ndarray) -> tuple[np.ndarray, ...]:
     )
 
 
+SANDS = {
+    "TEC 19au9815": splits.Sand(iron_oxide=0.05, partition=(0.5, 0.0, 0.5)),
+    "all coated": splits.Sand(iron_oxide=0.05, partition=(0.0, 0.0, 1.0)),
+    "TEC 13j9823": splits.Sand(hematite_ratio=0.498, magnetite=0.17, partition=(0.0, 1.0, 0.0)),
+    "quartz, 1 % magnetite": splits.Sand(iron_oxide=0.0, magnetite=0.01, partition=(1.0, 0.0, 0.0)),
+}
+TOLERANCE = 0.0008
+RAYS = 40_000
+
+
+def print_misses() -> None:
+    """Print what interpolated reflectance of sands misses of that traced at every wavelength."""
+    wavelengths = np.arange(400.0, 1001.0, 50.0)
+    for name, sand in SANDS.items():
+        index = sand.indices(wavelengths)
+        nodes = choose_nodes(index, sand.interfaces(), TOLERANCE)
+        rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
+        few, few_error = fixed_spectrum(sand, wavelengths, 0.0, rows, RAYS, 1)
+        every, error = fixed_spectrum(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
+        off, noise = few[0] - every[0], np.hypot(few_error[0], error[0])
+        between = np.setdiff1d(np.arange(len(wavelengths)), rows)
+        z = off[between] / noise[between]
+        print(
+            f"{name}, {len(rows)} nodes for {len(wavelengths)} wavelengths: largest miss between "
+            f"nodes {np.abs(off[between]).max(initial=0.0):.4f} ± {noise.max():.4f}, mean "
+            f"{off[between].mean():+.4f}, rms z {np.sqrt(np.mean(z**2)):.2f}, largest bound "
+            f"{nodes.bias.max():.4f}",
+            flush=True,
+        )
+
+
 def main() -> None:
-    """Print one line per medium and absorption."""
+    """Print one line per medium and absorption, then what interpolation misses in sands."""
+    print_misses()
     for name, (saturation, solids, waters) in SOLIDS.items():
         kind = name[:4]
         pore = np.array(waters) if saturation == 1.0 else np.ones(3)

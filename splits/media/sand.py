@@ -25,7 +25,10 @@ _PORES = ("air", "water")
 
 @dataclass(frozen=True)
 class Sand:
-    """A homogeneous sand; the defaults are SPLITS Tables 2 and 5.
+    """A homogeneous sand.
+
+    By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and
+    the texture that of most samples of Table 5.
 
     Parameters
     ----------
@@ -71,7 +74,7 @@ class Sand:
     --------
     >>> from splits import Sand
     >>> round(Sand(iron_oxide=0.01, hematite_ratio=0.738, partition=(0, 1, 0)).density_kg_m3)
-    2663
+    2662
     """
 
     kind = "sand"

@@ -85,7 +85,11 @@ class SoilSizes:
         return sum(s.mass * s.inverse_mean for s in self.separates)
 
     def struck_inverse_sizes(self) -> np.ndarray:
-        """Return the quantile function of 1/s of struck particles, shape (TABLE_POINTS,)."""
+        """Return the quantile function of 1/s of struck particles, shape (TABLE_POINTS,).
+
+        Between the outermost quantiles of two separates the table is linear, as within one: where
+        clay and sand have no silt between them, about 0.1 % of struck particles fall in the gap.
+        """
         u = table_probabilities(TABLE_POINTS)
         weights = np.array([s.mass * s.inverse_mean for s in self.separates])[::-1]
         edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])

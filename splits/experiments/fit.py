@@ -17,7 +17,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import qmc
 
-from splits.analysis.measured import rmse
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import Cube, FitResult, covariance_of, parameter_errors
 from splits.instruments import spectrophotometer
@@ -126,7 +125,7 @@ def fit(
         cube.sand(best), wavelengths, incidence_deg, effort.max_stderr, streams[-1], threads=threads
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
-    value, value_stderr = rmse(modelled - wanted, stderr)
+    value, value_stderr = _misfit(modelled, wanted), float(np.sqrt(np.mean(stderr**2)))
     covariance = _covariance(problem, best, effort, streams, modelled)
     sd = np.sqrt(np.diag(covariance))
     seconds = time.perf_counter() - begun

@@ -54,7 +54,7 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
             bottom.set_xlabel("wavelength (nm)")
             for axes in (top, bottom):
                 axes.spines[["top", "right"]].set_visible(False)
-        panels[0, 0].set_ylabel("directional-hemispherical reflectance")
+        panels[0, 0].set_ylabel("reflectance")
         panels[1, 0].set_ylabel("model − measured")
         figure.tight_layout()
     return figure

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import splits
@@ -42,7 +43,10 @@ def test_everything_can_be_planned(shipped):
     )
     for rule in ("simulate", "figure"):
         assert re.search(rf"^{rule} +{len(experiments)}$", run.text, re.MULTILINE)
-    for rule in ("sensitivity", "agreement", "figure_sensitivity", "figure_letcher"):
+    for rule in (
+        "sensitivity", "agreement", "figure_sensitivity", "figure_letcher", "sand_tables",
+        "sand_compositions",
+    ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()
 
@@ -77,3 +81,21 @@ def test_scene_of_aviris(few):
     at = scene.sel(wavelength=[842.25, 1073.76, 1237.93])
     published = np.array([0.878, 0.692, 0.495])
     assert (np.abs(at.reflectance - published) < 0.03 + 4.0 * at.reflectance_stderr).all()
+
+
+def test_sand_from_configuration_to_tables(shipped):
+    run = shipped.snakemake("sand_tables", "sand_compositions", "--cores", 2)
+    assert run.code == 0, run.text
+    tables = {
+        path.stem: pd.read_csv(path)
+        for path in (shipped.folder / "results" / "tiny" / "tables").glob("sand_*.csv")
+    }
+    # So coarse a run resolves few trends, but none may run the other way.
+    assert not (tables["sand_trends"].verdict == "outside").any()
+    assert set(tables["sand_fits"]["sample"]) == {
+        "quartzipsamment_87P706", "torripsamment_90P0142", "camborthid_89P1772"
+    }  # fmt: skip
+    volumes = tables["sand_compositions"].groupby(["experiment", "sample"]).volume_fraction.sum()
+    np.testing.assert_allclose(volumes, 1.0, rtol=1e-5)
+    assert len(tables["sand_colours"]) == 25
+    assert len(tables["sand_weights"]) == 5 * (5 + 9 + 2)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+import pandas as pd
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from splits.checks import suggestion
+from splits.checks import refuse, suggestion
 from splits.experiments.model import ConfigError, Experiment, Section, Settings
+from splits.experiments.run_fit import check_fit
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -74,13 +76,20 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     if isinstance(grid, dict) and isinstance(grid.get("medium"), (list, dict)):
         grid["medium"] = _samples(grid["medium"], path, Path(media_folder))
     experiment = _checked(Experiment, content, path)
+    folder = Path(media_folder).parent / "measured"
     given = {"figure": experiment.figure.measured}
     given["fit"] = experiment.fit.measured if experiment.fit else None
     for section, measured in given.items():
-        folder = Path(media_folder).parent / "measured"
         if measured and not (folder / measured).is_file():
             known = ", ".join(sorted(p.name for p in folder.glob("*.csv")))
             raise ConfigError(f"{path}: {section}.measured = {measured!r}: must be one of {known}")
+    if experiment.fit:
+        try:
+            if experiment.figure.kind != "fit":
+                raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
+            check_fit(experiment, pd.read_csv(folder / experiment.fit.measured, comment="#"))
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from None
     return experiment
 
 
@@ -104,8 +113,12 @@ def _with_base(medium: Any, path: Path, place: str, folder: Path) -> Any:
         return medium
     base = folder / f"{medium['base']}.yaml"
     if not base.is_file():
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-        raise ConfigError(f"{path}: {place}.base = {medium['base']!r}: must be one of {known}")
+        known = sorted(p.stem for p in folder.glob("*.yaml"))
+        hint = suggestion(medium["base"], known)
+        raise ConfigError(
+            f"{path}: {place}.base = {medium['base']!r}: must be one of {', '.join(known)}"
+            + (f" ({hint})" if hint else "")
+        )
     own = {key: value for key, value in medium.items() if key != "base"}
     return {**read_yaml(base), **own}
 

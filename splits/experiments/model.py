@@ -28,7 +28,8 @@ MERGED = ("readings", "refractive_index")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
     "all", "agreement", "archive", "benchmarks", "figure", "figure_letcher",
-    "figure_sensitivity", "sand_compositions", "sand_tables", "sensitivity", "simulate",
+    "figure_sensitivity", "fitted_parameters", "sand_compositions", "sand_tables", "sensitivity",
+    "simulate",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 
@@ -185,8 +186,7 @@ class Experiment(Section):
         for parameter in self.grid:
             if parameter not in parameters:
                 raise ValueError(_unknown(f"grid.{parameter}", parameters))
-        if self.fit and kind != "sand":
-            raise refuse("fit", kind, "an experiment with medium.kind = 'sand'")
+        self._check_fit(kind)
         for dimension, label in self.figure.at.items():
             one_of("figure.at", dimension, self.grid)
             labels = self.grid[dimension]
@@ -198,6 +198,40 @@ class Experiment(Section):
                 medium.indices(wavelengths)
             check_incidence(incidence)
         return self
+
+    def _check_fit(self, kind: str) -> None:
+        """Refuse what does not go with a fit, or a figure of one without it."""
+        if self.figure.kind == "fit" and not self.fit:
+            raise refuse("figure.kind", "fit", "another one for an experiment without section fit")
+        if self.fit and kind != "sand":
+            raise refuse("medium.kind", kind, "sand in an experiment with a section fit")
+        if self.fit and "wavelength_nm" in self.instrument.model_fields_set:
+            raise refuse(
+                "instrument.wavelength_nm",
+                "given",
+                "left out: a fit takes the measured wavelengths",
+            )
+        if self.figure.kind == "swatches":
+            x = self.instrument.wavelengths()
+            if x[0] > 400.0 or x[-1] < 780.0 or np.diff(x).max(initial=0.0) > 10.0:
+                raise refuse(
+                    "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
+                    "400 to 780 nm in steps of at most 10 nm for figure.kind = 'swatches'",
+                )  # fmt: skip
+            if not 1 <= len(self.grid) - len(self.figure.at) <= 2:
+                raise refuse(
+                    "grid", list(self.grid), "one or two parameters for figure.kind = 'swatches'"
+                )
+
+    def tables(self) -> list[str]:
+        """Return the files of users' own refractive indices, on which the numbers depend."""
+        found: set[str] = set()
+        for _, settings, _ in self.settings():
+            given = settings.get("refractive_index", {})
+            for spec in given.values() if isinstance(given, Mapping) else ():
+                if isinstance(spec, str) and spec.endswith(".csv"):
+                    found.add(spec)
+        return sorted(found)
 
     def points(self) -> Iterator[tuple[dict[str, str], GranularMedium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
@@ -223,7 +257,12 @@ class Experiment(Section):
 
     def simulation(self) -> dict[str, Any]:
         """Return what decides the numbers: everything but title, caption and figure."""
-        return self.model_dump(mode="json", include={"name", "medium", "instrument", "grid", "fit"})
+        content = self.model_dump(
+            mode="json", include={"name", "medium", "instrument", "grid", "fit"}
+        )
+        if self.fit:
+            del content["instrument"]["wavelength_nm"]
+        return content
 
 
 class Accuracy(Section):

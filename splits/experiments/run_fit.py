@@ -12,11 +12,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.checks import one_of, refuse
+from splits.checks import in_range, one_of, refuse
 from splits.dataset import attributes, provenance
 from splits.experiments.fit import Effort, FitResult, fit
 from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.parameters import Cube
 from splits.experiments.run import coordinate_values
+from splits.instruments.spectrophotometer import check_wavelengths
 from splits.transport import sources_digest
 
 FACTS = {
@@ -59,12 +61,9 @@ def run_fit(
     ValueError
         For a sample that the table does not have.
     """
-    assert experiment.fit is not None
     begun = time.perf_counter()
-    if "wavelength_nm" not in measured:
-        raise refuse("fit.measured", list(measured.columns), "a table with column wavelength_nm")
-    known = [c for c in measured.columns if c != "wavelength_nm"]
-    samples = [one_of("fit.samples", s, known) for s in experiment.fit.samples] or known
+    samples = check_fit(experiment, measured)
+    ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
     max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
     results = []
@@ -84,7 +83,7 @@ def run_fit(
                 wavelength,
                 measured[sample].to_numpy(dtype=float),
                 incidence,
-                experiment.fit.ranges,
+                ranges,
                 seed if experiment.instrument.seed is None else experiment.instrument.seed,
                 threads,
                 show,
@@ -92,6 +91,35 @@ def run_fit(
             )
         )
     return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
+
+
+def check_fit(experiment: Experiment, measured: pd.DataFrame) -> list[str]:
+    """Return the samples to fit, or refuse what cannot be fitted.
+
+    Raises
+    ------
+    ValueError
+        For a table without wavelengths, a sample that it does not have, reflectances outside
+        [0, 1], wavelengths without refractive indices, or keywords that the fit varies itself.
+    """
+    section = experiment.fit
+    if section is None:
+        raise refuse("fit", None, "a section that names a measured table")
+    if "wavelength_nm" not in measured:
+        raise refuse(
+            "fit.measured", list(measured.columns), "a table, by commas, with column wavelength_nm"
+        )
+    known = [str(c) for c in measured.columns if c != "wavelength_nm"]
+    samples = [one_of("fit.samples", s, known) for s in section.samples] or known
+    wavelength = check_wavelengths(measured.wavelength_nm.to_numpy(dtype=float))
+    for sample in samples:
+        for x, value in zip(wavelength, measured[sample], strict=True):
+            key = f"fit.measured ({sample} at {x:g} nm)"
+            in_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
+    for _, settings, _ in experiment.settings():
+        cube = Cube(settings, section.ranges)
+        cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
+    return samples
 
 
 def effort_for(max_stderr: float) -> Effort:
@@ -154,7 +182,7 @@ def _dataset(
         "determined": (
             (*dims, "parameter"),
             per_parameter("determined"),
-            about("1 where the spectrum determines the parameter, else 0"),
+            about("1 where the spectrum narrows the parameter to below half of its range"),
         ),
         "correlation": (
             (*dims, "coordinate", "other_coordinate"),

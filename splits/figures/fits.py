@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import matplotlib.pyplot as plt
-import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -25,6 +24,10 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
     combinations = list(itertools.product(*(dataset[d].values for d in dims)))
     samples = dataset.sample.values
+    highest = max(
+        float(dataset.measured.max()),
+        float((dataset.reflectance + BAND * dataset.reflectance_stderr).max()),
+    )
     with style():
         figure, panels = plt.subplots(
             2, len(samples), figsize=(3.4 * len(samples) + 0.8, 5.2), sharex=True, sharey="row",
@@ -48,7 +51,7 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
             top.plot(x, measured, "ks", ms=3.5, label="measured")
             bottom.axhline(0.0, color="black", lw=0.8)
             top.set_title(value_label(sample))
-            top.set_ylim(0.0, 1.12 * float(np.nanmax(dataset.measured)))
+            top.set_ylim(0.0, 1.12 * highest)
             title = legend or " · ".join(map(parameter_label, dims)) or "model"
             top.legend(title=f"{title}: misfit", frameon=False, fontsize=8, title_fontsize=8)
             bottom.set_xlabel("wavelength (nm)")

@@ -99,7 +99,7 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
 
 def _user_table(key: str, path: Path) -> Tabulated:
     if not path.is_file():
-        raise refuse(key, str(path), "an existing CSV file")
+        raise refuse(key, str(path), "an existing CSV file", f"looked for {path.absolute()}")
     table = pd.read_csv(path, comment="#", skipinitialspace=True)
     missing = {"wavelength_nm", "n", "k"} - set(table.columns)
     if missing:

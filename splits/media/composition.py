@@ -200,8 +200,11 @@ def compose(
     ratio = in_range("hematite_ratio", hematite_ratio, 0.0, 1.0)
     magnetite = in_range("magnetite", magnetite, 0.0, 1.0 - iron_oxide, hint="all sand is 1")
     pure, mixed, coated = numbers("partition", partition, ("pure", "mixed", "coated"))
-    if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 1e-9:
-        raise refuse("partition", partition, "three numbers of at least 0 that add up to 1")
+    if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 2e-9:
+        raise refuse(
+            "partition", partition, "three numbers of at least 0 that add up to 1",
+            f"these make {pure + mixed + coated:.10g}; YAML has no 1/3, write 0.3333333333",
+        )  # fmt: skip
     shares = {"hematite": ratio, "goethite": 1.0 - ratio}
     iron = iron_oxide * pure  # Eq 8
     quartz = pure - magnetite - iron  # Eq 9

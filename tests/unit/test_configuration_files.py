@@ -143,3 +143,29 @@ def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
     path = write(tmp_path, "wrong", f"{text}\ninstrument: {{wavelength_nm: [500]}}")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, MEDIA)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("figure: {kind: fit}\ninstrument: {wavelength_nm: [500]}", r"figure\.kind = 'fit'"),
+        ("figure: {kind: swatches}\ngrid: {saturation: [0, 1]}\n"
+         "instrument: {wavelength_nm: {start: 500, stop: 780, step: 10}}", "400 to 780 nm"),
+        ("figure: {kind: swatches}", "one or two parameters"),
+    ],
+)  # fmt: skip
+def test_figures_that_cannot_be_drawn_are_refused(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load_experiment(write(tmp_path, "wrong", text), MEDIA)
+
+
+def test_own_mineral_tables_are_known_to_the_workflow(tmp_path):
+    table = tmp_path / "own.csv"
+    table.write_text("wavelength_nm,n,k\n400,2.3,0.1\n1000,2.3,0.01\n", encoding="utf-8")
+    path = write(
+        tmp_path,
+        "mine",
+        f"medium: {{kind: sand, refractive_index: {{goethite: {table}}}}}\n"
+        "instrument: {wavelength_nm: [500]}",
+    )
+    assert load_experiment(path).tables() == [str(table)]

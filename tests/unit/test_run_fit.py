@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,9 +12,12 @@ from splits.analysis.sand_tables import fitted_parameters
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments import run_fit as module
 from splits.experiments.fit import Effort
-from splits.experiments.model import Accuracy
+from splits.experiments.model import Accuracy, Experiment
 from splits.figures import draw
 
+NEEDS_KERNELS = pytest.mark.skipif(
+    numba.config.DISABLE_JIT, reason="too slow without compiled kernels"
+)
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 TINY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
 TEXT = """
@@ -38,6 +42,7 @@ def experiment(tmp_path):
     return load_experiment(path, tmp_path / "media"), table
 
 
+@NEEDS_KERNELS
 def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
     monkeypatch.setattr(module, "effort_for", lambda _: TINY)
     settings, table = experiment
@@ -64,6 +69,8 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
 @pytest.mark.parametrize(
     ("line", "message"),
     [
+        ("fit: {measured: mine.csv, samples: [brigt]}", r"fit\.samples = 'brigt'.*mean bright"),
+        ("fit: {measured: mine.csv}\nmedium: {kind: sand, iron_oxide: 0.01}", "iron_oxide"),
         ("fit: {measured: other.csv}", r"fit\.measured = 'other\.csv': must be one of mine\.csv"),
         ("fit: {measured: mine.csv, ranges: {iron: [0, 1]}}", "iron"),
         ("fit: {measured: mine.csv, ranges: {clay: [0.5, 0.1]}}", "clay"),
@@ -71,15 +78,16 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
 )
 def test_fits_that_cannot_be_run_are_refused(experiment, tmp_path, line, message):
     path = tmp_path / "wrong.yaml"
-    path.write_text(TEXT.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
+    text = TEXT.replace("medium: {kind: sand}\n", "") if "medium:" in line else TEXT
+    path.write_text(text.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, tmp_path / "media")
 
 
 def test_only_sand_is_fitted(experiment, tmp_path):
     path = tmp_path / "wrong.yaml"
-    path.write_text("instrument: {wavelength_nm: [500]}\nfit: {measured: mine.csv}\n", "utf-8")
-    with pytest.raises(ConfigError, match=r"fit = 'snow'.*sand"):
+    path.write_text("fit: {measured: mine.csv}\nfigure: {kind: fit}\n", "utf-8")
+    with pytest.raises(ConfigError, match=r"medium\.kind = 'snow'.*sand"):
         load_experiment(path, tmp_path / "media")
 
 
@@ -89,3 +97,22 @@ def test_an_unknown_sample_is_refused(experiment):
     wrong = settings.model_copy(update={"fit": chosen})
     with pytest.raises(ValueError, match=r"fit\.samples = 'brigt'.*did you mean bright"):
         module.run_fit(wrong, Accuracy(max_stderr=0.05), table)
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [([8.0] * 13, r"dark at 400 nm\) = 8\.0.*not per cent"), ([np.nan] * 13, r"dark at 400 nm\) = nan")],
+)
+def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
+    experiment, tmp_path, column, message
+):
+    table = experiment[1].assign(dark=column)
+    table.to_csv(tmp_path / "measured" / "mine.csv", index=False)
+    with pytest.raises(ConfigError, match=message):
+        load_experiment(tmp_path / "found.yaml", tmp_path / "media")
+
+
+def test_a_fit_is_the_same_after_a_round_trip(experiment):
+    again = Experiment.model_validate(experiment[0].simulation())
+    assert again.simulation() == experiment[0].simulation()
+    assert module.check_fit(again, experiment[1]) == ["dark", "bright"]

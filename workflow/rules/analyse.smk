@@ -89,11 +89,6 @@ rule sand_tables:
             caption="../report/sand_colours.rst",
             category="Sand",
         ),
-        fits=report(
-            f"{RESULTS}/tables/sand_fits.csv",
-            caption="../report/sand_fits.rst",
-            category="Sand",
-        ),
     log:
         f"{RESULTS}/logs/sand_tables.log",
     benchmark:
@@ -129,3 +124,26 @@ rule sand_compositions:
         "Listing the compositions of all sands"
     script:
         "../scripts/sand_compositions.py"
+
+
+rule fitted_parameters:
+    input:
+        f"{RESULTS}/data/{{experiment}}.nc",
+    output:
+        report(
+            f"{RESULTS}/tables/{{experiment}}_parameters.csv",
+            caption="../report/fits.rst",
+            category="Sand",
+            labels={"experiment": "{experiment}"},
+        ),
+    log:
+        f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/fitted_parameters/{{experiment}}.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Listing the sands found by {wildcards.experiment}"
+    script:
+        "../scripts/fitted_parameters.py"

@@ -38,7 +38,6 @@ SAND_EXPERIMENTS = [
     "sand_fig08_texture",
     "sand_fig09_colours",
     "sand_fine_fraction",
-    "sand_fit",
     "sand_mineral_weight",
     "sand_readings",
     "sand_size_tail",
@@ -47,7 +46,6 @@ SAND_TABLES = [
     "sand_trends",
     "sand_weights",
     "sand_colours",
-    "sand_fits",
     "sand_compositions",
 ]
 SENSITIVITY_EXPERIMENTS = sorted(
@@ -70,9 +68,10 @@ def data(names):
 
 def products(name):
     """Return everything that one experiment makes."""
-    return data([name]) + [
-        f"{RESULTS}/figures/{name}{suffix}" for suffix in (".png", ".svg")
-    ]
+    made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in (".png", ".svg")]
+    if EXPERIMENTS[name].fit:
+        made.append(f"{RESULTS}/tables/{name}_parameters.csv")
+    return data([name]) + made
 
 
 def paper_products():

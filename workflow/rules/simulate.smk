@@ -1,6 +1,7 @@
 rule simulate:
     input:
         physics=lambda wildcards: physics_of(wildcards.experiment),
+        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].tables(),
         measured=lambda wildcards: fitted_files(wildcards.experiment),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",

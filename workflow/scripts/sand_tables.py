@@ -6,7 +6,7 @@ import pandas as pd
 
 from splits import load
 from splits.analysis.colour import colours
-from splits.analysis.sand_tables import fitted_parameters, sand_trends, shifts
+from splits.analysis.sand_tables import sand_trends, shifts
 from splits.analysis.tables import write_table
 
 datasets = {Path(path).stem: load(path) for path in snakemake.input.data}
@@ -22,4 +22,3 @@ swatches = [
 write_table(sand_trends(datasets), snakemake.output.trends)
 write_table(pd.concat(weights), snakemake.output.weights)
 write_table(pd.concat(swatches), snakemake.output.colours)
-write_table(fitted_parameters(datasets["sand_fit"]), snakemake.output.fits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 from splits.checks import in_range, numbers, refuse, suggestion
@@ -40,3 +41,21 @@ def indices_of(materials: Iterable[str], given: Any) -> dict[str, RefractiveInde
                 suggestion(name, names),
             )
     return {m: refractive_index(m, given.get(m)) for m in names}
+
+
+def described(medium: Any) -> dict[str, Any]:
+    """Return a medium's inputs under names fit for dataset attributes.
+
+    Parameters
+    ----------
+    medium : dataclass
+        With fields ``refractive_index`` (by material) and ``readings`` among others.
+    """
+    inputs = {
+        f.name: getattr(medium, f.name)
+        for f in fields(medium)
+        if f.name not in ("refractive_index", "readings")
+    }
+    for material, index in medium.refractive_index.items():
+        inputs[f"refractive_index_{material}"] = index.name
+    return inputs | {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -15,7 +15,7 @@ from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose
 from splits.media.granular import Interface
-from splits.media.inputs import indices_of, limited_normal
+from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains
@@ -241,15 +241,7 @@ class Sand:
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
-        inputs = {
-            f.name: getattr(self, f.name)
-            for f in fields(self)
-            if f.name not in ("refractive_index", "readings")
-        }
-        for material, index in self.refractive_index.items():
-            inputs[f"refractive_index_{material}"] = index.name
-        inputs |= {f"reading_{k}": v for k, v in self.readings.as_dict().items()}
-        return inputs | {
+        return described(self) | {
             "particle_types": ", ".join(t.name for t in self.composition.types),
             "particle_volume_fractions": self.composition.volume_fractions,
             "particle_density_kg_m3": self.density_kg_m3,

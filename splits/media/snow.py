@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,7 @@ from splits.checks import in_range, numbers, refuse
 from splits.materials import ice_density
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
-from splits.media.inputs import indices_of, limited_normal
+from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import Readings
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains
 
@@ -180,15 +180,7 @@ class Snow:
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
-        inputs = {
-            f.name: getattr(self, f.name)
-            for f in fields(self)
-            if f.name not in ("refractive_index", "readings")
-        }
-        for material, index in self.refractive_index.items():
-            inputs[f"refractive_index_{material}"] = index.name
-        inputs |= {f"reading_{k}": v for k, v in self.readings.as_dict().items()}
-        return inputs | {
+        return described(self) | {
             "mean_grain_distance_m": self.mean_grain_distance_m,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }

@@ -101,7 +101,10 @@ def test_an_unknown_sample_is_refused(experiment):
 
 @pytest.mark.parametrize(
     ("column", "message"),
-    [([8.0] * 13, r"dark at 400 nm\) = 8\.0.*not per cent"), ([np.nan] * 13, r"dark at 400 nm\) = nan")],
+    [
+        ([8.0] * 13, r"dark at 400 nm\) = 8\.0.*not per cent"),
+        ([np.nan] * 13, r"dark at 400 nm\) = nan"),
+    ],
 )
 def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
     experiment, tmp_path, column, message

@@ -35,6 +35,7 @@ lint: $(VENV)/ready
 benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/speed_against_error.py
 	$(BIN)/python benchmarks/interpolation.py
+	$(BIN)/python benchmarks/grain_event.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

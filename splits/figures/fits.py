@@ -37,7 +37,9 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
             top, bottom = panels[:, column]
             part = dataset.sel(sample=sample)
             x = part.wavelength.values
-            for labels, colour in zip(combinations, colours(len(combinations)), strict=True):
+            for labels, colour in zip(
+                combinations, colours(len(combinations), dims[0] if dims else None), strict=True
+            ):
                 one = part.sel(dict(zip(dims, labels, strict=True)))
                 y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
                 name = " · ".join(map(value_label, labels)) or "model"

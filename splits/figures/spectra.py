@@ -21,7 +21,7 @@ MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
     "water": "#c8553d",
     "quartz": "#666666",
-    "hematite": "#a32a18",
+    "hematite": "#7b3294",
     "goethite": "#c79100",
     "magnetite": "#111111",
     "kaolinite": "#7fb069",
@@ -95,7 +95,7 @@ def spectra(
 def _lines(axes: Axes, dataset: xr.Dataset, name: str, dims: list[str]) -> None:
     combinations = list(itertools.product(*(dataset[d].values for d in dims)))
     # Colour tells the first parameter, the line's style all others.
-    shades = colours(dataset.sizes[dims[0]] if dims else 1)
+    shades = colours(dataset.sizes[dims[0]], dims[0]) if dims else colours(1)
     for number, labels in enumerate(combinations):
         row, other = divmod(number, len(combinations) // len(shades))
         colour = shades[row]
@@ -103,7 +103,11 @@ def _lines(axes: Axes, dataset: xr.Dataset, name: str, dims: list[str]) -> None:
         x, y = part.wavelength.values, part[name].values
         error = BAND * part[f"{name}_stderr"].values
         text = " · ".join(map(value_label, labels)) or ("model" if not dims else None)
-        axes.plot(x, y, color=colour, ls=STYLES[other % len(STYLES)], lw=1.4, label=text)
+        # The first is what the others are compared with: it lies on top of them.
+        axes.plot(
+            x, y, color=colour, ls=STYLES[other % len(STYLES)], lw=1.4, label=text,
+            zorder=2.0 + 1.0 / (1 + number),
+        )  # fmt: skip
         axes.fill_between(x, np.maximum(y - error, 0.0), y + error, color=colour, alpha=0.25, lw=0)
 
 

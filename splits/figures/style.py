@@ -64,8 +64,14 @@ def value_label(value: object) -> str:
     return str(value).replace("_", " ")
 
 
-def colours(count: int) -> list[tuple[float, float, float]]:
-    """Return colours that can be told apart; ordered ones when there are few."""
+NOMINAL = ("medium", "refractive_index", "readings", "sample")
+"""Parameters whose values have no order."""
+
+
+def colours(count: int, parameter: str | None = None) -> list[tuple[float, float, float]]:
+    """Return colours that can be told apart; a scale of them for few values that have an order."""
+    if parameter in NOMINAL:
+        return list(sns.color_palette("colorblind" if count <= 10 else "husl", count))
     if count <= 6:
         return list(sns.color_palette("viridis", count + 1))[:count]
     return list(sns.color_palette("husl", count))

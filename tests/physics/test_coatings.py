@@ -5,7 +5,6 @@ from __future__ import annotations
 import cmath
 import math
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
@@ -17,7 +16,7 @@ from splits.transport import grain, spheroid
 from splits.transport.absorption import WEIGHT, start_purse
 from splits.transport.scene import Grains, Optics
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+pytestmark = NEEDS_JIT
 
 RADIUS = 2.5e-4
 COUNT = 100_000

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+pytestmark = NEEDS_JIT
 
 MEDIA = {
     "Table 1": {},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
@@ -121,7 +120,7 @@ MEDIA = {
 }
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+@NEEDS_JIT
 def test_mean_chord_is_the_inverse_attenuation():
     # Cauchy: volume over mean outline, averaged over the grains struck, is 1/K of the ice.
     z = []
@@ -134,7 +133,7 @@ def test_mean_chord_is_the_inverse_attenuation():
     assert np.abs(z).max() < 3.0
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+@NEEDS_JIT
 def test_uniform_entry_shortens_the_chord_of_a_sphere():
     # Entry even over the facing half: cos even, chord s cos, so s/2 instead of 2s/3.
     snow = splits.Snow(**MEDIA["one sphere"])

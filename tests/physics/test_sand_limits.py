@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
@@ -13,7 +12,7 @@ import splits
 from splits.media import grain_statistics
 from splits.media.composition import OXIDES
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+pytestmark = NEEDS_JIT
 
 WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
 # Ice absorbs from nothing to almost all here; quartz has no say.

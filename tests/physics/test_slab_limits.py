@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z, stream
@@ -16,7 +15,7 @@ from splits.transport.absorption import WEIGHT
 from splits.transport.fresnel import interface
 from splits.transport.scene import Optics, Slab
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+pytestmark = NEEDS_JIT
 
 DEPTH = 2.0
 N = 1.4

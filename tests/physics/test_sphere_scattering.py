@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
@@ -16,7 +15,7 @@ from splits.transport import grain, spheroid
 from splits.transport.absorption import start_purse
 from splits.transport.scene import Optics
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason=NEEDS_JIT)
+pytestmark = NEEDS_JIT
 
 RADIUS = 2.5e-4
 COUNT = 400_000

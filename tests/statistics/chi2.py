@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import pytest
 from numba import njit
 from scipy import stats
 
 from splits.transport.rng import start_stream
 
 SIGNIFICANCE = 0.01
-NEEDS_JIT = "too slow without compiled kernels"
+NEEDS_JIT = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow without compiled kernels")
 SEED = 20_240_611
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
+from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
 from splits.experiments.fit import Effort, central, check_measured, descend, fit
@@ -17,9 +17,6 @@ from splits.experiments.parameters import (
     parameter_errors,
 )
 
-NEEDS_KERNELS = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="too slow without compiled kernels"
-)
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 LITTLE = Effort(
     points=32,
@@ -164,7 +161,7 @@ def test_what_is_known_is_told_from_what_is_not():
     assert found["hematite_ratio"].value == 0.5
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_a_known_sand_is_met():
     # A dark sand, for its light is cheap, within narrow ranges, because the search is short.
     truth = {"iron_oxide": 0.02, "hematite_ratio": 0.4, "magnetite": 0.03}
@@ -188,7 +185,7 @@ def test_a_known_sand_is_met():
     assert result.evaluations > 32
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_the_same_seed_gives_the_same_sand_on_any_number_of_threads():
     wanted = np.linspace(0.1, 0.4, len(WAVELENGTHS))
     one, two = (fit({}, WAVELENGTHS, wanted, 10.0, threads=t, effort=LEAST) for t in (1, 2))

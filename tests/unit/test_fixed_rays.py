@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
+from chi2 import NEEDS_JIT
 
 from splits import Sand, Snow, spectrophotometer
 from splits.instruments.fixed import fixed_spectrum, spread_rows
 from splits.instruments.nodes import contrasts, nodes_at
 
-NEEDS_KERNELS = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="too slow without compiled kernels"
-)
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 ROWS = spread_rows(len(WAVELENGTHS))
 SAND = {
@@ -33,7 +30,7 @@ def fixed(medium, rays, seed, threads=None):
     return fixed_spectrum(medium, WAVELENGTHS, 10.0, ROWS, rays, seed, threads)
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 @pytest.mark.parametrize("medium", [Sand(**SAND), Snow(saturation=0.3)], ids=["sand", "snow"])
 def test_it_agrees_with_the_spectrophotometer(medium):
     mean, stderr = fixed(medium, 2048, 1)
@@ -47,13 +44,13 @@ def test_it_agrees_with_the_spectrophotometer(medium):
         assert (np.abs(mean[row] - other[name]) < 4.0 * error + 0.01).all()
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_more_rays_mean_smaller_errors():
     few, many = (fixed(Sand(**SAND), rays, 1)[1][0] for rays in (256, 4096))
     np.testing.assert_allclose(few / many, 4.0, rtol=0.3)
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads():
     one, two, other = (
         fixed(Sand(**SAND), 256, seed, threads)[0] for seed, threads in ((5, 1), (5, 3), (6, 1))
@@ -67,7 +64,7 @@ def base():
     return np.array([fixed(Sand(**SAND), 256, seed)[0][0] for seed in range(16)])
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 @pytest.mark.parametrize("neighbour", NEIGHBOURS)
 def test_neighbours_share_most_of_their_noise(base, neighbour):
     medium = Sand(**{**SAND, **NEIGHBOURS[neighbour]})
@@ -90,7 +87,7 @@ def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
     np.testing.assert_allclose(nodes.weights.T @ drawn, own, rtol=0.05)
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_a_node_that_nothing_draws_on_is_not_in_the_way():
     # Snow of one index: the first node serves every wavelength.
     snow = Snow(saturation=0.0, refractive_index={"ice": 1.31})

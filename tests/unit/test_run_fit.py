@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pandas as pd
 import pytest
+from chi2 import NEEDS_JIT
 
 from splits import load, save
 from splits.analysis.sand_tables import fitted_parameters
@@ -15,9 +15,6 @@ from splits.experiments.fit import Effort
 from splits.experiments.model import Accuracy, Experiment
 from splits.figures import draw
 
-NEEDS_KERNELS = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="too slow without compiled kernels"
-)
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 TINY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
 TEXT = """
@@ -42,7 +39,7 @@ def experiment(tmp_path):
     return load_experiment(path, tmp_path / "media"), table
 
 
-@NEEDS_KERNELS
+@NEEDS_JIT
 def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
     monkeypatch.setattr(module, "effort_for", lambda _: TINY)
     settings, table = experiment

@@ -33,9 +33,8 @@ lint: $(VENV)/ready
 	$(BIN)/mypy
 
 benchmarks: $(VENV)/ready
-	$(BIN)/python benchmarks/speed_against_error.py
+	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
-	$(BIN)/python benchmarks/grain_event.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

@@ -5,6 +5,7 @@ snakemake --cores 2 fig08_grain_size            one experiment, by its name
 snakemake --cores 2 --config accuracy=draft     a quick look
 """
 
+import sys
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
@@ -41,6 +42,7 @@ rule all:
     input:
         [products(name) for name in EXPERIMENTS],
         paper_products(),
+        REPORTED,
 
 
 for NAME in EXPERIMENTS:

@@ -1,75 +1,416 @@
-"""How much sooner the spectral estimator reaches an error than the papers' algorithm.
+"""Time and error of every way to a spectrum: the papers' algorithm, weights, lanes, two theories.
 
-Both measure 211-wavelength spectra to the same largest standard error in this one run, on one
-thread, after a warm-up that compiles the kernels.  The analog estimator is timed at every tenth
-wavelength and scaled to all of them, in two ways:
+One thread measures spectra of 211 wavelengths, 400-2500 nm, of four media in one run, after
+warm-ups that compile every kernel used.  Methods (`splits.analysis.efficiency.METHODS`):
 
-uniform   the same number of rays at every wavelength, as many as the noisiest one needs: our
-          reading of the papers, which do not say how rays are shared among wavelengths;
-adaptive  every wavelength stops by itself as soon as it has reached the error.
+papers_uniform      the papers' algorithm, absorption by coin toss, the same number of rays at
+                    every wavelength, as many as the noisiest one needs: our reading of the papers,
+                    which do not say how rays are shared among wavelengths
+papers_adaptive     the same, but every wavelength stops by itself as soon as it has the error
+one_by_one          weights instead of tosses, but still every wavelength with paths of its own
+scalar              paths shared by all wavelengths, scalar kernel
+lanes               the same with the lane kernel
+discrete_ordinates  PythonicDISORT and
+kz04                Kokhanovsky & Zege with the single-scattering properties of our own grains; for
+                    orientation: their deviation is a difference of models
+
+The first three are timed at every tenth wavelength and multiplied up to all.  The papers' algorithm
+is run to the largest error and scaled to the others, time with 1/error²; for the first medium it is
+also run to the smallest, to see how well that holds.  Its uniform form is never run: its time is
+the time per ray at each wavelength, times the rays of the noisiest.
+
+A reference of many more rays with another seed shows actual errors.  It is kept beside the table
+as reference_*.nc until a source of the physics or the medium changes.
 
     python benchmarks/speed_against_error.py [TABLE.csv]
+
+With --quick: 22 wavelengths, large errors, and a rough reference, to see that everything works;
+its times are no result.
 """
+
+# ruff: noqa: E402
 
 from __future__ import annotations
 
-import sys
+import os
+
+# Theories would solve their equations on all cores.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 import splits
+from splits.analysis import efficiency
+from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
+from splits.analysis.radiative_transfer import discrete_ordinates, kz04, packed, shape_factors
+from splits.analysis.tables import write_table
+from splits.instruments.estimators import ANALOG_PILOT
 
-WAVELENGTHS = np.arange(400, 2501, 10)
 MEDIA = {
-    "representative (Table 1)": splits.Snow(),
-    "thin, fine, dry": splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0),
+    "representative": splits.Snow(),
+    "coarse wet": splits.Snow(grain_size_um=(900, 1000), saturation=0.3),
+    "thin layer": splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0),
+    "smooth dry": splits.Snow(facetness=(0, 0, 0, 0), saturation=0),
 }
-STDERR = 0.002
+STREAMS = 32
+SEED = 3
+REFERENCE_SEED = 101
+UNLIMITED = 2**62
+PHYSICS = ("materials", "media", "transport", "instruments")
 
 
-def seconds(medium: splits.Snow, estimator: str, wavelengths: np.ndarray) -> tuple[float, int]:
-    """Return the time an estimator takes to reach `STDERR` on one thread, and its rays."""
-    dataset = splits.spectrophotometer(
-        medium, wavelengths, max_stderr=STDERR, estimator=estimator, threads=1, seed=3
-    )
+@dataclass(frozen=True)
+class Plan:
+    """How much to measure.
+
+    Attributes
+    ----------
+    step_nm : int
+    errors : tuple of float
+        Largest standard errors asked for, in falling order.
+    reference_stderr : float
+    property_rays : int
+        Rays per index node from which theories take single-scattering properties.
+    repeats : int
+        Runs of the methods that trace all wavelengths together, with other seeds.
+    """
+
+    step_nm: int = 10
+    errors: tuple[float, ...] = (0.004, 0.002, 0.001)
+    reference_stderr: float = 2e-4
+    property_rays: int = 50_000
+    repeats: int = 3
+
+    @property
+    def wavelengths(self) -> np.ndarray:
+        """All wavelengths (nm)."""
+        return np.arange(400.0, 2501.0, self.step_nm)
+
+    @property
+    def few(self) -> np.ndarray:
+        """Every tenth of them."""
+        return self.wavelengths[::10]
+
+
+QUICK = Plan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
+
+
+def timed(
+    function: Callable[..., xr.Dataset], *given: Any, **named: Any
+) -> tuple[xr.Dataset, float]:
+    """Return what a function returns and the time (s) it took."""
+    begun = time.perf_counter()
+    result = function(*given, **named)
+    return result, time.perf_counter() - begun
+
+
+def measure(
+    medium: splits.Snow, wavelengths: Sequence[float] | np.ndarray, error: float, **named: Any
+) -> xr.Dataset:
+    """Return a spectrum that has reached an error, by default on one thread."""
+    settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED} | named
+    dataset = splits.spectrophotometer(medium, wavelengths, max_stderr=error, **settings)
     if dataset.attrs["stopped_by"] != "error":
-        raise RuntimeError(f"{estimator} did not reach {STDERR}")
-    return dataset.attrs["wall_time_s"], dataset.attrs["rays"]
+        raise RuntimeError(f"{error:g} was not reached")
+    return dataset
+
+
+def sources(medium: splits.Snow) -> str:
+    """Return a digest of everything that a reference depends on."""
+    digest = hashlib.sha256(repr(medium.describe()).encode())
+    package = Path(splits.__file__).parent
+    for folder in PHYSICS:
+        for source in sorted((package / folder).rglob("*.py")):
+            digest.update(source.name.encode() + source.read_bytes())
+    return digest.hexdigest()
+
+
+def reference(name: str, medium: splits.Snow, plan: Plan, folder: Path) -> xr.Dataset:
+    """Return the reference spectrum of a medium, from a file if one is there that still holds."""
+    slug = name.replace(" ", "_")
+    path = folder / f"reference_{slug}_{plan.step_nm}nm_{plan.reference_stderr:g}.nc"
+    wanted = sources(medium)
+    if path.exists():
+        dataset = splits.load(path)
+        if dataset.attrs.get("sources_sha256") == wanted:
+            return dataset
+    dataset = measure(
+        medium,
+        plan.wavelengths,
+        plan.reference_stderr,
+        kernel="lanes",
+        seed=REFERENCE_SEED,
+        threads=None,
+    )
+    dataset.attrs["sources_sha256"] = wanted
+    splits.save(dataset, path)
+    return dataset
+
+
+def warm_up(medium: splits.Snow, plan: Plan) -> None:
+    """Compile whatever the methods need, by their first rounds."""
+    for error in plan.errors:
+        for kernel in ("scalar", "lanes"):
+            splits.spectrophotometer(
+                medium, plan.wavelengths, max_stderr=error, kernel=kernel, max_rays=1, threads=1
+            )
+    measure(medium, [1500.0], 0.3, estimator="analog")
+
+
+def one_by_one(
+    medium: splits.Snow, wavelengths: np.ndarray, error: float, **named: Any
+) -> tuple[xr.Dataset, np.ndarray, np.ndarray]:
+    """Return the spectrum of separate runs per wavelength, their times (s) and rays."""
+    # Seeds of their own, or all wavelengths would share their random numbers.
+    runs = [
+        timed(measure, medium, [wavelength], error, seed=SEED + number, **named)
+        for number, wavelength in enumerate(wavelengths)
+    ]
+    spectrum = xr.concat([dataset for dataset, _ in runs], "wavelength", combine_attrs="drop")
+    rays = np.array([dataset.attrs["rays"] for dataset, _ in runs], dtype=float)
+    return spectrum, np.array([seconds for _, seconds in runs]), rays
+
+
+class Table:
+    """Rows of the result, printed as they come.
+
+    Parameters
+    ----------
+    medium : str
+    reference : xarray.Dataset
+    """
+
+    def __init__(self, medium: str, reference: xr.Dataset) -> None:
+        self.medium = medium
+        self.reference = reference
+        self.rows: list[dict[str, Any]] = []
+
+    def add(
+        self,
+        method: str,
+        how: str,
+        seconds: float,
+        rays: float,
+        error: float = np.nan,
+        spectra: Sequence[xr.Dataset] = (),
+        **facts: float,
+    ) -> None:
+        """Add a method; of several spectra, the root mean square or largest of each number."""
+        for spectrum in spectra:
+            given = efficiency.deviations(spectrum, self.reference)
+            if not np.isnan(error):
+                given |= efficiency.stated_errors(spectrum)
+            for key, value in given.items():
+                before = facts.get(key, 0.0)
+                if key.endswith("_largest"):
+                    facts[key] = max(before, value)
+                else:
+                    facts[key] = float(np.sqrt(before**2 + value**2 / len(spectra)))
+        row = {
+            "medium": self.medium,
+            "method": method,
+            "how": how,
+            "error": error,
+            "seconds": seconds,
+            "rays": round(rays),
+            **{key: facts.get(key, np.nan) for key in NUMBERS},
+            "reference_stderr": float(efficiency.stated_errors(self.reference)["stderr_largest"]),
+            "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
+        }
+        self.rows.append(row)
+        self.say(row)
+
+    @staticmethod
+    def say(row: dict[str, Any]) -> None:
+        """Print a row."""
+        parts = [f"{row['medium']}, {efficiency.METHODS[row['method']]}"]
+        if not np.isnan(row["error"]):
+            parts.append(f"error {row['error']:g}")
+        line = f"{', '.join(parts)}: {row['seconds']:.4g} s ({row['how']})"
+        if not np.isnan(row["stderr_largest"]):
+            line += f", stated {row['stderr_largest']:.2g} (rms {row['stderr_rms']:.2g})"
+        if not np.isnan(row["deviation_rms"]):
+            line += f", off by rms {row['deviation_rms']:.2g}, at most "
+            line += f"{row['deviation_largest']:.2g}"
+        if not np.isnan(row["deviation_z"]):
+            line += f", rms z {row['deviation_z']:.2f}"
+        print(line, flush=True)
+
+
+NUMBERS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
+
+
+def time_papers(table: Table, medium: splits.Snow, plan: Plan, fully: bool) -> None:
+    """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
+    scale = len(plan.wavelengths) / len(plan.few)
+    first = plan.errors[0]
+    spectrum, seconds, rays = one_by_one(medium, plan.few, first, estimator="analog")
+    add_papers(table, first, spectrum, seconds, rays, scale)
+    stderr = largest_per_wavelength(spectrum)
+    for error in plan.errors[1:]:
+        uniform_s, uniform_rays, adaptive_s, adaptive_rays = efficiency.papers_times(
+            seconds, rays, stderr, error, ANALOG_PILOT
+        )
+        for method, spent, count in (
+            (UNIFORM, uniform_s, uniform_rays),
+            (ADAPTIVE, adaptive_s, adaptive_rays),
+        ):
+            table.add(method, SCALED, scale * spent, scale * count, error, stderr_largest=error)
+    if fully:
+        last = plan.errors[-1]
+        add_papers(table, last, *one_by_one(medium, plan.few, last, estimator="analog"), scale)
+
+
+def add_papers(
+    table: Table,
+    error: float,
+    spectrum: xr.Dataset,
+    seconds: np.ndarray,
+    rays: np.ndarray,
+    scale: float,
+) -> None:
+    """Add both forms of the papers' algorithm from runs that stopped by themselves."""
+    stderr = np.stack([spectrum[f"{name}_stderr"].values for name in efficiency.QUANTITIES])
+    stderr = stderr * np.sqrt(rays / rays.max())
+    table.add(
+        UNIFORM,
+        PARTLY,
+        scale * float((seconds / rays).sum() * rays.max()),
+        scale * float(rays.max() * len(rays)),
+        error,
+        stderr_largest=float(stderr.max()),
+        stderr_rms=float(np.sqrt((stderr**2).mean(axis=1)).max()),
+    )
+    table.add(ADAPTIVE, PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum])
+
+
+def largest_per_wavelength(spectrum: xr.Dataset) -> np.ndarray:
+    """Return the largest standard error of any quantity at every wavelength."""
+    return np.max([spectrum[f"{name}_stderr"].values for name in efficiency.QUANTITIES], axis=0)
+
+
+def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
+    """Add weights wavelength by wavelength, together, and together on lanes."""
+    scale = len(plan.wavelengths) / len(plan.few)
+    for error in plan.errors:
+        spectrum, seconds, rays = one_by_one(medium, plan.few, error, kernel="scalar")
+        table.add(
+            "one_by_one", PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum]
+        )
+    for kernel in ("scalar", LANES):
+        for error in plan.errors:
+            runs = [
+                timed(measure, medium, plan.wavelengths, error, kernel=kernel, seed=SEED + number)
+                for number in range(plan.repeats)
+            ]
+            spent = float(np.median([seconds for _, seconds in runs]))
+            spectra = [dataset for dataset, _ in runs]
+            rays = float(np.mean([dataset.attrs["rays"] for dataset in spectra]))
+            table.add(kernel, MEASURED, spent, rays, error, spectra)
+
+
+def with_absorptance(spectrum: xr.Dataset) -> xr.Dataset:
+    """Return a theory's spectrum with what it neither reflects nor transmits."""
+    return spectrum.assign(absorptance=1.0 - spectrum.reflectance - spectrum.transmittance)
+
+
+def by_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+    """Return the spectrum by discrete ordinates, from the medium's own grains."""
+    optics = splits.single_scattering(
+        medium, wavelengths, STREAMS, rays, threads=1, wet_pores="equilibrium"
+    )
+    return with_absorptance(discrete_ordinates(packed(optics), streams=STREAMS))
+
+
+def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+    """Return the spectrum by asymptotic theory, with B and g of the medium's own grains, dry."""
+    optics = splits.single_scattering(
+        replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
+    )
+    area = medium.specific_surface_area_m2_kg
+    k = medium.refractive_index["ice"](wavelengths).imag
+    enhancement, asymmetry = shape_factors(optics, area, k)
+    spectrum = kz04(
+        wavelengths,
+        area,
+        extinction_coefficient=k,
+        absorption_enhancement=enhancement,
+        asymmetry=asymmetry,
+        density_kg_m3=medium.density_kg_m3,
+        depth_m=medium.depth_m,
+    )
+    return with_absorptance(spectrum)
+
+
+def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:
+    """Add both theories; their time contains the walks through single grains."""
+    for method, theory in (("discrete_ordinates", by_discrete_ordinates), ("kz04", by_kz04)):
+        try:
+            theory(medium, plan.few, 2)
+        except ImportError as error:
+            print(f"{method} left out: {error}", flush=True)
+            continue
+        spectrum, seconds = timed(theory, medium, plan.wavelengths, plan.property_rays)
+        table.add(method, MEASURED, seconds, plan.property_rays, spectra=[spectrum])
+
+
+def measure_all(plan: Plan, media: Sequence[str], folder: Path) -> pd.DataFrame:
+    """Measure, print and return the table of all media."""
+    rows = []
+    for name in media:
+        medium = MEDIA[name]
+        table = Table(name, reference(name, medium, plan, folder))
+        warm_up(medium, plan)
+        time_weights(table, medium, plan)
+        time_papers(table, medium, plan, fully=name == next(iter(MEDIA)))
+        time_theories(table, medium, plan)
+        rows += table.rows
+    return efficiency.with_merits(pd.DataFrame(rows))
 
 
 def main() -> None:
     """Measure and print the table, and write it if a path is given."""
-    rows = []
-    for name, medium in MEDIA.items():
-        for estimator in ("spectral", "analog"):
-            splits.spectrophotometer(medium, [500, 1500], max_stderr=0.2, estimator=estimator)
-        spectral, rays = seconds(medium, "spectral", WAVELENGTHS)
-        single = [seconds(medium, "analog", [w]) for w in WAVELENGTHS[::10]]
-        scale = WAVELENGTHS.size / len(single)
-        adaptive = scale * sum(time for time, _ in single)
-        most = max(n for _, n in single)
-        uniform = scale * sum(time * most / n for time, n in single)
-        rows.append(
-            {
-                "medium": name,
-                "max_stderr": STDERR,
-                "spectral_s": spectral,
-                "spectral_rays": rays,
-                "uniform_s": uniform,
-                "uniform_ratio": uniform / spectral,
-                "adaptive_s": adaptive,
-                "adaptive_ratio": adaptive / spectral,
-            }
-        )
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
+    parser.add_argument("--quick", action="store_true", help="a trial: coarse and rough")
+    parser.add_argument("--medium", action="append", choices=MEDIA, help="these only")
+    parser.add_argument(
+        "--reference-stderr", type=float, help=f"default: {Plan.reference_stderr:g}"
+    )
+    given = parser.parse_args()
+    plan = QUICK if given.quick else Plan()
+    if given.reference_stderr:
+        plan = replace(plan, reference_stderr=given.reference_stderr)
+    media = given.medium or list(MEDIA)
+    folder = given.table.parent if given.table else Path("results/benchmarks")
+    table = measure_all(plan, media, folder)
+    if given.table:
+        write_table(table, given.table)
+    print("\none core; in brackets, times as a multiple of that of lanes:")
+    for name in media:
+        for error in plan.errors:
+            print(efficiency.headline(table, name, error, len(plan.wavelengths)))
+    merits = table[table.method.isin(("one_by_one", "scalar", LANES)) & table.error.notna()]
+    print("\nfigures of merit, 1/(error² time), over those of the papers' algorithm:")
+    for row in merits.itertuples():
         print(
-            f"{name}, error {STDERR:g}: spectral {spectral:.1f} s ({rays} rays); analog uniform "
-            f"{uniform:.0f} s, ratio {uniform / spectral:.0f}; analog adaptive {adaptive:.0f} s, "
-            f"ratio {adaptive / spectral:.0f}",
-            flush=True,
+            f"{row.medium}, {efficiency.METHODS[row.method]}, error {row.error:g}: "
+            f"{row.figure_of_merit:.3g}/s, uniform {row.over_uniform:.3g}, "
+            f"adaptive {row.over_adaptive:.3g}"
         )
-    if len(sys.argv) > 1:
-        pd.DataFrame(rows).to_csv(sys.argv[1], index=False, float_format="%.4g")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ True
 """
 
 from splits.dataset import load, save
-from splits.instruments import spectrophotometer
+from splits.instruments import deep_transmittance, single_scattering, spectrophotometer
 from splits.media import Readings, Sand, SandReadings, Snow
 
 __all__ = [
@@ -20,7 +20,9 @@ __all__ = [
     "Sand",
     "SandReadings",
     "Snow",
+    "deep_transmittance",
     "load",
     "save",
+    "single_scattering",
     "spectrophotometer",
 ]

@@ -60,7 +60,7 @@ class Effort:
     points: int = 128
     starts: tuple[int, ...] = (6, 3, 1)
     evaluations: tuple[int, ...] = (40, 40, 40)
-    rays: tuple[int, ...] = (256, 512, 2048, 16_384)
+    rays: tuple[int, ...] = (1024, 1024, 2048, 16_384)
     max_stderr: float = 0.002
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ def fit(
     measured : array_like
         Hemispherical reflectance there, 0 to 1.
     incidence_deg : float or "diffuse"
-        Polar angle of the beam it was measured under, 0 to 89.99 degrees.
+        Polar angle of the beam it was measured under, 0 to 89.9999 degrees.
     ranges : mapping, optional
         (low, high) by name, instead of those of `splits.experiments.parameters.RANGES`.
     seed : int

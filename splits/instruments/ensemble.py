@@ -10,19 +10,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splits.checks import refuse
 from splits.media.granular import GranularMedium
-from splits.transport.granular import batch
+from splits.transport import granular, lanes
+from splits.transport.lanes.choice import features_for
+from splits.transport.lanes.rows import Features
 from splits.transport.scene import Grains, Optics, Rules, Slab
+from splits.transport.tally import exit_rows, tally
 
-BATCH = 128
-"""Rays per batch: the grain of parallel work."""
+BATCH = {"scalar": 128, "lanes": 1024}
+"""Rays whose weights are added up together, by kernel: fixed, so that sums do not depend on who
+adds them.  Lanes, of which some stand idle while the last rays end, want more of them."""
+
+JOB = 8
+"""Largest number of batches that a thread traces at a time."""
+
+KERNELS = ("auto", "lanes", "scalar")
+"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
 LEVELS = (-1.0, 0.002, 0.01, 0.06)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
 Visible light needs few rays and long paths, the near infrared many rays and short paths."""
 
-Tally = tuple[np.ndarray, np.ndarray, int, bool]
-"""What a batch returns: moments, least weight, legs, whether a ray was lost."""
+Tally = tuple[np.ndarray, np.ndarray, int]
+"""What a batch yields: moments, least weight, rays."""
 
 
 @dataclass
@@ -107,10 +118,9 @@ class Ensemble:
 
     def add(self, level: Level, tally: Tally) -> None:
         """Add the tally of a batch."""
-        moments, least, legs, _ = tally
-        level.rays += BATCH
-        level.legs += legs
-        self.count[level.served] += BATCH
+        moments, least, rays = tally
+        level.rays += rays
+        self.count[level.served] += rays
         self.moments[:, :2, level.served] += moments[:, :2]
         self.moments[:, 2, level.served] = np.maximum(
             self.moments[:, 2, level.served], moments[:, 2]
@@ -164,6 +174,7 @@ class Runner:
         None takes every CPU this process may use.
     analog : bool
         Absorption by coin toss.
+    kernel : {"auto", "lanes", "scalar"}
     report : callable, optional
         Receives a `Progress` a few times per second at most.
     """
@@ -175,6 +186,7 @@ class Runner:
         seed: int,
         threads: int | None,
         analog: bool,
+        kernel: str = "auto",
         report: Callable[[Progress], None] | None = None,
     ) -> None:
         diffuse = incidence_deg == "diffuse"
@@ -184,6 +196,7 @@ class Runner:
         self.slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
         self.rules: Rules = medium.readings.rules(analog)
         self.threads = threads or len(os.sched_getaffinity(0))
+        self.kernel = kernel
         self.report = report
         self.started = time.perf_counter()
         self._reported = 0.0
@@ -209,36 +222,97 @@ class Runner:
         RuntimeError
             If a ray found no grain that fits where it was.
         """
-        jobs = [
-            (ensemble, level, level.rays + i * BATCH)
-            for ensemble, level, rays in work
-            for i in range(-(-rays // BATCH))
-        ]
+        jobs: list[tuple[Ensemble, Level, int, int]] = []
+        for ensemble, level, rays in work:
+            size = self.batch(level)
+            batches = -(-rays // size)
+            chunk = max(1, min(JOB, batches // (2 * self.threads)))
+            for start in range(0, batches, chunk):
+                count = min(chunk, batches - start)
+                jobs.append((ensemble, level, level.rays + start * size, count))
         begun = time.perf_counter()
-
-        def run(job: tuple[Ensemble, Level, int]) -> Tally:
-            ensemble, level, first = job
-            return batch(
-                self.seed, level.number, first, BATCH, self.grains, self.slab, self.rules,
-                level.optics, ensemble.absorption[level.served],
-            )  # fmt: skip
-
+        total = sum(count * self.batch(level) for _, level, _, count in jobs)
+        done = 0
         pool = ThreadPoolExecutor(self.threads)
         try:
-            results = pool.map(run, jobs)
-            for done, ((ensemble, level, _), tally) in enumerate(
-                zip(jobs, results, strict=True), start=1
-            ):
-                if tally[3]:
-                    raise RuntimeError(
-                        "a ray found no grain that fits between the boundaries: the sample is "
-                        "barely thicker than its grains, or the incidence too close to 90 degrees"
-                    )
-                ensemble.add(level, tally)
+            results = pool.map(lambda job: self.tallies(*job), jobs)
+            for (ensemble, level, *_), (tallies, legs) in zip(jobs, results, strict=True):
+                for tally in tallies:
+                    ensemble.add(level, tally)
+                    done += tally[2]
+                level.legs += legs
                 pace = (time.perf_counter() - begun) / done
-                self._tell(done * BATCH, stderr, target, pace * (len(jobs) - done + left / BATCH))
+                self._tell(done, stderr, target, pace * (total - done + left))
         finally:
             pool.shutdown(cancel_futures=True)
+
+    def features(self, optics: Optics) -> Features | None:
+        """Return the lane kernel's features for a scene, or None for the scalar kernel.
+
+        Raises
+        ------
+        ValueError
+            If lanes are asked for and cannot serve the scene.
+        """
+        if self.kernel == "scalar":
+            return None
+        features = features_for(self.grains, self.slab, self.rules, optics)
+        if features is None and self.kernel == "lanes":
+            raise refuse(
+                "kernel",
+                "lanes",
+                "'auto' or 'scalar' for this sample",
+                "lanes know no absorption by coin toss, stacked coatings, or extreme depths",
+            )
+        return features
+
+    def kernels(self, ensembles: Sequence[Ensemble]) -> str:
+        """Return which kernels trace these ensembles, joined by a comma."""
+        used = {
+            "scalar" if self.features(level.optics) is None else "lanes"
+            for ensemble in ensembles
+            for level in ensemble.levels
+        }
+        return ", ".join(sorted(used))
+
+    def batch(self, level: Level) -> int:
+        """Return the number of rays in each of a level's batches."""
+        return BATCH["scalar" if self.features(level.optics) is None else "lanes"]
+
+    def tallies(
+        self, ensemble: Ensemble, level: Level, first: int, count: int
+    ) -> tuple[list[Tally], int]:
+        """Trace some batches of a level, from ray `first` on; the same numbers whoever does.
+
+        Returns
+        -------
+        list of Tally
+            One for each batch, in order.
+        legs : int
+            Legs traced.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray found no grain that fits where it was.
+        """
+        size = self.batch(level)
+        features = self.features(level.optics)
+        absorption = ensemble.absorption[level.served]
+        exits = exit_rows(count * size, absorption.shape[1])
+        scene = (self.grains, self.slab, self.rules, level.optics, exits)
+        if features is None:
+            legs, lost = granular.batch(self.seed, level.number, first, len(exits), *scene)
+        else:
+            legs, lost = lanes.batch(self.seed, level.number, first, len(exits), *scene, features)
+        if lost:
+            raise RuntimeError(
+                "a ray found no grain that fits between the boundaries: the sample is "
+                "barely thicker than its grains, or the incidence too close to 90 degrees"
+            )
+        parts = exits.reshape(count, size, -1)
+        weighted = not self.rules.analog
+        return [(*tally(part, absorption, weighted), size) for part in parts], legs
 
     def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
         now = time.perf_counter()

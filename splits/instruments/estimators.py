@@ -40,6 +40,8 @@ class Estimate:
         Number of path ensembles among which they are shared.
     converged : bool
         Whether the error asked for was reached everywhere.
+    kernel : str
+        "lanes", "scalar", or both where ensembles differ.
     """
 
     mean: np.ndarray
@@ -48,6 +50,7 @@ class Estimate:
     rays: int
     ensembles: int
     converged: bool
+    kernel: str
 
 
 def spectral(
@@ -94,7 +97,9 @@ def spectral(
         left = float((wanted - rays - step).clip(0).sum())
         work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= 1.0]
         runner.trace(work, float(stderr.max()), max_stderr, left)
-    return Estimate(mean, stderr, bias, int(rays.sum()), len(ensembles), converged)
+    return Estimate(
+        mean, stderr, bias, int(rays.sum()), len(ensembles), converged, runner.kernels(ensembles)
+    )
 
 
 def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble]) -> np.ndarray:
@@ -183,6 +188,7 @@ def analog(
         rays,
         len(wavelength_nm),
         bool(stderr.max() <= max_stderr),
+        "scalar",
     )
 
 

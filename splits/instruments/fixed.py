@@ -42,7 +42,7 @@ def fixed_spectrum(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm).
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
     node_rows : sequence of int
         Positions of the wavelengths whose refractive indices paths are traced with: different,
         at least one.  Every wavelength takes the one or two that suit it best.

@@ -62,8 +62,10 @@ class Nodes:
 def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """Return the contrast of every interface times its share, shape (wavelengths, interfaces)."""
     near, far, share = _sides(index, interfaces)
-    root = np.abs((far - near) / (far + near))
-    return share * np.sign(far.real - near.real) * 2.0 * root / (1.0 - root)
+    # 2√F/(1 − √F) without the difference, which has no digits left for perfect conductors.
+    away, along = np.abs(far - near), np.abs(far + near)
+    magnitude = away * (along + away) / (2.0 * (far * near.conj()).real)
+    return share * np.sign(far.real - near.real) * magnitude
 
 
 def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from splits.checks import in_range, one_of, refuse
 from splits.dataset import attributes, provenance
-from splits.instruments.ensemble import Progress, Runner
+from splits.instruments.ensemble import KERNELS, Progress, Runner
 from splits.instruments.estimators import ESTIMATORS
 from splits.media.granular import GranularMedium
 from splits.transport import sources_digest
@@ -42,10 +42,10 @@ def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
 
 
 def check_incidence(incidence_deg: Any) -> float | str:
-    """Return the angle of incidence in [0, 89.99] degrees, or "diffuse", or refuse it."""
+    """Return the angle of incidence in [0, 89.9999] degrees, or "diffuse", or refuse it."""
     if isinstance(incidence_deg, str):
         return one_of("incidence_deg", incidence_deg, ["diffuse"])
-    return in_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")
+    return in_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
 
 
 def spectrophotometer(
@@ -58,6 +58,7 @@ def spectrophotometer(
     estimator: str = "spectral",
     max_rays: int = 20_000_000,
     threads: int | None = None,
+    kernel: str = "auto",
     progress: Callable[[Progress], None] | None = None,
 ) -> xr.Dataset:
     """Measure hemispherical reflectance, transmittance and absorptance of a medium.
@@ -70,7 +71,7 @@ def spectrophotometer(
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
     incidence_deg : float or "diffuse"
-        Polar angle of a collimated beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+        Polar angle of a collimated beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
     max_stderr : float
         Largest standard error wanted for any quantity at any wavelength, 1e-6 to 0.5.
     seed : int
@@ -83,6 +84,9 @@ def spectrophotometer(
         attribute ``stopped_by`` says whether the error or the rays came first.
     threads : int, optional
         Default: every CPU this process may use.
+    kernel : {"auto", "lanes", "scalar"}
+        Many rays side by side in single precision where that serves the sample, or the plain
+        reference kernel in double precision.
     progress : callable, optional
         Called now and then with a `Progress`.
 
@@ -107,6 +111,7 @@ def spectrophotometer(
     incidence = check_incidence(incidence_deg)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     one_of("estimator", estimator, ESTIMATORS)
+    one_of("kernel", kernel, KERNELS)
     for key, value, low in (("seed", seed, 0), ("max_rays", max_rays, 1)):
         if isinstance(value, bool) or not isinstance(value, Integral) or not low <= value < 2**63:
             raise refuse(key, value, f"a whole number of at least {low}")
@@ -114,7 +119,7 @@ def spectrophotometer(
         raise refuse("threads", threads, "a whole number of at least 1")
 
     begun = time.perf_counter()
-    runner = Runner(medium, incidence, int(seed), threads, estimator == "analog", progress)
+    runner = Runner(medium, incidence, int(seed), threads, estimator == "analog", kernel, progress)
     result = ESTIMATORS[estimator](runner, medium, wavelengths, max_stderr, int(max_rays))
 
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
@@ -156,6 +161,7 @@ def spectrophotometer(
         "ensembles": result.ensembles,
         "seed": int(seed),
         "threads": runner.threads,
+        "kernel": result.kernel,
         "wall_time_s": round(time.perf_counter() - begun, 3),
         "physics_sources_sha256": sources_digest(),
         **provenance(),

@@ -44,10 +44,15 @@ def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     """
     m, i, f = _complex(matrix, inclusion, fraction)
     outer, inner = m * m, i * i
-    contrast, total = inner - outer, inner + 2.0 * outer
-    root = np.sqrt(outer * (total + 2.0 * f * contrast) / (total - f * contrast))
+    contrast, total = (i - m) * (i + m), inner + 2.0 * outer
+    # The formula above, as the distance from the nearer of its ends: k of a mixture then keeps its
+    # digits even if all of it comes from a trace of one of the two.
+    scale = contrast / (total - f * contrast)
+    epsilon = np.where(f < 0.5, outer + 3.0 * f * outer * scale, inner - (1.0 - f) * total * scale)
+    root = np.sqrt(epsilon)
     # Rounding may leave k a little below 0 where neither material absorbs.
-    return np.where(f == 0.0, m, root.real + 1j * np.maximum(root.imag, 0.0))
+    mixed = root.real + 1j * np.maximum(root.imag, 0.0)
+    return np.where(f == 0.0, m, np.where(f == 1.0, i, mixed))
 
 
 def linear(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:

@@ -7,10 +7,12 @@ both belong to one and the same medium (SPLITS section 4.3.3, SPLITSnow appendix
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from scipy import integrate, stats
+from numpy.polynomial.legendre import leggauss
+from scipy import stats
 
 from splits.transport.rng import table_probabilities
 
@@ -18,7 +20,53 @@ TABLE_POINTS = 1025
 """Probabilities at which quantile functions are tabulated."""
 
 _PROBABILITIES = table_probabilities(TABLE_POINTS)
-_GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(200)
+_PANELS = 128
+_NODES, _WEIGHTS = (0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True))
+"""Gauss and Legendre's nodes and weights on (0, 1)."""
+_TAIL = 9.0
+"""Standard deviations beyond which a normal holds less than 1e-18."""
+
+
+def integral_and_quantiles(
+    density: Callable[[np.ndarray], np.ndarray],
+    low: float,
+    high: float,
+    probability: np.ndarray | None = None,
+) -> tuple[float, np.ndarray]:
+    """Return ∫ density over [low, high] and quantiles of it, to the last few digits of the type.
+
+    Gauss-Legendre quadrature in panels; within its panel, each quantile by Newton's method on an
+    integral from the panel's edge, so that no interpolation enters.
+
+    Parameters
+    ----------
+    density : callable
+        Positive and smooth on the scale of a panel, 1/128 of the range; any factor.
+    low, high : float
+    probability : array_like, optional
+        In [0, 1].
+    """
+    edges = np.linspace(low, high, _PANELS + 1)
+    width = np.diff(edges)
+
+    def mass(start: np.ndarray, length: np.ndarray) -> np.ndarray:
+        return length * (density(start[:, np.newaxis] + length[:, np.newaxis] * _NODES) @ _WEIGHTS)
+
+    def ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.divide(a, b, out=np.zeros_like(a), where=b > 0.0)
+
+    cumulative = np.concatenate([[0.0], np.cumsum(mass(edges[:-1], width))])
+    total = float(cumulative[-1])
+    u = np.atleast_1d(np.asarray([] if probability is None else probability, dtype=float))
+    panel = np.clip(np.searchsorted(cumulative, total * u, side="right") - 1, 0, _PANELS - 1)
+    wanted = total * u - cumulative[panel]
+    start, width = edges[panel], width[panel]
+    x = ratio(wanted, mass(start, width))
+    for _ in range(10):
+        gap = wanted - mass(start, x * width)
+        x = np.clip(x + ratio(gap, width * density(start + x * width)), 0.0, 1.0)
+    x = start + x * width
+    return total, np.where(u <= 0.0, low, np.where(u >= 1.0, high, x))
 
 
 def surface_to_volume(sphericity: np.ndarray | float) -> np.ndarray:
@@ -55,10 +103,10 @@ def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) ->
     """Return K2 for a sphericity normal within limits: the mean of A(Ψ)/4 (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume(_fixed(minimum, maximum, mean))) / 4.0
-    # Over the normal's probability, not over Ψ: no peak is too narrow to be seen.
-    x, w = _GAUSS_LEGENDRE
-    psi = _truncated(minimum, maximum, mean, sd).ppf(0.5 * (x + 1.0))
-    return float(0.5 * w @ surface_to_volume(psi)) / 4.0
+    low, high = _scores(minimum, maximum, mean, sd)
+    weighted, _ = integral_and_quantiles(_weighted_bell(minimum, maximum, mean, sd), low, high)
+    plain, _ = integral_and_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
+    return weighted / plain / 4.0
 
 
 def struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
@@ -89,13 +137,12 @@ def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) 
     """
     if sd == 0.0 or minimum == maximum:
         return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    normal = _truncated(minimum, maximum, mean, sd)
-    # Integrate A(Ψ) over the normal's probability, not over Ψ: a narrow peak between far limits
-    # is then as well resolved as a wide one.
-    u = table_probabilities(64 * (TABLE_POINTS - 1) + 1)
-    psi = normal.ppf(u)
-    cumulative = integrate.cumulative_trapezoid(surface_to_volume(psi), u, initial=0.0)
-    return np.interp(_PROBABILITIES, cumulative / cumulative[-1], psi)
+    _, score = integral_and_quantiles(
+        _weighted_bell(minimum, maximum, mean, sd),
+        *_scores(minimum, maximum, mean, sd),
+        _PROBABILITIES,
+    )
+    return np.clip(mean + sd * score, minimum, maximum)
 
 
 @cache
@@ -103,11 +150,33 @@ def truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> 
     """Return the quantile function of a normal distribution within [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:
         return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    return _truncated(minimum, maximum, mean, sd).ppf(_PROBABILITIES)
+    return np.clip(_truncated(minimum, maximum, mean, sd).ppf(_PROBABILITIES), minimum, maximum)
 
 
 def _fixed(minimum: float, maximum: float, mean: float) -> float:
     return minimum if minimum == maximum else mean
+
+
+def _scores(minimum: float, maximum: float, mean: float, sd: float) -> tuple[float, float]:
+    """Return the limits in standard deviations from the mean, without tails that hold nothing.
+
+    In these units no peak is too narrow between its limits to be seen.
+    """
+    with np.errstate(over="ignore"):
+        low, high = np.divide([minimum - mean, maximum - mean], sd)
+    return max(float(low), -_TAIL), min(float(high), _TAIL)
+
+
+def _weighted_bell(
+    minimum: float, maximum: float, mean: float, sd: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return A(Ψ) times the normal density, up to a factor, over standard deviations."""
+
+    def density(score: np.ndarray) -> np.ndarray:
+        psi = np.clip(mean + sd * score, minimum, maximum)
+        return np.exp(-0.5 * score**2) * surface_to_volume(psi)
+
+    return density
 
 
 def _truncated(minimum: float, maximum: float, mean: float, sd: float):

@@ -122,7 +122,8 @@ class Snow:
     @property
     def porosity(self) -> float:
         """Volume fraction not filled by ice (SPLITSnow Eq A.1)."""
-        return 1.0 - self.ice_fraction
+        ice = ice_density(self.temperature_c)
+        return (ice - self.density_kg_m3) / ice
 
     @property
     def ice_fraction(self) -> float:

@@ -12,17 +12,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import integrate, stats
+from scipy import stats
 
 from splits.checks import in_range, numbers, refuse
-from splits.media.grain_statistics import TABLE_POINTS
+from splits.media.grain_statistics import TABLE_POINTS, integral_and_quantiles
 from splits.transport.rng import table_probabilities
 
 LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
 """Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""
 SEPARATES = ("clay", "silt", "sand")
-_GRID = 16_385
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
 FINES_LIMIT = 0.15
 """A sand has silt + 1.5 clay of at most this (USDA; SPLITS Table 2)."""
 
@@ -57,15 +55,16 @@ class LogNormal:
         """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
         # Not in closed form: its error functions cancel when a separate's limits lie close
         # together in probability, while this integrand is always smooth.
-        low, high = np.log([self.low, self.high])
-        x = low + 0.5 * (_NODES + 1.0) * (high - low)
-        return float(_WEIGHTS @ self._shape(x, -1.0) / (_WEIGHTS @ self._shape(x)) / self.low)
+        low, high = float(np.log(self.low)), float(np.log(self.high))
+        weighted, _ = integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high)
+        return weighted / integral_and_quantiles(self._shape, low, high)[0] / self.low
 
     def struck_size(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
-        x = np.linspace(np.log(self.low), np.log(self.high), _GRID)
-        cumulative = integrate.cumulative_simpson(self._shape(x, -1.0), x=x, initial=0.0)
-        return np.exp(np.interp(probability, cumulative / cumulative[-1], x))
+        low, high = float(np.log(self.low)), float(np.log(self.high))
+        return np.exp(
+            integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high, probability)[1]
+        )
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ import numba
 
 
 def sources_digest() -> str:
-    """Return the SHA-256 (first 16 hex digits) of all kernel sources in this folder."""
+    """Return the SHA-256 (first 16 hex digits) of all kernel sources."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -20,15 +20,15 @@ WEIGHT = 2
 
 ROULETTE_BELOW = 0.1
 ROULETTE_SURVIVAL = 0.3
-_FIRST = -math.log(ROULETTE_BELOW)
-_NEXT = -math.log(ROULETTE_SURVIVAL)
+FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
+NEXT_ROULETTE = -math.log(ROULETTE_SURVIVAL)
 
 
 @kernel
 def start_purse(purse):
     """Set `purse` (float64[3]) for a fresh ray."""
     purse[DEPTH] = 0.0
-    purse[LIMIT] = _FIRST
+    purse[LIMIT] = FIRST_ROULETTE
     purse[WEIGHT] = 1.0
 
 
@@ -60,6 +60,6 @@ def survives(state, leg, material, optics, rules, length, purse):
     while purse[DEPTH] > purse[LIMIT]:
         if uniform(state) > ROULETTE_SURVIVAL:
             return False
-        purse[LIMIT] += _NEXT
+        purse[LIMIT] += NEXT_ROULETTE
         purse[WEIGHT] /= ROULETTE_SURVIVAL
     return True

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from splits.transport.frames import around
-from splits.transport.jit import kernel
+from splits.transport.frames import around, normalized
+from splits.transport.jit import ONE, TWO, ZERO, kernel
 from splits.transport.rng import half_normal, uniform, unit_circle
 
 PROJECTED = 0
@@ -23,12 +23,71 @@ ANY = 2
 
 
 @kernel
-def tilt_cosine(state, facetness):
-    """Return n·n' = 1 − |ξ| > 0 for ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4)."""
+def lean(state, facetness):
+    """Return 1 − n·n' = |ξ| < 1 for ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4)."""
     while True:
         x = 0.5 * facetness * half_normal(state)
         if x < 1.0:
-            return 1.0 - x
+            return x
+
+
+@kernel
+def tilt_sine(leaning):
+    """Return the sine of the angle whose cosine is 1 − `leaning`, without cancellation."""
+    return math.sqrt(leaning * (TWO - leaning))
+
+
+@kernel
+def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
+    """Accept or reject a facet in proportion to its projected area, and settle its azimuth.
+
+    Exact rejection sampling of two mirror azimuths at once: for φ and π − φ the weights are
+    max(0, A ± B), A = cosτ cosθ, B = sinτ sinθ |cosφ|; their sum never exceeds max(2 cosθ, 1),
+    and the share of the second decides the sign of cosφ.
+
+    Parameters
+    ----------
+    c, s : float
+        Cosine and sine of the tilt τ.
+    cos_azimuth : float
+        |cosφ|.
+    cos_i, sin_i : float
+        Of the angle θ between −d and n.
+    u : float
+        A uniform random number.
+
+    Returns
+    -------
+    accepted : bool
+    cos_azimuth : float
+        With its sign.
+    cos_facet : float
+        Cosine of incidence on the facet.
+    """
+    a = c * cos_i
+    b = s * sin_i * cos_azimuth
+    opposite = max(ZERO, a - b)
+    variate = u * max(TWO * cos_i, ONE)
+    mirror = variate < opposite
+    cos_facet = a - b if mirror else a + b
+    return variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet
+
+
+@kernel
+def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, sin_i, c, s, cos_azimuth, sin_azimuth):
+    """Return the facet's normal, its azimuth counted from the tangential part of −d.
+
+    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
+    """
+    k = s / sin_i
+    p = k * cos_azimuth
+    q = k * sin_azimuth
+    a = c - p * cos_i
+    return (
+        a * nx - p * dx + q * (dy * nz - dz * ny),
+        a * ny - p * dy + q * (dz * nx - dx * nz),
+        a * nz - p * dz + q * (dx * ny - dy * nx),
+    )
 
 
 @kernel
@@ -51,32 +110,21 @@ def facet_angles(state, facetness, cos_i, rule):
         Facet orientation; the azimuth is counted from the tangential part of −d.
     cos_facet : float
         Cosine of incidence on the facet, −d·n' (negative only under `ANY`).
-
-    Notes
-    -----
-    The projected rule is exact rejection sampling of the two mirror azimuths at once: for
-    azimuths φ and π − φ the weights are max(0, A ± B), A = cosτ cosθ, B = sinτ sinθ |cosφ|; their
-    sum never exceeds max(2 cosθ, 1), and the share of the second decides the sign of cosφ.
     """
     sin_i = math.sqrt(max(0.0, 1.0 - cos_i * cos_i))
     while True:
-        c = tilt_cosine(state, facetness)
-        s = math.sqrt(max(0.0, 1.0 - c * c))
+        x = lean(state, facetness)
+        c = 1.0 - x
+        s = tilt_sine(x)
         cp, sp = unit_circle(state)
-        a = c * cos_i
-        if rule != PROJECTED:
-            cos_facet = a + s * sin_i * cp
+        if rule == PROJECTED:
+            accepted, cp, cos_facet = projected_choice(c, s, abs(cp), cos_i, sin_i, uniform(state))
+            if accepted:
+                return c, s, cp, sp, cos_facet
+        else:
+            cos_facet = c * cos_i + s * sin_i * cp
             if cos_facet > 0.0 or (rule == ANY and cos_facet != 0.0):
                 return c, s, cp, sp, cos_facet
-            continue
-        cp = abs(cp)
-        b = s * sin_i * cp
-        opposite = max(0.0, a - b)
-        variate = uniform(state) * max(2.0 * cos_i, 1.0)
-        if variate < a + b + opposite:
-            if variate < opposite:
-                return c, s, -cp, sp, a - b
-            return c, s, cp, sp, a + b
 
 
 @kernel
@@ -90,24 +138,18 @@ def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
     cos_i = max(-(dx * nx + dy * ny + dz * nz), 1e-12)
     if facetness == 0.0:
         return nx, ny, nz, cos_i
-    c, s, cp, sp, cos_facet = facet_angles(state, facetness, cos_i, rule)
-    # Tangential part of −d; at exactly normal incidence every azimuth is alike.
+    c, s, cp, sp, _ = facet_angles(state, facetness, cos_i, rule)
+    # The sine from the tangential part itself: 1 − cos² has no digits left at normal incidence.
     tx = -dx - cos_i * nx
     ty = -dy - cos_i * ny
     tz = -dz - cos_i * nz
-    length2 = tx * tx + ty * ty + tz * tz
-    if length2 < 1e-20:
+    sin2 = tx * tx + ty * ty + tz * tz
+    if sin2 < 1e-20:
+        # At exactly normal incidence every azimuth is alike.
         mx, my, mz = around(nx, ny, nz, c, s, cp, sp)
     else:
-        scale = 1.0 / math.sqrt(length2)
-        tx *= scale
-        ty *= scale
-        tz *= scale
-        p = s * cp
-        q = s * sp
-        mx = c * nx + p * tx + q * (ny * tz - nz * ty)
-        my = c * ny + p * ty + q * (nz * tx - nx * tz)
-        mz = c * nz + p * tz + q * (nx * ty - ny * tx)
+        mx, my, mz = facet_normal(dx, dy, dz, nx, ny, nz, cos_i, math.sqrt(sin2), c, s, cp, sp)
+        mx, my, mz = normalized(mx, my, mz)
     cos_facet = -(dx * mx + dy * my + dz * mz)
     if cos_facet < 0.0:
         return -mx, -my, -mz, -cos_facet

@@ -1,10 +1,10 @@
-"""Directions and the frames they are drawn in."""
+"""Directions and the frames they are drawn in; every function serves both precisions."""
 
 from __future__ import annotations
 
 import math
 
-from splits.transport.jit import kernel
+from splits.transport.jit import ONE, TWO, ZERO, kernel
 from splits.transport.rng import uniform, unit_circle
 
 
@@ -19,11 +19,11 @@ def orthonormal_basis(nx, ny, nz):
     tuple of 6 float
         Components of the two tangents.
     """
-    sign = math.copysign(1.0, nz)
-    a = -1.0 / (sign + nz)
+    sign = ONE if nz >= ZERO else -ONE
+    a = -ONE / (sign + nz)
     b = nx * ny * a
     return (
-        1.0 + sign * nx * nx * a, sign * b, -sign * nx,
+        ONE + sign * nx * nx * a, sign * b, -sign * nx,
         b, sign + ny * ny * a, -ny,
     )  # fmt: skip
 
@@ -31,7 +31,7 @@ def orthonormal_basis(nx, ny, nz):
 @kernel
 def normalized(x, y, z):
     """Return (x, y, z) scaled to unit length."""
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    scale = ONE / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
@@ -53,11 +53,11 @@ def cosine_lobe(state, nx, ny, nz):
     """Return a direction around the unit vector n with density cosθ/π (Lambert)."""
     u = uniform(state)
     c, s = unit_circle(state)
-    return around(nx, ny, nz, math.sqrt(u), math.sqrt(1.0 - u), c, s)
+    return around(nx, ny, nz, math.sqrt(u), math.sqrt(ONE - u), c, s)
 
 
 @kernel
 def mirrored(dx, dy, dz, nx, ny, nz):
     """Return the direction d mirrored in the plane with unit normal n."""
-    k = 2.0 * (dx * nx + dy * ny + dz * nz)
+    k = TWO * (dx * nx + dy * ny + dz * nz)
     return dx - k * nx, dy - k * ny, dz - k * nz

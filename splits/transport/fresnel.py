@@ -14,16 +14,72 @@ from __future__ import annotations
 
 import math
 
-from splits.transport.jit import kernel
+from splits.transport.jit import FOUR, HALF, ONE, TINY, ZERO, kernel
+
+
+@kernel
+def normal_component(m, g, k, cos_i, absorbs):
+    """Return a and b² of a + i b = (m + i k) cosθ_t, in units of the index of incidence.
+
+    Born & Wolf 1999, Eqs 14.2.(8)-(12).  The real part of its square is cos²θ_i + m² − 1 − k²,
+    written with g = m − 1 so that nearly equal indices keep their digits; with ab = mk both parts
+    of the root come without cancellation.  Without absorption b is that of total reflection.
+
+    Parameters
+    ----------
+    m, k : float
+        Real and imaginary part of the relative index.
+    g : float
+        m − 1, from the difference of the indices.
+    cos_i : float
+        Cosine of the angle of incidence.
+    absorbs : bool
+        False takes k as 0 and is cheaper.
+    """
+    real = cos_i * cos_i + g * (m + ONE)
+    if absorbs:
+        real = real - k * k
+        mk = m * k
+        root = math.sqrt(real * real + FOUR * mk * mk)
+        large = math.sqrt(HALF * (root + abs(real)))
+        small = mk / max(large, TINY)
+        a = large if real > ZERO else small
+        b = small if real > ZERO else large
+        return a, b * b
+    return math.sqrt(max(real, ZERO)), max(-real, ZERO)
+
+
+@kernel
+def fraction(m, g, k, cos_i, sin2, a, b2):
+    """Return numerator and denominator of the unpolarised Fresnel reflectance.
+
+    Born & Wolf 1999: R_s = |(cosθ_i − (a+ib)) / (cosθ_i + (a+ib))|² and R_p = R_s times
+    |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; unpolarised light sees the mean.  The
+    difference in R_s is |1 − (m+ik)²| / |cosθ_i + (a+ib)|, free of cancellation.  Kept apart, the
+    two can be compared with a random number without a division.
+
+    Parameters
+    ----------
+    m, g, k, cos_i, a, b2 : float
+        See `normal_component`.
+    sin2 : float
+        sin²θ_i.
+    """
+    contrast = (g * g + k * k) * ((m + ONE) * (m + ONE) + k * k)
+    plus = cos_i + a
+    s_plus = plus * plus + b2
+    across = a * cos_i
+    b2_cos2 = b2 * cos_i * cos_i
+    minus = across - sin2
+    plus = across + sin2
+    p_minus = minus * minus + b2_cos2
+    p_plus = plus * plus + b2_cos2
+    return contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus)
 
 
 @kernel
 def interface(n1, n2, k2, cos_i):
     """Return reflectance and refraction at an interface.
-
-    Born & Wolf 1999: with n2' cosθ_t = a + i b in units of n1 (Eqs 14.2.(8)-(12)), the
-    reflectances are |(cosθ_i − (a+ib)) / (cosθ_i + (a+ib))|² for s polarisation and, for p, that
-    times |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; unpolarised light sees the mean.
 
     Parameters
     ----------
@@ -47,29 +103,16 @@ def interface(n1, n2, k2, cos_i):
     """
     m = n2 / n1
     k = k2 / n1
-    if m == 1.0 and k == 0.0:
+    if m == ONE and k == ZERO:
         return 0.0, 1.0, cos_i
-    sin2 = max(0.0, 1.0 - cos_i * cos_i)
-    real = m * m - k * k - sin2
-    if k == 0.0:
-        if real <= 0.0:
-            return 1.0, 0.0, 0.0
-        a = math.sqrt(real)
-        b2 = 0.0
-    else:
-        root = math.sqrt(real * real + 4.0 * m * m * k * k)
-        # Both halves of the root without cancellation: a b = m k exactly.
-        if real > 0.0:
-            a = math.sqrt(0.5 * (root + real))
-            b2 = (m * k / a) ** 2
-        else:
-            b2 = 0.5 * (root - real)
-            a = m * k / math.sqrt(b2)
-    r_s = ((cos_i - a) ** 2 + b2) / ((cos_i + a) ** 2 + b2)
-    t = sin2 / cos_i
-    r_p = r_s * ((a - t) ** 2 + b2) / ((a + t) ** 2 + b2)
-    ratio = 1.0 / math.sqrt(sin2 + a * a)
-    return 0.5 * (r_s + r_p), ratio, a * ratio
+    g = (n2 - n1) / n1
+    sin2 = (ONE - cos_i) * (ONE + cos_i)
+    a, b2 = normal_component(m, g, k, cos_i, k != ZERO)
+    if a == ZERO:
+        return 1.0, 0.0, 0.0
+    numerator, denominator = fraction(m, g, k, cos_i, sin2, a, b2)
+    ratio = ONE / math.sqrt(sin2 + a * a)
+    return min(numerator / denominator, 1.0), ratio, a * ratio
 
 
 @kernel
@@ -87,5 +130,5 @@ def refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t):
     tx = ratio * dx + k * nx
     ty = ratio * dy + k * ny
     tz = ratio * dz + k * nz
-    scale = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
+    scale = ONE / math.sqrt(tx * tx + ty * ty + tz * tz)
     return tx * scale, ty * scale, tz * scale

@@ -14,7 +14,7 @@ from splits.transport.fresnel import between, refracted
 from splits.transport.jit import kernel
 from splits.transport.rng import uniform
 from splits.transport.scene import DRY_PORE, LOBE, WET_PORE
-from splits.transport.spheroid import chord, normal_at
+from splits.transport.spheroid import across, normal_at
 
 
 @kernel
@@ -68,8 +68,8 @@ def draw_pore(state, saturation):
 
 @kernel
 def grain_walk(
-    state, p1, p2, p3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
-    semi_major, sphericity, facetness, kind, pore, saturation,
+    state, q1, q2, q3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
+    minor, flattening, facetness, kind, pore, saturation,
     grains, optics, rules, length, purse,
 ):  # fmt: skip
     """Follow a ray from its entry point on a grain until it is back in the pore space.
@@ -82,8 +82,11 @@ def grain_walk(
 
     Parameters
     ----------
-    p, d, w, n : 3 float each
-        Entry point relative to the centre, ray direction, major axis, outward normal at p.
+    q, d, w, n : 3 float each
+        Entry point on the unit sphere (see `splits.transport.spheroid`), ray direction, major
+        axis, outward normal.
+    minor, flattening, facetness : float
+        Semi-minor axis (m), flattening and facetness of the grain.
     kind : int
         Particle type.
     pore : int
@@ -97,15 +100,16 @@ def grain_walk(
     -------
     alive : bool
         False when the ray was absorbed.
-    p, d : 3 float each
-        Exit point relative to the centre and direction of exit.
+    g : 3 float
+        Way from the entry to the exit point (m).
+    d : 3 float
+        Direction of exit.
     pore : int
         Material of the pore space for the next leg.
     """
-    semi_minor = semi_major * sphericity * sphericity
-    minor2 = 1.0 / (semi_minor * semi_minor)
-    shift = 1.0 / (semi_major * semi_major) - minor2
     core = grains.layers[kind]
+    major = minor / (1.0 - flattening)
+    g1, g2, g3 = 0.0, 0.0, 0.0
     layer = 0
     inward = True
     here = pore
@@ -132,16 +136,16 @@ def grain_walk(
         if layer == 0:
             if not passed:
                 pore = draw_pore(state, saturation)
-            return True, p1, p2, p3, dx, dy, dz, pore
+            return True, g1, g2, g3, dx, dy, dz, pore
         if layer == core:
-            leg = chord(p1, p2, p3, dx, dy, dz, w1, w2, w3, minor2, shift)
-            p1 += leg * dx
-            p2 += leg * dy
-            p3 += leg * dz
-            n1, n2, n3 = normal_at(p1, p2, p3, w1, w2, w3, minor2, shift)
+            leg, q1, q2, q3 = across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening)
+            leg *= minor
+            g1 += leg * dx
+            g2 += leg * dy
+            g3 += leg * dz
+            n1, n2, n3 = normal_at(q1, q2, q3, w1, w2, w3, flattening)
             inward = False
         else:
-            thickness = 2.0 * semi_major * grains.thickness[kind, layer - 1]
-            leg = thickness / abs(dx * n1 + dy * n2 + dz * n3)
+            leg = 2.0 * major * grains.thickness[kind, layer - 1] / abs(dx * n1 + dy * n2 + dz * n3)
         if not survives(state, leg, here, optics, rules, length, purse):
-            return False, p1, p2, p3, dx, dy, dz, pore
+            return False, g1, g2, g3, dx, dy, dz, pore

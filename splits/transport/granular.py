@@ -9,33 +9,44 @@ boundaries the slab reaches to infinity sideways.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.absorption import WEIGHT, start_purse, survives
+from splits.transport.absorption import DEPTH, WEIGHT, start_purse, survives
 from splits.transport.fresnel import interface, refracted
 from splits.transport.grain import draw_pore, grain_walk
 from splits.transport.jit import entry, kernel
-from splits.transport.rng import from_table, start_stream, uniform
+from splits.transport.rng import from_table, pick, start_stream, uniform, unit_circle
 from splits.transport.scene import DRY_PORE, WET_PORE
-from splits.transport.spheroid import cuts_segment, half_height, struck_point
+from splits.transport.spheroid import (
+    PROJECTED,
+    axial_position,
+    crosses,
+    cuts_segment,
+    entry_point,
+)
+from splits.transport.tally import (
+    EXIT_DIRECTION,
+    EXIT_LENGTH,
+    EXIT_POSITION,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+)
 
 ABSORBED = 0
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
 """No grain was found that fits; never expected, counted so that it cannot pass unseen."""
+TRAVELS = 4
 
-MAX_REJECTIONS = 1_000_000
+MAX_REJECTIONS = 10_000_000
+"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
+that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
 
-
-@kernel
-def pick(share, u):
-    """Return the first type whose cumulative share exceeds u."""
-    i = 0
-    while u >= share[i] and i < share.size - 1:
-        i += 1
-    return i
+NO_LEG = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
+"""In place of the leg travelled last, for a ray that has not travelled yet."""
 
 
 @kernel
@@ -56,14 +67,39 @@ def cross_boundary(state, dx, dy, dz, n1, n2, k2):
     return True, dx, dy, dz
 
 
+class Window(NamedTuple):
+    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.transport.deep`).
+
+    Attributes
+    ----------
+    weight : float
+        Of the ray, absorption not counted.
+    kappa : float
+        1/m.
+    lower, upper : float
+    """
+
+    weight: float
+    kappa: float
+    lower: float
+    upper: float
+
+
+@kernel
+def left_window(window, z, purse):
+    """Tell whether a ray's worth lies outside its window."""
+    worth = window.weight * math.exp(-purse[DEPTH] - window.kappa * z)
+    return worth < window.lower or worth > window.upper
+
+
 @kernel
 def no_grain(leg):
     """Return what `next_grain` returns when there is none."""
-    return leg, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return leg, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules):
+def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules):
     """Draw the next grain on a ray, or find that the ray reaches a boundary first.
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then size, shape and entry point; a grain
@@ -72,22 +108,25 @@ def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, 
 
     Parameters
     ----------
-    x, y, z, dx, dy, dz : float
-        Origin and direction of the ray.
+    z : float
+        Height of the ray's origin (m).
+    dx, dy, dz : float
+        Direction of the ray.
     to_boundary : float
         Distance to the extended boundary ahead (m), or infinity.
     last_leg : 7 float
-        Origin, direction and length of the leg just travelled; length −1 when there is none.
+        Way from the end of the leg just travelled to the origin of this one, direction and length
+        of that leg; length −1 when there is none.
 
     Returns
     -------
     leg : float
         Distance to the grain; `to_boundary` when no grain comes first; −1 when none ever fits.
-    kind, semi_major, sphericity : int, float, float
-    c, p, w, n : 3 float each
-        Centre, entry point relative to it, major axis, outward normal.
+    kind, minor, flattening : int, float, float
+    q, w, n : 3 float each
+        Entry point, major axis, outward normal, see `splits.transport.spheroid`.
     """
-    lx, ly, lz, ldx, ldy, ldz, last = last_leg
+    g1, g2, g3, lx, ly, lz, last = last_leg
     for _ in range(MAX_REJECTIONS):
         leg = -math.log(uniform(state)) / grains.attenuation
         if leg >= to_boundary:
@@ -95,28 +134,139 @@ def next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, 
         kind = 0
         if grains.share.size > 1:
             kind = pick(grains.share, uniform(state))
-        semi_major = 1.0 / from_table(grains.curvature, kind, uniform(state))
+        curvature = from_table(grains.curvature, kind, uniform(state))
         sphericity = from_table(grains.sphericity, kind, uniform(state))
-        p1, p2, p3, w1, w2, w3, n1, n2, n3 = struck_point(
-            state, dx, dy, dz, semi_major, sphericity, rules.entry
+        ratio = sphericity * sphericity
+        flattening = 1.0 - ratio
+        minor = ratio / curvature
+        axial = axial_position(state, flattening)
+        facing = uniform(state)
+        if rules.entry == PROJECTED:
+            facing = math.sqrt(facing)
+        ca, sa = unit_circle(state)
+        ct, st = unit_circle(state)
+        q1, q2, q3, w1, w2, w3, n1, n2, n3 = entry_point(
+            dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
-        semi_minor = semi_major * sphericity * sphericity
-        cx = x + leg * dx - p1
-        cy = y + leg * dy - p2
-        cz = z + leg * dz - p3
-        if rules.reject_across_boundary:
-            h = half_height(w3, semi_major, semi_minor)
-            if cz + h > 0.0 or cz - h < -slab.depth:
-                continue
-        if rules.reject_on_last_leg and last > 0.0:
-            minor2 = 1.0 / (semi_minor * semi_minor)
-            shift = 1.0 / (semi_major * semi_major) - minor2
-            if cuts_segment(
-                lx - cx, ly - cy, lz - cz, ldx, ldy, ldz, last, w1, w2, w3, minor2, shift
-            ):
-                continue
-        return leg, kind, semi_major, sphericity, cx, cy, cz, p1, p2, p3, w1, w2, w3, n1, n2, n3
+        if rules.reject_across_boundary and crosses(
+            z + leg * dz, q3, w3, axial, minor, flattening, slab.depth
+        ):
+            continue
+        if rules.reject_on_last_leg and cuts_segment(
+            q1, q2, q3, w1, w2, w3, minor, flattening,
+            -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
+        ):  # fmt: skip
+            continue
+        return leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
     return no_grain(-1.0)
+
+
+@kernel
+def launch(state, slab, rules, optics):
+    """Start a ray at the slab's top.
+
+    Returns
+    -------
+    fate : int
+        `TRAVELS`, or `REFLECTED` by the boundary of a wet pore.
+    d : 3 float
+        Direction.
+    pore : int
+        Material of the pore space that the ray enters.
+    """
+    mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
+    dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
+    pore = draw_pore(state, slab.saturation)
+    if pore == WET_PORE and rules.boundary_fresnel:
+        passed, dx, dy, dz = cross_boundary(
+            state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
+        )
+        if not passed:
+            return REFLECTED, dx, dy, dz, pore
+    return TRAVELS, dx, dy, dz, pore
+
+
+@kernel
+def follow(
+    state, x, y, z, dx, dy, dz, last_leg, pore, grains, slab, rules, optics, length, purse, window
+):  # fmt: skip
+    """Follow a ray until it leaves the slab or is absorbed, or until its worth wants a decision.
+
+    Parameters
+    ----------
+    state, grains, slab, rules, optics
+        See `trace`.
+    x, y, z, dx, dy, dz : float
+        Origin and direction.
+    last_leg : 7 float
+        See `next_grain`.
+    pore : int
+        Material of the leg to come.
+    length, purse : float64[materials], float64[3]
+        Advanced in place.
+    window : Window or None
+        None asks for no decisions, at no cost.
+
+    Returns
+    -------
+    fate : int
+        `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is left.
+    x, y, z, dx, dy, dz, last_leg, pore
+        Where the ray then is.
+    legs : int
+    """
+    g1, g2, g3, lx, ly, lz, last = last_leg
+    legs = 0
+    while True:
+        legs += 1
+        to_boundary = math.inf
+        if dz > 0.0:
+            to_boundary = -z / dz
+        elif dz < 0.0:
+            to_boundary = (-slab.depth - z) / dz
+        last_leg = (g1, g2, g3, lx, ly, lz, last)
+        leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = next_grain(
+            state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
+        )
+        if leg < 0.0:
+            return LOST, x, y, z, dx, dy, dz, last_leg, pore, legs
+        met_boundary = leg >= to_boundary
+        if met_boundary:
+            leg = to_boundary
+        if not survives(state, leg, pore, optics, rules, length, purse):
+            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs
+        lx, ly, lz, last = dx, dy, dz, leg
+        x += leg * dx
+        y += leg * dy
+        z += leg * dz
+        if met_boundary:
+            z = 0.0 if dz > 0.0 else -slab.depth
+            g1, g2, g3 = 0.0, 0.0, 0.0
+            passed = True
+            if pore == WET_PORE and rules.boundary_fresnel:
+                passed, dx, dy, dz = cross_boundary(
+                    state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE], 0.0
+                )
+            if passed:
+                fate = REFLECTED if dz > 0.0 else TRANSMITTED
+                return fate, x, y, z, dx, dy, dz, last_leg, pore, legs
+            continue
+        facetness = from_table(grains.facetness, kind, uniform(state))
+        alive, g1, g2, g3, dx, dy, dz, pore = grain_walk(
+            state, q1, q2, q3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
+            minor, flattening, facetness, kind, pore, slab.saturation,
+            grains, optics, rules, length, purse,
+        )  # fmt: skip
+        if not alive:
+            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs
+        # Only a grain kept across a boundary, or rounding, ends a walk out there: the ray counts
+        # as standing on that boundary.
+        z = min(max(z + g3, -slab.depth), 0.0)
+        x += g1
+        y += g2
+        if window is not None and left_window(window, z, purse):
+            last_leg = (g1, g2, g3, lx, ly, lz, last)
+            return TRAVELS, x, y, z, dx, dy, dz, last_leg, pore, legs
 
 
 @kernel
@@ -145,70 +295,19 @@ def trace(state, grains, slab, rules, optics, length, purse):
     """
     length[:] = 0.0
     start_purse(purse)
-    legs = 0
-    mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
-    x, y, z = 0.0, 0.0, 0.0
-    dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
-    pore = draw_pore(state, slab.saturation)
-    if pore == WET_PORE and rules.boundary_fresnel:
-        passed, dx, dy, dz = cross_boundary(
-            state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
-        )
-        if not passed:
-            return REFLECTED, x, y, z, dx, dy, dz, legs
-    # The leg just travelled (origin, direction, length), on which no other grain can lie.
-    last_leg = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
-    while True:
-        legs += 1
-        to_boundary = math.inf
-        if dz > 0.0:
-            to_boundary = -z / dz
-        elif dz < 0.0:
-            to_boundary = (-slab.depth - z) / dz
-        leg, kind, semi_major, sphericity, cx, cy, cz, p1, p2, p3, w1, w2, w3, n1, n2, n3 = (
-            next_grain(state, x, y, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
-        )
-        if leg < 0.0:
-            return LOST, x, y, z, dx, dy, dz, legs
-        met_boundary = leg >= to_boundary
-        if met_boundary:
-            leg = to_boundary
-        if not survives(state, leg, pore, optics, rules, length, purse):
-            return ABSORBED, x, y, z, dx, dy, dz, legs
-        last_leg = (x, y, z, dx, dy, dz, leg)
-        if met_boundary:
-            x += leg * dx
-            y += leg * dy
-            z = 0.0 if dz > 0.0 else -slab.depth
-            passed = True
-            if pore == WET_PORE and rules.boundary_fresnel:
-                passed, dx, dy, dz = cross_boundary(
-                    state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE], 0.0
-                )
-            if passed:
-                fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, x, y, z, dx, dy, dz, legs
-            continue
-        facetness = from_table(grains.facetness, kind, uniform(state))
-        alive, p1, p2, p3, dx, dy, dz, pore = grain_walk(
-            state, p1, p2, p3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
-            semi_major, sphericity, facetness, kind, pore, slab.saturation,
-            grains, optics, rules, length, purse,
-        )  # fmt: skip
-        if not alive:
-            return ABSORBED, x, y, z, dx, dy, dz, legs
-        x = cx + p1
-        y = cy + p2
-        z = cz + p3
-        if z > 0.0 or z < -slab.depth:
-            # Only a grain kept across a boundary, or rounding, ends a walk out there: the
-            # ray counts as standing on that boundary.
-            z = 0.0 if z > 0.0 else -slab.depth
+    fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
+    if fate != TRAVELS:
+        return fate, 0.0, 0.0, 0.0, dx, dy, dz, 0
+    fate, x, y, z, dx, dy, dz, _, _, legs = follow(
+        state, 0.0, 0.0, 0.0, dx, dy, dz, NO_LEG, pore,
+        grains, slab, rules, optics, length, purse, None,
+    )  # fmt: skip
+    return fate, x, y, z, dx, dy, dz, legs
 
 
 @entry
-def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorption):
-    """Trace `rays` rays and tally their weights.
+def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits):
+    """Trace `rays` rays and record how they leave.
 
     Parameters
     ----------
@@ -217,46 +316,36 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, absorpti
     rays : int
     grains, slab, rules, optics
         See `splits.transport.scene`.
-    absorption : float64[wavelengths, materials]
-        Absorption coefficients (1/m) that turn path lengths into weights, SPLITSnow
-        Eqs 5-6 with the exponential read as the probability to pass.
+    exits : float64[rays, columns]
+        A row for each ray, see `splits.transport.tally`; must come from `exit_rows`.
 
     Returns
     -------
-    moments : float64[2, 3, wavelengths]
-        Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
-    least : float64[wavelengths]
-        Smallest weight with which any ray left; 0 once one was absorbed.
     legs : int
         Legs traced.
     lost : bool
         Whether a ray found no grain that fits; the batch then ends early.
     """
-    moments = np.zeros((2, 3, absorption.shape[0]))
-    least = np.full(absorption.shape[0], np.inf)
     legs = 0
-    length = np.zeros(absorption.shape[1])
+    materials = optics.n.size
+    length = np.zeros(materials)
     purse = np.zeros(3)
     state = np.zeros(1, dtype=np.uint64)
     for ray in range(first_ray, first_ray + rays):
         start_stream(state, seed, ensemble, ray)
-        fate, _, _, _, _, _, _, spent = trace(state, grains, slab, rules, optics, length, purse)
+        fate, x, y, _, dx, dy, dz, spent = trace(state, grains, slab, rules, optics, length, purse)
         legs += spent
         if fate == LOST:
-            return moments, least, legs, True
+            return legs, True
         if fate == ABSORBED:
-            least[:] = 0.0
             continue
-        side = 0 if fate == REFLECTED else 1
-        for i in range(absorption.shape[0]):
-            w = purse[WEIGHT]
-            if not rules.analog:
-                depth = 0.0
-                for material in range(absorption.shape[1]):
-                    depth += absorption[i, material] * length[material]
-                w *= math.exp(-depth)
-            moments[side, 0, i] += w
-            moments[side, 1, i] += w * w
-            moments[side, 2, i] = max(moments[side, 2, i], w)
-            least[i] = min(least[i], w)
-    return moments, least, legs, False
+        row = exits[ray - first_ray]
+        row[EXIT_SIDE] = 0.0 if fate == REFLECTED else 1.0
+        row[EXIT_WEIGHT] = purse[WEIGHT]
+        row[EXIT_DIRECTION] = dx
+        row[EXIT_DIRECTION + 1] = dy
+        row[EXIT_DIRECTION + 2] = dz
+        row[EXIT_POSITION] = x
+        row[EXIT_POSITION + 1] = y
+        row[EXIT_LENGTH : EXIT_LENGTH + materials] = length
+    return legs, False

@@ -1,13 +1,29 @@
-"""How kernels are compiled: one decorator, so that all of them are compiled alike."""
+"""How kernels are compiled, so that all of them are compiled alike, and in which precision."""
 
 from __future__ import annotations
 
-from numba import njit
+import numpy as np
+from numba import config, njit
 
-kernel = njit(cache=True, error_model="numpy", forceinline=True)
+kernel = njit(cache=True, error_model="numpy", forceinline=True, fastmath={"contract", "nsz"})
 """A small function that is inlined where it is called: scenes keep what they do not have out of
 the loop, and calls that pass dozens of scalars cost nothing.  Division by zero follows IEEE 754
-instead of raising, which spares a check at every division."""
+instead of raising, which spares a check at every division; products and sums may be fused."""
 
-entry = njit(cache=True, error_model="numpy", nogil=True)
+entry = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "nsz"})
 """A function that Python calls, free of the interpreter's lock."""
+
+
+def exact(value: float) -> float | np.float32:
+    """Return a number, exact in single precision, that takes on the precision of its partners.
+
+    Formulas that serve double and single precision write their constants so: compiled arithmetic
+    of a single-precision constant with a double is exact, and with a single stays single.  Plain
+    Python needs no such care.
+    """
+    return value if config.DISABLE_JIT else np.float32(value)  # type: ignore[attr-defined]
+
+
+ZERO, HALF, ONE, TWO, THREE, FOUR = (exact(x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
+TINY = exact(1e-20)
+"""Keeps a quotient of zeros finite; its own value never matters."""

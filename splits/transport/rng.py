@@ -16,7 +16,7 @@ import numpy as np
 
 from splits.transport.jit import kernel
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30 = np.uint64(30)
@@ -37,9 +37,9 @@ def mix64(z):
 @kernel
 def start_stream(state, seed, ensemble, ray):
     """Set `state` (``uint64[1]``) to the beginning of the stream of one ray."""
-    key = mix64(np.uint64(seed) + _GOLDEN)
-    key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + _GOLDEN))
-    state[0] = mix64(key ^ (np.uint64(ray) * _GOLDEN + _MIX2))
+    key = mix64(np.uint64(seed) + GOLDEN)
+    key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + GOLDEN))
+    state[0] = mix64(key ^ (np.uint64(ray) * GOLDEN + _MIX2))
 
 
 @kernel
@@ -49,7 +49,7 @@ def uniform(state):
     52 random bits, centred in their cells: the sum below is exact, so that neither 0 nor 1 can
     occur, a logarithm of the result is finite, and a free flight is capped only at 36 mean paths.
     """
-    state[0] += _GOLDEN
+    state[0] += GOLDEN
     return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT
 
 
@@ -98,6 +98,15 @@ def from_table(table, row, u):
     row = min(row, table.shape[0] - 1)
     i = min(int(x), table.shape[1] - 2)
     return table[row, i] + (x - i) * (table[row, i + 1] - table[row, i])
+
+
+@kernel
+def pick(share, u):
+    """Return the first type whose cumulative share exceeds u."""
+    i = 0
+    while u >= share[i] and i < share.size - 1:
+        i += 1
+    return i
 
 
 def table_probabilities(points):

@@ -1,22 +1,19 @@
 """Prolate spheroids: where a ray meets a grain, and what lies on the way through it.
 
 A grain has semi-major axis b along the unit vector w and two equal semi-minor axes c = Ψ² b
-(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity).  All functions work in world axes with
-positions relative to the grain's centre: the quadratic form
-
-    Q(x, y) = x·y / c² + (x·w)(y·w) (1/b² − 1/c²)
-
-has Q(p, p) = 1 on the surface and ∇Q ∝ p / c² + (p·w) (1/b² − 1/c²) w along the normal, so no
-rotation into the grain's frame is needed.
+(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity); f = 1 − c/b is its flattening.  Squeezing
+space along w by c/b turns it into a sphere.  Points on the surface are kept as unit vectors q of
+that sphere, lengths in units of c, and directions stay those of real space: neither the grain's
+centre nor a rotation into its frame is needed.  Every function serves both precisions.
 """
 
 from __future__ import annotations
 
 import math
 
-from splits.transport.frames import normalized, orthonormal_basis
-from splits.transport.jit import kernel
-from splits.transport.rng import uniform, unit_circle, unit_sphere
+from splits.transport.frames import around, normalized
+from splits.transport.jit import HALF, ONE, THREE, TWO, ZERO, kernel
+from splits.transport.rng import uniform, unit_circle
 
 UNIFORM = 0
 """Entry point uniform over the surface that faces the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
@@ -25,102 +22,172 @@ PROJECTED = 1
 
 
 @kernel
-def quadratic(x1, x2, x3, y1, y2, y3, w1, w2, w3, minor2, shift):
-    """Return Q(x, y) with `minor2` = 1/c² and `shift` = 1/b² − 1/c²."""
-    dot = x1 * y1 + x2 * y2 + x3 * y3
-    return dot * minor2 + (x1 * w1 + x2 * w2 + x3 * w3) * (y1 * w1 + y2 * w2 + y3 * w3) * shift
+def squeezed(x1, x2, x3, w1, w2, w3, flattening):
+    """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
+    k = flattening * (x1 * w1 + x2 * w2 + x3 * w3)
+    return x1 - k * w1, x2 - k * w2, x3 - k * w3
 
 
 @kernel
-def axial_position(state, sphericity):
+def normal_at(q1, q2, q3, w1, w2, w3, flattening):
+    """Return the outward unit normal at the surface point q."""
+    n1, n2, n3 = squeezed(q1, q2, q3, w1, w2, w3, flattening)
+    return normalized(n1, n2, n3)
+
+
+@kernel
+def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
+    """Return the chord from the surface point q along d through the grain, and its other end.
+
+    Returns
+    -------
+    chord : float
+        Its length in units of the semi-minor axis, at least 0.
+    q : 3 float
+        The other end, brought back to unit length, so that errors do not add up.
+    """
+    e1, e2, e3 = squeezed(dx, dy, dz, w1, w2, w3, flattening)
+    along = q1 * e1 + q2 * e2 + q3 * e3
+    chord = max(-TWO * along / (e1 * e1 + e2 * e2 + e3 * e3), ZERO)
+    q1 += chord * e1
+    q2 += chord * e2
+    q3 += chord * e3
+    # One step of Newton's method for 1/|q| from 1.
+    scale = HALF * (THREE - (q1 * q1 + q2 * q2 + q3 * q3))
+    return chord, q1 * scale, q2 * scale, q3 * scale
+
+
+@kernel
+def slope_squared(axial, flattening):
+    """Return 1 − e² z², z the axial position in units of b and e² = 1 − Ψ⁴.
+
+    It is the squared length of the normal that `squeezed` makes of q, and the density of area
+    over z is proportional to its root (SPLITS Eq 27, differentiated).
+    """
+    return ONE - flattening * (TWO - flattening) * axial * axial
+
+
+@kernel
+def axial_position(state, flattening):
     """Return z/b of a point uniform over the area of a prolate spheroid, in (−1, 1).
 
-    SPLITS Eq 27 is the cumulative area F(z); its derivative is proportional to √(1 − e²z²/b²)
-    with e² = 1 − Ψ⁴, from which rejection draws exactly, without inverting F.
+    Rejection draws exactly, without inverting SPLITS Eq 27.
     """
-    psi2 = sphericity * sphericity
-    e2 = 1.0 - psi2 * psi2
     while True:
-        z = 2.0 * uniform(state) - 1.0
+        z = TWO * uniform(state) - ONE
         u = uniform(state)
-        if u * u < 1.0 - e2 * z * z:
+        if u * u < slope_squared(z, flattening):
             return z
 
 
 @kernel
-def normal_at(p1, p2, p3, w1, w2, w3, minor2, shift):
-    """Return the outward unit normal at the surface point p."""
-    along = (p1 * w1 + p2 * w2 + p3 * w3) * shift
-    return normalized(
-        p1 * minor2 + along * w1,
-        p2 * minor2 + along * w2,
-        p3 * minor2 + along * w3,
-    )
+def entry_point(
+    dx, dy, dz, facing, cos_azimuth, sin_azimuth, axial, cos_turn, sin_turn, flattening
+):  # fmt: skip
+    """Return where a ray along d strikes a grain, and how that grain lies.
 
+    A grain turned at random shows the normal at any fixed point of it in a random direction; so
+    the normal is drawn around −d, and the grain is then turned around that normal.
 
-@kernel
-def struck_point(state, dx, dy, dz, semi_major, sphericity, entry):
-    """Draw orientation and entry point of the grain that a ray along d strikes.
+    Parameters
+    ----------
+    d : 3 float
+    facing : float
+        −d·n in (0, 1]: uniform for entry uniform over the facing surface, the root of a uniform
+        number for entry in proportion to projected area.
+    cos_azimuth, sin_azimuth : float
+        Azimuth of n around −d, uniform.
+    axial : float
+        z/b of the entry point, see `axial_position`.
+    cos_turn, sin_turn : float
+        Azimuth of w around n, uniform.
+    flattening : float
 
     Returns
     -------
-    p : 3 float
-        Entry point relative to the centre, in the unit of `semi_major`.
-    w : 3 float
-        Direction of the major axis, uniform on the sphere (`UNIFORM`), or weighted by the
-        area the grain shows the ray (`PROJECTED`).
-    n : 3 float
-        Outward normal at p, with d·n < 0.
+    q, w, n : 3 float each
+        Entry point, major axis and outward normal, d·n = −`facing`.
     """
-    psi2 = sphericity * sphericity
-    semi_minor = semi_major * psi2
-    minor2 = 1.0 / (semi_minor * semi_minor)
-    shift = 1.0 / (semi_major * semi_major) - minor2
-    while True:
-        w1, w2, w3 = unit_sphere(state)
-        z = axial_position(state, sphericity)
-        r = semi_minor * math.sqrt(1.0 - z * z)
-        z *= semi_major
-        c, s = unit_circle(state)
-        u1, u2, u3, v1, v2, v3 = orthonormal_basis(w1, w2, w3)
-        c *= r
-        s *= r
-        p1 = z * w1 + c * u1 + s * v1
-        p2 = z * w2 + c * u2 + s * v2
-        p3 = z * w3 + c * u3 + s * v3
-        n1, n2, n3 = normal_at(p1, p2, p3, w1, w2, w3, minor2, shift)
-        facing = -(dx * n1 + dy * n2 + dz * n3)
-        # The facing and the hidden half have equal area: a point on the hidden side moves to
-        # its antipode.
-        if facing < 0.0:
-            p1, p2, p3 = -p1, -p2, -p3
-            n1, n2, n3 = -n1, -n2, -n3
-            facing = -facing
-        if facing > 0.0 and (entry == UNIFORM or uniform(state) < facing):
-            return p1, p2, p3, w1, w2, w3, n1, n2, n3
-
-
-@kernel
-def chord(p1, p2, p3, dx, dy, dz, w1, w2, w3, minor2, shift):
-    """Return the length of the straight path from the surface point p along d through the grain."""
+    root = math.sqrt(slope_squared(axial, flattening))
+    sine = math.sqrt(max(ONE - facing * facing, ZERO))
+    n1, n2, n3 = around(-dx, -dy, -dz, facing, sine, cos_azimuth, sin_azimuth)
+    cos_axis = (ONE - flattening) * axial / root
+    sin_axis = math.sqrt(max(ONE - axial * axial, ZERO)) / root
+    w1, w2, w3 = around(n1, n2, n3, cos_axis, sin_axis, cos_turn, sin_turn)
+    shift = flattening * axial
     return (
-        -2.0
-        * quadratic(p1, p2, p3, dx, dy, dz, w1, w2, w3, minor2, shift)
-        / quadratic(dx, dy, dz, dx, dy, dz, w1, w2, w3, minor2, shift)
-    )
+        root * n1 + shift * w1, root * n2 + shift * w2, root * n3 + shift * w3,
+        w1, w2, w3, n1, n2, n3,
+    )  # fmt: skip
 
 
 @kernel
-def half_height(w3, semi_major, semi_minor):
-    """Return how far the grain reaches above (and below) its centre along z."""
-    return math.sqrt(semi_minor * semi_minor * (1.0 - w3 * w3) + semi_major * semi_major * w3 * w3)
+def struck_point(state, dx, dy, dz, flattening, entry):
+    """Draw entry point, orientation and normal of the grain that a ray along d strikes.
+
+    Returns what `entry_point` does.
+    """
+    axial = axial_position(state, flattening)
+    facing = uniform(state)
+    if entry == PROJECTED:
+        facing = math.sqrt(facing)
+    ca, sa = unit_circle(state)
+    ct, st = unit_circle(state)
+    return entry_point(dx, dy, dz, facing, ca, sa, axial, ct, st, flattening)
 
 
 @kernel
-def cuts_segment(o1, o2, o3, dx, dy, dz, length, w1, w2, w3, minor2, shift):
-    """Tell whether the grain overlaps the segment from o (relative to its centre) along d."""
-    qdd = quadratic(dx, dy, dz, dx, dy, dz, w1, w2, w3, minor2, shift)
-    qod = quadratic(o1, o2, o3, dx, dy, dz, w1, w2, w3, minor2, shift)
-    qoo = quadratic(o1, o2, o3, o1, o2, o3, w1, w2, w3, minor2, shift)
-    t = min(max(-qod / qdd, 0.0), length)
-    return qoo + t * (2.0 * qod + t * qdd) < 1.0
+def crosses(height, q3, w3, axial, minor, flattening, depth):
+    """Tell whether a grain entered at a height below the boundary 0 reaches over 0 or −depth.
+
+    Parameters
+    ----------
+    height : float
+        Height of the entry point (m).
+    q3, w3 : float
+        Vertical components of entry point and major axis.
+    axial, minor, flattening : float
+        z/b of the entry point; semi-minor axis (m); flattening.
+    depth : float
+        Metres.
+    """
+    stretch = ONE / (ONE - flattening)
+    centre = height - minor * (q3 + (stretch - ONE) * axial * w3)
+    half = minor * math.sqrt(ONE + (stretch * stretch - ONE) * w3 * w3)
+    return (centre + half > ZERO) | (centre - half < -depth)
+
+
+@kernel
+def cuts_segment(
+    q1, q2, q3, w1, w2, w3, minor, flattening, e1, e2, e3, lx, ly, lz, length
+):  # fmt: skip
+    """Tell whether a grain overlaps a segment.
+
+    Parameters
+    ----------
+    q, w : 3 float each
+        A point on the grain's surface and its major axis.
+    minor, flattening : float
+        Semi-minor axis (m) and flattening.
+    e : 3 float
+        The end of the segment, from that point (m).
+    l : 3 float
+        Direction of the segment, towards that end.
+    length : float
+        Its length (m); none if negative.
+    """
+    scale = ONE / minor
+    a1, a2, a3 = squeezed(e1, e2, e3, w1, w2, w3, flattening)
+    a1 = a1 * scale + q1
+    a2 = a2 * scale + q2
+    a3 = a3 * scale + q3
+    b1, b2, b3 = squeezed(lx, ly, lz, w1, w2, w3, flattening)
+    b1 *= scale
+    b2 *= scale
+    b3 *= scale
+    t = (a1 * b1 + a2 * b2 + a3 * b3) / (b1 * b1 + b2 * b2 + b3 * b3)
+    t = min(max(t, ZERO), length)
+    a1 -= t * b1
+    a2 -= t * b2
+    a3 -= t * b3
+    return (length > ZERO) & (a1 * a1 + a2 * a2 + a3 * a3 < ONE)

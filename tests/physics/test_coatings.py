@@ -30,12 +30,14 @@ def _walk(state, psi, facetness, saturation, grains, optics, rules, true_absorpt
     length[:] = 0.0
     start_purse(purse)
     d1, d2, d3 = 0.48, -0.64, 0.6
-    p1, p2, p3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
-        state, d1, d2, d3, RADIUS, psi, rules.entry
+    flattening = 1.0 - psi * psi
+    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
+        state, d1, d2, d3, flattening, rules.entry
     )
     alive, _, _, _, e1, e2, e3, pore = grain.grain_walk(
-        state, p1, p2, p3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        RADIUS, psi, facetness, 0, 0, saturation, grains, optics, rules, length, purse,
+        state, q1, q2, q3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
+        RADIUS * psi * psi, flattening, facetness, 0, 0, saturation,
+        grains, optics, rules, length, purse,
     )  # fmt: skip
     score = 0.0
     if alive:

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
 from numba import njit
+from spheroids import real_point, sphere_point, unit
 
 import splits
 from splits.transport import rng, spheroid
 
 B = 1.7
 SPHERICITIES = (0.35, 0.7, 0.9, 1.0)
+NO_LEG = -1.0
 
 
 @pytest.fixture
@@ -19,14 +21,9 @@ def random():
     return np.random.default_rng(11)
 
 
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def shape(psi):
-    """Return semi-minor axis, 1/c² and 1/b² − 1/c² as kernels want them."""
-    c = B * psi * psi
-    return c, 1.0 / c**2, 1.0 / B**2 - 1.0 / c**2
+    """Return semi-minor axis and flattening as kernels want them."""
+    return B * psi * psi, 1.0 - psi * psi
 
 
 def form(psi, axis):
@@ -43,8 +40,28 @@ def surface_point(random, psi, axis):
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
+def test_points_on_the_unit_sphere_are_points_of_the_surface(random, psi):
+    c, flattening = shape(psi)
+    for _ in range(100):
+        axis = unit(random.normal(size=3))
+        m = form(psi, axis)
+        p = surface_point(random, psi, axis)
+        q = sphere_point(p, axis, c, flattening)
+        assert q @ q == pytest.approx(1.0, abs=1e-13)
+        assert real_point(q, axis, c, flattening) == pytest.approx(p, abs=1e-13)
+        n = np.array(spheroid.normal_at(*q, *axis, flattening))
+        assert n == pytest.approx(unit(m @ p), abs=1e-12)
+        z = q @ axis
+        # The normal before it is scaled to 1, in units of q.
+        assert spheroid.slope_squared(z, flattening) == pytest.approx(
+            np.square(spheroid.squeezed(*q, *axis, flattening)).sum(), abs=1e-13
+        )
+        assert z == pytest.approx(p @ axis / B, abs=1e-13)
+
+
+@pytest.mark.parametrize("psi", SPHERICITIES)
 def test_chord_against_roots_of_the_quadratic(random, psi):
-    _, minor2, shift = shape(psi)
+    c, flattening = shape(psi)
     for _ in range(300):
         axis = unit(random.normal(size=3))
         m = form(psi, axis)
@@ -52,31 +69,75 @@ def test_chord_against_roots_of_the_quadratic(random, psi):
         d = unit(random.normal(size=3))
         d = -d if d @ m @ p > 0.0 else d
         roots = np.roots([d @ m @ d, 2.0 * d @ m @ p, p @ m @ p - 1.0])
-        length = spheroid.chord(*p, *d, *axis, minor2, shift)
+        q = sphere_point(p, axis, c, flattening)
+        chord, *other = spheroid.across(*q, *d, *axis, flattening)
+        length = chord * c
         assert length > 0.0
         assert length == pytest.approx(roots.real.max(), rel=1e-7, abs=1e-7)
         end = p + length * d
         assert end @ m @ end == pytest.approx(1.0, abs=1e-12)
-        n = np.array(spheroid.normal_at(*end, *axis, minor2, shift))
+        assert np.dot(other, other) == pytest.approx(1.0, abs=1e-15)
+        assert real_point(other, axis, c, flattening) == pytest.approx(end, abs=1e-12)
+        n = np.array(spheroid.normal_at(*other, *axis, flattening))
         assert n == pytest.approx(unit(m @ end), abs=1e-12)
         assert n @ d > 0.0
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
-def test_half_height_against_the_surface(random, psi):
-    c, _, _ = shape(psi)
-    for _ in range(20):
+def test_a_ray_that_points_away_has_no_chord(random, psi):
+    _, flattening = shape(psi)
+    for _ in range(100):
+        axis, q, d = unit(random.normal(size=(3, 3)))
+        n = spheroid.normal_at(*q, *axis, flattening)
+        d = d if d @ n > 0.0 else -d
+        assert spheroid.across(*q, *d, *axis, flattening) == pytest.approx((0.0, *q), abs=1e-15)
+
+
+@pytest.mark.parametrize("psi", SPHERICITIES)
+def test_a_point_off_the_unit_sphere_is_brought_back(random, psi):
+    _, flattening = shape(psi)
+    for _ in range(100):
+        axis, q, d = unit(random.normal(size=(3, 3)))
+        for off in (-1e-6, 1e-6):
+            _, *other = spheroid.across(*((1.0 + off) * q), *d, *axis, flattening)
+            # Newton's method squares the error: 3/8 (2e-6)².
+            assert np.linalg.norm(other) == pytest.approx(1.0, abs=2e-12)
+
+
+@pytest.mark.parametrize("psi", SPHERICITIES)
+def test_crosses_against_the_highest_and_lowest_point(random, psi):
+    c, flattening = shape(psi)
+    depth = 12.0
+    for _ in range(50):
         axis = unit(random.normal(size=3))
         m = form(psi, axis)
+        p = surface_point(random, psi, axis)
+        q = sphere_point(p, axis, c, flattening)
         # The topmost point has its gradient along z.
         top = np.linalg.solve(m, [0.0, 0.0, 1.0])
-        top /= np.sqrt(top @ m @ top)
-        assert spheroid.half_height(axis[2], B, c) == pytest.approx(top[2], rel=1e-12)
+        top = (top / np.sqrt(top @ m @ top))[2]
+        for hair in (-1e-12, 1e-12):
+            for height in (p[2] - top + hair, p[2] + top - depth - hair):
+                crosses = spheroid.crosses(height, q[2], axis[2], q @ axis, c, flattening, depth)
+                assert crosses == (hair > 0.0)
+        # Somewhere at random, and between boundaries that are nearer than the grain is high.
+        height = random.uniform(-depth, 0.0)
+        outside = height - p[2] + top > 0.0 or height - p[2] - top < -depth
+        args = (q[2], axis[2], q @ axis, c, flattening)
+        assert spheroid.crosses(height, *args, depth) == outside
+        assert spheroid.crosses(-0.5 * top + p[2], *args, 1.9 * top)
+
+
+def cuts(start, d, length, p, axis, c, flattening):
+    """Return whether a segment, from the grain's centre, cuts a grain known by a point p of it."""
+    q = sphere_point(p, axis, c, flattening)
+    end = start + length * d - p
+    return spheroid.cuts_segment(*q, *axis, c, flattening, *end, *d, length)
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
 def test_cuts_segment_against_points_along_it(random, psi):
-    c, minor2, shift = shape(psi)
+    c, flattening = shape(psi)
     steps = 2000
     cut = missed = 0
     for _ in range(400):
@@ -91,13 +152,21 @@ def test_cuts_segment_against_points_along_it(random, psi):
         nearest = np.einsum("ij,jk,ik->i", points, m, points).min()
         # Between two points the form falls at most (half a step)² / c² below the lower one.
         slack = (0.5 * length / (steps - 1) / c) ** 2
-        result = spheroid.cuts_segment(*start, *d, length, *axis, minor2, shift)
+        # Whichever point of its surface a grain is known by.
+        result = [
+            cuts(start, d, length, surface_point(random, psi, axis), axis, c, flattening)
+            for _ in range(3)
+        ]
         if nearest < 1.0:
-            assert result
+            assert all(result)
             cut += 1
         elif nearest > 1.0 + slack:
-            assert not result
+            assert not any(result)
             missed += 1
+        p = surface_point(random, psi, axis)
+        # A leg that is not there cuts nothing.
+        q = sphere_point(p, axis, c, flattening)
+        assert not spheroid.cuts_segment(*q, *axis, c, flattening, *-p, *d, NO_LEG)
     assert cut > 50 and missed > 50
 
 
@@ -106,11 +175,10 @@ def _struck_chord(state, grains, entry):
     """Return the straight chord through a struck grain that does not bend the ray."""
     b = 1.0 / rng.from_table(grains.curvature, 0, rng.uniform(state))
     psi = rng.from_table(grains.sphericity, 0, rng.uniform(state))
+    flattening = 1.0 - psi * psi
     d1, d2, d3 = 0.48, -0.64, 0.6
-    p1, p2, p3, w1, w2, w3, _, _, _ = spheroid.struck_point(state, d1, d2, d3, b, psi, entry)
-    minor2 = 1.0 / (b * psi * psi) ** 2
-    shift = 1.0 / (b * b) - minor2
-    return spheroid.chord(p1, p2, p3, d1, d2, d3, w1, w2, w3, minor2, shift)
+    q1, q2, q3, w1, w2, w3, _, _, _ = spheroid.struck_point(state, d1, d2, d3, flattening, entry)
+    return b * psi * psi * spheroid.across(q1, q2, q3, d1, d2, d3, w1, w2, w3, flattening)[0]
 
 
 MEDIA = {

@@ -9,6 +9,7 @@ import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
 from numba import njit
 from scipy import integrate
+from spheroids import gradient, quadratic, real_point
 
 import splits
 from splits.transport import grain, spheroid
@@ -25,29 +26,27 @@ def optics(n, k=0.0, absorption=0.0):
     return Optics(np.array([1.0, 1.33, n]), np.array([0.0, 0.0, k]), np.array([0, 0, absorption]))
 
 
+DIRECTION = (0.48, -0.64, 0.6)
+
+
 @njit
 def _scatter(state, psi, facetness, grains, optics, rules, length, purse):
-    """Return cosθ of scattering, the path inside, survival, and whether the exit is sound."""
+    """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
     length[:] = 0.0
     start_purse(purse)
-    d1, d2, d3 = 0.48, -0.64, 0.6
-    p1, p2, p3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
-        state, d1, d2, d3, RADIUS, psi, rules.entry
+    d1, d2, d3 = DIRECTION
+    flattening = 1.0 - psi * psi
+    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
+        state, d1, d2, d3, flattening, rules.entry
     )
-    alive, q1, q2, q3, e1, e2, e3, _ = grain.grain_walk(
-        state, p1, p2, p3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        RADIUS, psi, facetness, 0, 0, 0.0, grains, optics, rules, length, purse,
+    alive, g1, g2, g3, e1, e2, e3, _ = grain.grain_walk(
+        state, q1, q2, q3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
+        RADIUS * psi * psi, flattening, facetness, 0, 0, 0.0,
+        grains, optics, rules, length, purse,
     )  # fmt: skip
-    minor2 = 1.0 / (RADIUS * psi * psi) ** 2
-    shift = 1.0 / (RADIUS * RADIUS) - minor2
-    on = spheroid.quadratic(q1, q2, q3, q1, q2, q3, w1, w2, w3, minor2, shift)
-    m1, m2, m3 = spheroid.normal_at(q1, q2, q3, w1, w2, w3, minor2, shift)
-    outward = e1 * m1 + e2 * m2 + e3 * m3
-    norm = e1 * e1 + e2 * e2 + e3 * e3
-    sound = abs(on - 1.0) < 1e-9 and outward > 0.0 and abs(norm - 1.0) < 1e-9
     return (
-        d1 * e1 + d2 * e2 + d3 * e3, length[2],
-        1.0 if alive else 0.0, 1.0 if sound or not alive else 0.0,
+        d1 * e1 + d2 * e2 + d3 * e3, length[2], 1.0 if alive else 0.0,
+        q1, q2, q3, w1, w2, w3, g1, g2, g3, e1, e2, e3,
     )  # fmt: skip
 
 
@@ -55,10 +54,18 @@ def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog
     rules = splits.Readings(entry=entry).rules(analog)
     out = draw(
         _scatter, COUNT, psi, facetness, splits.Snow().grains(), optics(n, 0.0, absorption),
-        rules, np.zeros(3), np.zeros(3), width=4,
+        rules, np.zeros(3), np.zeros(3), width=15,
     )  # fmt: skip
-    assert out[:, 3].all()
-    return out[:, 0], out[:, 1], out[:, 2] == 1.0
+    alive = out[:, 2] == 1.0
+    # Rays leave at a point of the surface, outwards.
+    q, w, way, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))
+    minor, flattening = RADIUS * psi * psi, 1.0 - psi * psi
+    exit_point = real_point(q, w, minor, flattening) + way
+    assert np.abs(quadratic(exit_point, w, minor, flattening) - 1.0).max() < 1e-9
+    normal = gradient(exit_point, w, minor, flattening)
+    assert (direction * normal).sum(axis=1).min() > 0.0
+    assert np.abs((direction**2).sum(axis=1) - 1.0).max() < 1e-9
+    return out[:, 0], out[:, 1], alive
 
 
 def fresnel(i, n):

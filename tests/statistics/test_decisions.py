@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from chi2 import draw, judge_p, judge_z, p_of_values, scaled, tabulated_cdf
 from numba import njit
+from spheroids import dot, gradient, nearest, real_point
 
 import splits
 from splits.media import grain_statistics
-from splits.transport import facets, fresnel, grain, granular, spheroid
+from splits.transport import facets, fresnel, grain, granular
 from splits.transport.scene import DRY_PORE, WET_PORE, Slab
 
 COUNT = scaled(200_000)
@@ -29,27 +31,36 @@ def binomial_z(hits, p):
 
 
 @njit
-def _deep_grain(state, dx, dy, dz, grains, slab, rules, no_leg):
-    """Return leg, semi-major axis, sphericity and misfit of a grain met far from boundaries."""
-    leg, _, b, psi, c1, c2, c3, p1, p2, p3, _, _, _, _, _, _ = granular.next_grain(
-        state, 1.0, 2.0, -5e3, dx, dy, dz, 5e3, no_leg, grains, slab, rules
+def _next_grain(state, z, dx, dy, dz, to_boundary, grains, slab, rules, last_leg):
+    """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
+    leg, _, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = granular.next_grain(
+        state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
     )
-    miss = max(
-        abs(c1 + p1 - 1.0 - leg * dx), abs(c2 + p2 - 2.0 - leg * dy), abs(c3 + p3 + 5e3 - leg * dz)
-    )
-    return leg, b, psi, miss
+    return leg, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
+
+
+def next_grains(count, z, d, snow, slab=DEEP, last_leg=NO_LEG):
+    """Draw next grains far from a boundary ahead; vectors as (count, 3)."""
+    out = draw(
+        _next_grain, count, z, *d, 5e3, snow.grains(), slab, snow.readings.rules(), last_leg,
+        width=12,
+    )  # fmt: skip
+    return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:]
 
 
 def test_free_path_and_grain_in_a_deep_medium():
     p = {}
     for entry in ("uniform", "projected"):
         snow = splits.Snow(depth_m=1e4, saturation=0.0, readings={"entry": entry})
-        grains, rules = snow.grains(), snow.readings.rules()
-        out = draw(
-            _deep_grain, scaled(100_000), 0.48, -0.64, 0.6, grains, DEEP, rules, NO_LEG, width=4
-        )
-        leg, b, psi, miss = out.T
-        assert miss.max() < 1e-11
+        d = (0.48, -0.64, 0.6)
+        leg, minor, flattening, q, w, n = next_grains(scaled(100_000), -5e3, d, snow)
+        # A grain that the ray strikes from outside, with the normal of the point it strikes.
+        assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-12
+        assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-12
+        at = real_point(q, w, minor, flattening)
+        assert np.abs(gradient(at, w, minor, flattening) - n).max() < 1e-11
+        assert dot(n, d).max() < 0.0
+        b, psi = minor / (1.0 - flattening), np.sqrt(1.0 - flattening)
         distance = snow.mean_grain_distance_m
         p[entry, "distance"] = p_of_values(leg, lambda x, d=distance: -np.expm1(-x / d))
         p[entry, "size"] = p_of_values(b, lambda s: (1 / LOW - 1 / s) / (1 / LOW - 1 / HIGH))
@@ -78,7 +89,7 @@ def test_grain_is_forgotten_when_the_boundary_comes_first():
 @njit
 def _next_leg(state, to_boundary, grains, slab, rules, no_leg):
     return granular.next_grain(
-        state, 0.0, 0.0, -5e3, 0.0, 0.0, 1.0, to_boundary, no_leg, grains, slab, rules
+        state, -5e3, 0.0, 0.0, 1.0, to_boundary, no_leg, grains, slab, rules
     )[0]
 
 
@@ -171,28 +182,43 @@ def test_pore_medium_follows_saturation():
     judge_z(z, "pore")
 
 
-@njit
-def _overlaps_last_leg(state, grains, slab, rules, last_leg):
-    """Return whether a grain met after a reversal overlaps the leg travelled before it."""
-    _, _, b, psi, c1, c2, c3, _, _, _, w1, w2, w3, _, _, _ = granular.next_grain(
-        state, 0.0, 0.0, -5e3, 0.1, 0.0, math.sqrt(0.99), 5e3, last_leg, grains, slab, rules
-    )
-    c = b * psi * psi
-    minor2, shift = 1.0 / (c * c), 1.0 / (b * b) - 1.0 / (c * c)
-    lx, ly, lz, ldx, ldy, ldz, length = last_leg
-    cut = spheroid.cuts_segment(
-        lx - c1, ly - c2, lz - c3, ldx, ldy, ldz, length, w1, w2, w3, minor2, shift
-    )
-    return 1.0 if cut else 0.0
+LAST_LEGS = {
+    # Straight on from where the last leg ended, and some way through a grain from there.
+    "reversal": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 2e-3),
+    "beyond a grain": (1e-4, -5e-5, 2e-4, -0.28, 0.0, -0.96, 3e-3),
+}
 
 
-def test_no_grain_lies_on_the_last_leg_unless_kept():
-    last_leg = (0.0, 0.0, -5e3 + 2e-3, 0.0, 0.0, -1.0, 2e-3)
-    share = {}
+@pytest.mark.parametrize("name", LAST_LEGS)
+def test_no_grain_lies_on_the_last_leg_unless_kept(name):
+    last_leg = LAST_LEGS[name]
+    g, back, length = np.array(last_leg[:3]), np.array(last_leg[3:6]), last_leg[6]
+    d = np.array([0.1, 0.0, math.sqrt(0.99)])
+    least = {}
     for fate in ("reject", "keep"):
         snow = splits.Snow(depth_m=1e4, readings={"grain_on_last_leg": fate})
-        share[fate] = draw(
-            _overlaps_last_leg, scaled(20_000), snow.grains(), DEEP, snow.readings.rules(), last_leg
-        ).mean()
+        leg, minor, flattening, q, w, _ = next_grains(
+            scaled(20_000), -5e3, d, snow, last_leg=last_leg
+        )
+        # Both ends of the last leg as seen from the grain's centre.
+        end = real_point(q, w, minor, flattening) - leg[:, None] * d - g
+        least[fate] = nearest(end - length * back, end, w, minor, flattening)
+    assert least["reject"].min() >= 1.0
+    assert (least["keep"] < 1.0).mean() > {"reversal": 0.5, "beyond a grain": 0.3}[name]
+
+
+@pytest.mark.parametrize("z", [-1e-4, -9e-4])
+def test_no_grain_crosses_a_boundary_unless_kept(z):
+    slab = Slab(1e-3, 0.0, 1.0, False)
+    d = np.array([0.8, 0.0, 0.6])
+    share = {}
+    for fate in ("reject", "keep"):
+        snow = splits.Snow(depth_m=1e-3, readings={"grain_across_boundary": fate})
+        leg, minor, flattening, q, w, _ = next_grains(scaled(20_000), z, d, snow, slab)
+        centre = z + leg * d[2] - real_point(q, w, minor, flattening)[:, 2]
+        # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.
+        major = minor / (1.0 - flattening)
+        half = np.sqrt(minor**2 + (major**2 - minor**2) * w[:, 2] ** 2)
+        share[fate] = ((centre + half > 1e-15) | (centre - half < -1e-3 - 1e-15)).mean()
     assert share["reject"] == 0.0
-    assert share["keep"] > 0.5
+    assert share["keep"] > 0.2

@@ -22,17 +22,17 @@ def tilt(facetness):
     return stats.truncnorm(0.0, 2.0 / facetness, scale=0.5 * facetness)
 
 
-def test_tilt_cosine():
+def test_lean():
     p = {}
     for facetness in (0.3, 1.0, 2.0):
-        cosine = draw(facets.tilt_cosine, COUNT, facetness)
-        assert cosine.min() > 0.0 and cosine.max() <= 1.0
-        p[facetness] = p_of_values(1.0 - cosine, tilt(facetness).cdf)
+        leaning = draw(facets.lean, COUNT, facetness)
+        assert leaning.min() >= 0.0 and leaning.max() < 1.0
+        p[facetness] = p_of_values(leaning, tilt(facetness).cdf)
     judge_p(p)
 
 
-def test_smooth_surface_has_no_tilt():
-    assert (draw(facets.tilt_cosine, 1000, 0.0) == 1.0).all()
+def test_smooth_surface_does_not_lean():
+    assert (draw(facets.lean, 1000, 0.0) == 0.0).all()
 
 
 def cell_probabilities(facetness, cos_i, rule):

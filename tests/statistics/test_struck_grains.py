@@ -7,6 +7,7 @@ import pytest
 from chi2 import draw, judge_p, p_of_counts, p_of_values, scaled, tabulated_cdf
 from numba import njit
 from scipy import integrate, stats
+from spheroids import dot, gradient, quadratic, real_point
 
 from splits.media import grain_statistics
 from splits.transport import rng, spheroid
@@ -111,7 +112,7 @@ def area_below(z, sphericity):
 def test_axial_position():
     p = {}
     for psi in SPHERICITIES:
-        z = draw(spheroid.axial_position, COUNT, psi)
+        z = draw(spheroid.axial_position, COUNT, 1.0 - psi * psi)
         p[psi] = p_of_values(z, lambda z, psi=psi: area_below(z, psi))
     judge_p(p)
 
@@ -122,8 +123,12 @@ ENTRIES = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 
 
 def struck(psi, entry):
-    out = draw(spheroid.struck_point, COUNT, *RAY, B, psi, ENTRIES[entry], width=9)
-    return out[:, :3], out[:, 3:6], out[:, 6:]
+    """Return entry points from the centre, major axes and normals of grains of semi-axis B."""
+    flattening = 1.0 - psi * psi
+    out = draw(spheroid.struck_point, COUNT, *RAY, flattening, ENTRIES[entry], width=9)
+    q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:]
+    assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-13
+    return real_point(q, axis, B * psi * psi, flattening), axis, normal
 
 
 def facing_cdf(x, entry):
@@ -192,6 +197,11 @@ def test_struck_point(entry):
         u /= np.linalg.norm(u)
         turn = np.arctan2(point @ np.cross(RAY, u), point @ u) / (2 * np.pi) % 1.0
         p[psi, "azimuth"] = p_of_values(turn, lambda x: x)
+        # Nor around the normal: the grain is turned at random.
+        v = np.cross(normal, RAY)
+        turn = np.arctan2(dot(axis, v)[:, 0], dot(axis, np.cross(normal, v))[:, 0])
+        turn = turn / (2 * np.pi) % 1.0
+        p[psi, "turn"] = p_of_values(turn, lambda x: x)
     judge_p(p)
 
 
@@ -199,14 +209,10 @@ def test_struck_point(entry):
 def test_struck_point_lies_on_the_grain_with_its_normal(entry):
     for psi in SPHERICITIES:
         point, axis, normal = struck(psi, entry)
-        c = B * psi * psi
-        z = (point * axis).sum(axis=1)
-        radial = point - z[:, None] * axis
-        r2 = (radial**2).sum(axis=1)
-        assert np.abs(z**2 / B**2 + r2 / c**2 - 1.0).max() < 1e-12
-        gradient = radial / c**2 + (z / B**2)[:, None] * axis
-        gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
-        assert np.abs(gradient - normal).max() < 1e-12
+        c, flattening = B * psi * psi, 1.0 - psi * psi
+        assert np.abs((axis * axis).sum(axis=1) - 1.0).max() < 1e-14
+        assert np.abs(quadratic(point, axis, c, flattening) - 1.0).max() < 1e-12
+        assert np.abs(gradient(point, axis, c, flattening) - normal).max() < 1e-12
 
 
 def test_sphericity_limits_of_the_area_formula():

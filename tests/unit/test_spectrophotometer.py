@@ -20,9 +20,9 @@ BAD = [
     ("wavelength_nm", [500.0, 500.0], "strictly increasing"),
     ("wavelength_nm", [500.0, float("nan")], "in [200, 100000] nm"),
     ("wavelength_nm", "green", "numbers in nanometres"),
-    ("incidence_deg", 90, "in [0, 89.99] degrees"),
-    ("incidence_deg", -1, "in [0, 89.99] degrees"),
-    ("incidence_deg", None, "in [0, 89.99] degrees"),
+    ("incidence_deg", 90, "in [0, 89.9999] degrees"),
+    ("incidence_deg", -1, "in [0, 89.9999] degrees"),
+    ("incidence_deg", None, "in [0, 89.9999] degrees"),
     ("incidence_deg", "difuse", "did you mean diffuse?"),
     ("max_stderr", 0, "in [1e-06, 0.5]"),
     ("max_stderr", 0.6, "in [1e-06, 0.5]"),
@@ -33,6 +33,7 @@ BAD = [
     ("max_rays", 0, "a whole number of at least 1"),
     ("threads", 0, "a whole number of at least 1"),
     ("estimator", "spektral", "did you mean spectral?"),
+    ("kernel", "lane", "did you mean lanes?"),
 ]
 
 

@@ -1,15 +1,93 @@
+PROGRAMS = Path(workflow.basedir) / "benchmarks"
+QUICK = "" if SETTINGS.accuracy == "standard" else "--quick"
+BENCHMARKED = [
+    f"{RESULTS}/benchmarks/speed_against_error.csv",
+    f"{RESULTS}/benchmarks/speed_against_error.png",
+    f"{RESULTS}/benchmarks/speed_against_error.svg",
+    f"{RESULTS}/benchmarks/kernels.csv",
+]
+# They take many minutes, so `all` asks for them only when a report is written and they are there.
+REPORTED = (
+    BENCHMARKED
+    if "--report" in sys.argv and all(Path(path).exists() for path in BENCHMARKED)
+    else []
+)
+
+
 rule benchmarks:
     input:
+        BENCHMARKED,
+
+
+# Each takes all cores given, whatever it uses of them, so that nothing runs beside it.
+rule speed_against_error:
+    input:
         physics=PHYSICS,
-        program="benchmarks/speed_against_error.py",
+        theories=[
+            str(PACKAGE / "analysis" / name)
+            for name in ("efficiency.py", "radiative_transfer.py")
+        ],
+        program=str(PROGRAMS / "speed_against_error.py"),
     output:
-        f"{RESULTS}/benchmarks/speed_against_error.csv",
+        report(
+            f"{RESULTS}/benchmarks/speed_against_error.csv",
+            caption="../report/speed_against_error.rst",
+            category="Benchmarks",
+        ),
     log:
-        f"{RESULTS}/logs/benchmarks.log",
+        f"{RESULTS}/logs/speed_against_error.log",
+    conda:
+        "../../environment.yml"
+    threads: 64
+    params:
+        quick=QUICK,
+    message:
+        "Measuring time against error of every way to a spectrum"
+    shell:
+        "python {input.program} {output} {params.quick} 2>&1 | tee {log}"
+
+
+rule benchmark_kernels:
+    input:
+        physics=PHYSICS,
+        program=str(PROGRAMS / "kernels.py"),
+    output:
+        report(
+            f"{RESULTS}/benchmarks/kernels.csv",
+            caption="../report/kernels.rst",
+            category="Benchmarks",
+        ),
+    log:
+        f"{RESULTS}/logs/kernels.log",
+    conda:
+        "../../environment.yml"
+    threads: 64
+    params:
+        quick=QUICK,
+    message:
+        "Measuring the kernels against each other"
+    shell:
+        "python {input.program} {output} {params.quick} 2>&1 | tee {log}"
+
+
+rule figure_speed_against_error:
+    input:
+        f"{RESULTS}/benchmarks/speed_against_error.csv",
+    output:
+        report(
+            f"{RESULTS}/benchmarks/speed_against_error.png",
+            caption="../report/speed_against_error_figure.rst",
+            category="Benchmarks",
+        ),
+        f"{RESULTS}/benchmarks/speed_against_error.svg",
+    log:
+        f"{RESULTS}/logs/figure_speed_against_error.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/figure_speed_against_error.tsv"
     conda:
         "../../environment.yml"
     threads: 1
     message:
-        "Measuring speed against error of the two estimators"
-    shell:
-        "python {input.program} {output} 2>&1 | tee {log}"
+        "Drawing error against time"
+    script:
+        "../scripts/figure_speed_against_error.py"

@@ -6,7 +6,7 @@ PACKAGE = Path(splits.__file__).parent
 PHYSICS = sorted(
     str(path)
     for folder in ("materials", "media", "transport", "instruments")
-    for path in (PACKAGE / folder).glob("*.py")
+    for path in (PACKAGE / folder).rglob("*.py")
 ) + [str(PACKAGE / "experiments" / "run.py")]
 
 FITTING = [

@@ -1,0 +1,351 @@
+"""What the lane kernel is worth: against the scalar one, on two cores, and feature by feature.
+
+Everything is measured in this one run, after warm-ups that compile; rivals take turns and the
+least time of each counts, because whatever else the machine does can only add to it.
+
+lanes_against_scalar  Time per ray through the same medium with the same optics, one core, as many
+                      rays at a time as the instruments trace in a long run.  Paths are long at
+                      500 nm and short in the near infrared; lanes suffer from stragglers.
+                      `events_per_ray` are legs through the pore space.
+two_cores             A spectrum of 211 wavelengths with an error of 0.001 on two cores and on one.
+features              Time per grain drawn at 500 nm, in dry snow of smooth grains as 1.  "unused"
+                      has the feature compiled in but nothing to do in the scene: the price of its
+                      instructions.  Facets, and the last scenes, are in use, which is work besides.
+
+    python benchmarks/kernels.py [TABLE.csv] [--against COMMIT]
+
+With --against, rays through snow of Table 1 are timed in alternation with the package as of another
+commit, in processes of their own: by the papers' algorithm, by the scalar kernel with weights, and
+by what either takes by default.  With --quick, few
+rays and one round, to see that everything works; its times are no result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import splits
+from splits.analysis.tables import write_table
+from splits.instruments.ensemble import BATCH, JOB
+from splits.materials.refractive_index import absorption_coefficient
+from splits.transport import granular, lanes
+from splits.transport.lanes.choice import features_for
+from splits.transport.lanes.rows import Features
+from splits.transport.scene import Optics, Slab
+from splits.transport.tally import exit_rows
+
+ROOT = Path(__file__).resolve().parents[1]
+WAVELENGTHS = np.arange(400, 2501, 10)
+MEDIA = {
+    "snow, representative": (splits.Snow(), (500.0, 1300.0)),
+    "snow, coarse wet": (splits.Snow(grain_size_um=(900, 1000), saturation=0.3), (500.0, 1300.0)),
+    "snow, thin layer": (
+        splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0), (500.0, 1300.0),
+    ),
+    "snow, smooth dry": (
+        splits.Snow(facetness=(0, 0, 0, 0), saturation=0), (500.0, 1300.0),
+    ),
+    "sand, Fig 8 base": (splits.Sand(texture=(0.0, 0.10, 0.90)), (500.0, 900.0)),
+    "sand, eight types, wet": (
+        splits.Sand(
+            hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.01, 0.09, 0.90)
+        ),
+        (500.0, 900.0),
+    ),
+}  # fmt: skip
+SMOOTH = {"facetness": (0, 0, 0, 0), "saturation": 0}
+ROUGH = SMOOTH | {"facetness": (0.2, 0.4, 0.3, 0.072)}
+HARMLESS = {
+    "water": "wet",
+    "mixed types, coatings": "mixed",
+    "other readings": "variant",
+    "positions": "positions",
+}
+"""Features that can be on in a scene without them.  Facets cannot: without roughness, near-grazing
+rays would be refused about 1/cosine times."""
+IN_USE = {
+    "facets, S = 0.3": splits.Snow(**ROUGH | {"saturation": 0.3}),
+    "facets, entry projected": splits.Snow(**ROUGH, readings={"entry": "projected"}),
+    "sand, mixed particles only": splits.Sand(partition=(0.0, 1.0, 0.0), texture=(0.0, 0.10, 0.90)),
+    "sand, Fig 8 base": MEDIA["sand, Fig 8 base"][0],
+}
+ONE_SNOW = """
+import inspect, sys, time, splits
+settings = {{"estimator": sys.argv[1]}}
+if "kernel" in inspect.signature(splits.spectrophotometer).parameters and sys.argv[2]:
+    settings["kernel"] = sys.argv[2]
+best = float("inf")
+for seed in range({rounds} + 1):
+    begun = time.perf_counter()
+    spectrum = splits.spectrophotometer(
+        splits.Snow(), [500.0], max_stderr=1e-6, max_rays={rays}, threads=1, seed=seed, **settings
+    )
+    spent = (time.perf_counter() - begun) / spectrum.attrs["rays"]
+    best = min(best, spent) if seed else best
+print(best)
+"""
+WAYS = {
+    "papers' algorithm": ("analog", ""),
+    "weights, scalar": ("spectral", "scalar"),
+    "weights, default": ("spectral", ""),
+}
+"""Estimator and kernel to compare between commits."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much to measure: rounds, batches per call, seconds per timing, error and spectra."""
+
+    rounds: int = 7
+    batches: int = JOB
+    seconds: float = 0.5
+    error: float = 0.001
+    spectra: int = 3
+    snow_rays: int = 16_384
+
+
+QUICK = Plan(1, 1, 0.05, 0.01, 1, 2_048)
+
+
+class Bench:
+    """One kernel in one scene.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    wavelength_nm : float
+    features : Features or None
+        None for the scalar kernel.
+    """
+
+    def __init__(self, medium: Any, wavelength_nm: float, features: Features | None) -> None:
+        self.scene = scene(medium, wavelength_nm)
+        self.features = features
+        self.rays = self.calls = 1
+        self.exits = exit_rows(1, self.scene[3].n.size)
+        self.ray_s = self.leg_s = np.inf
+        self.legs_per_ray = np.nan
+
+    def run(self, seed: int, first: int) -> int:
+        """Trace rays from one of that number on and return their legs."""
+        given = (seed, 0, first, self.rays, *self.scene, self.exits)
+        if self.features is None:
+            *_, legs, lost = granular.batch(*given)
+        else:
+            *_, legs, lost = lanes.batch(*given, self.features)
+        if lost:
+            raise RuntimeError("a ray was lost")
+        return int(legs)
+
+    def prepare(self, plan: Plan) -> None:
+        """Compile, and choose how many calls make a timing of the length planned."""
+        self.rays = plan.batches * BATCH["scalar" if self.features is None else "lanes"]
+        self.exits = exit_rows(self.rays, self.scene[3].n.size)
+        self.run(0, 0)
+        begun = time.perf_counter()
+        self.run(0, self.rays)
+        spent = time.perf_counter() - begun
+        self.calls = max(1, round(plan.seconds / spent))
+
+    def time(self, seed: int) -> None:
+        """Time all calls once and keep the least times."""
+        begun = time.perf_counter()
+        legs = sum(self.run(seed, number * self.rays) for number in range(self.calls))
+        spent = time.perf_counter() - begun
+        rays = self.calls * self.rays
+        self.ray_s = min(self.ray_s, spent / rays)
+        self.leg_s = min(self.leg_s, spent / legs)
+        self.legs_per_ray = legs / rays
+
+
+def scene(medium: Any, wavelength_nm: float) -> tuple[Any, ...]:
+    """Return grains, slab, rules and optics of a medium at a wavelength, normal incidence."""
+    index = medium.indices(np.array([wavelength_nm]))[0]
+    absorption = absorption_coefficient(index, wavelength_nm)
+    optics = Optics(index.real.copy(), index.imag.copy(), absorption)
+    slab = Slab(float(medium.depth_m), float(medium.saturation), 1.0, False)
+    return medium.grains(), slab, medium.readings.rules(), optics
+
+
+def features_of(medium: Any, wavelength_nm: float) -> Features:
+    """Return what lanes need for a medium."""
+    features = features_for(*scene(medium, wavelength_nm))
+    if features is None:
+        raise RuntimeError("lanes do not serve this medium")
+    return features
+
+
+def take_turns(benches: Mapping[str, Bench], plan: Plan) -> None:
+    """Time all benches in turn, for all rounds."""
+    for bench in benches.values():
+        bench.prepare(plan)
+    for seed in range(1, plan.rounds + 1):
+        for bench in benches.values():
+            bench.time(seed)
+
+
+def row(
+    part: str, case: str, unit: str, seconds: float, rival: str, rival_s: float, **facts: float
+) -> dict[str, Any]:
+    """Return a row of the table."""
+    return {
+        "part": part,
+        "case": case,
+        "wavelength_nm": facts.get("wavelength_nm", np.nan),
+        "unit": unit,
+        "seconds": seconds,
+        "compared_with": rival,
+        "compared_seconds": rival_s,
+        "relative_time": seconds / rival_s,
+        "speedup": rival_s / seconds,
+        "events_per_ray": facts.get("events_per_ray", np.nan),
+    }
+
+
+def against_scalar(plan: Plan) -> list[dict[str, Any]]:
+    """Return lanes against the scalar kernel, time per ray."""
+    print("lanes against scalar, one core, the same medium and optics", flush=True)
+    rows = []
+    for name, (medium, wavelengths) in MEDIA.items():
+        for wavelength in wavelengths:
+            pair = {
+                "scalar": Bench(medium, wavelength, None),
+                "lanes": Bench(medium, wavelength, features_of(medium, wavelength)),
+            }
+            take_turns(pair, plan)
+            scalar, lane = pair["scalar"], pair["lanes"]
+            rows.append(
+                row(
+                    "lanes_against_scalar", name, "s per ray", lane.ray_s, "scalar", scalar.ray_s,
+                    wavelength_nm=wavelength, events_per_ray=scalar.legs_per_ray,
+                )
+            )  # fmt: skip
+            print(
+                f"  {name}, {wavelength:g} nm: {scalar.legs_per_ray:.0f} events per ray; scalar "
+                f"{1e6 * scalar.ray_s:.3g} µs per ray, {1e9 * scalar.leg_s:.0f} ns per event; "
+                f"lanes {1e6 * lane.ray_s:.3g} µs per ray, "
+                f"{1e9 * lane.ray_s / scalar.legs_per_ray:.0f} ns per event; "
+                f"{scalar.ray_s / lane.ray_s:.2f} times as fast",
+                flush=True,
+            )
+    return rows
+
+
+def two_cores(plan: Plan) -> list[dict[str, Any]]:
+    """Return two cores against one, for a spectrum by lanes."""
+    if len(os.sched_getaffinity(0)) < 2:
+        print("two cores against one: left out, there is one core", flush=True)
+        return []
+    best = {1: np.inf, 2: np.inf}
+    splits.spectrophotometer(
+        splits.Snow(), WAVELENGTHS, max_stderr=plan.error, kernel="lanes", max_rays=1
+    )
+    for seed in range(plan.spectra):
+        for threads in best:
+            begun = time.perf_counter()
+            splits.spectrophotometer(
+                splits.Snow(), WAVELENGTHS, max_stderr=plan.error, kernel="lanes",
+                threads=threads, seed=seed,
+            )  # fmt: skip
+            best[threads] = min(best[threads], time.perf_counter() - begun)
+    print(
+        f"two cores against one, {WAVELENGTHS.size} wavelengths, error {plan.error:g}, best of "
+        f"{plan.spectra}: {best[1]:.2f} s on one, {best[2]:.2f} s on two, "
+        f"{best[1] / best[2]:.2f} times as fast",
+        flush=True,
+    )
+    case = f"snow, representative, error {plan.error:g}"
+    return [row("two_cores", case, "s per spectrum", best[2], "one core", best[1])]
+
+
+def features(plan: Plan) -> list[dict[str, Any]]:
+    """Return what each feature of the lane kernel costs per grain drawn."""
+    benches = {}
+    for name, settings in (("smooth", SMOOTH), ("facets", ROUGH)):
+        medium = splits.Snow(**settings)
+        bare = features_of(medium, 500.0)
+        benches[name] = Bench(medium, 500.0, bare)
+        for feature, field in HARMLESS.items():
+            with_it = bare._replace(**{field: True})
+            benches[f"{name}, {feature} unused"] = Bench(medium, 500.0, with_it)
+        everything = bare._replace(**dict.fromkeys(HARMLESS.values(), True))
+        benches[f"{name}, all of them unused"] = Bench(medium, 500.0, everything)
+    for name, medium in IN_USE.items():
+        benches[name] = Bench(medium, 500.0, features_of(medium, 500.0))
+    take_turns(benches, plan)
+    one = benches["smooth"].leg_s
+    print(f"features, time per grain drawn: smooth {1e9 * one:.1f} ns", flush=True)
+    for name, bench in list(benches.items())[1:]:
+        print(f"  {name}: {bench.leg_s / one:.2f}", flush=True)
+    return [
+        row("features", name, "s per grain drawn", bench.leg_s, "smooth", one,
+            wavelength_nm=500.0)
+        for name, bench in benches.items()
+    ]  # fmt: skip
+
+
+def against_commit(commit: str, plan: Plan) -> list[dict[str, Any]]:
+    """Return the time per ray through snow now and as of another commit."""
+    best = {(way, when): np.inf for way in WAYS for when in ("before", "now")}
+    program = ONE_SNOW.format(rounds=3, rays=plan.snow_rays)
+    with tempfile.TemporaryDirectory() as folder:
+        before = Path(folder) / "before"
+        subprocess.run(["git", "clone", "-q", str(ROOT), str(before)], check=True)
+        subprocess.run(["git", "-C", str(before), "checkout", "-q", commit], check=True)
+        for _ in range(plan.rounds):
+            for way, when in best:
+                path = before if when == "before" else ROOT
+                done = subprocess.run(
+                    [sys.executable, "-c", program, *WAYS[way]],
+                    env={**os.environ, "PYTHONPATH": str(path)},
+                    cwd=folder,
+                    check=True,
+                    capture_output=True,
+                    text=True,
+                )
+                best[way, when] = min(best[way, when], float(done.stdout))
+    rows = []
+    print("snow, representative, 500 nm, time per ray, now and before", flush=True)
+    for way in WAYS:
+        now, then = best[way, "now"], best[way, "before"]
+        print(
+            f"  {way}: {1e6 * now:.4g} µs now, {1e6 * then:.4g} µs at {commit}, "
+            f"{then / now:.2f} times as fast",
+            flush=True,
+        )
+        rows.append(row("against_commit", way, "s per ray", now, commit, then, wavelength_nm=500.0))
+    return rows
+
+
+def main() -> None:
+    """Measure and print, and write the table if a path is given."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
+    parser.add_argument("--against", metavar="COMMIT", help="compare with this commit, too")
+    parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
+    given = parser.parse_args()
+    plan = QUICK if given.quick else Plan()
+    parts: list[Callable[[Plan], list[dict[str, Any]]]] = [against_scalar, two_cores, features]
+    rows = [one for part in parts for one in part(plan)]
+    if given.against:
+        rows += against_commit(given.against, plan)
+    if given.table:
+        write_table(pd.DataFrame(rows), given.table)
+
+
+if __name__ == "__main__":
+    main()

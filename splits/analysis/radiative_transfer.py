@@ -1,0 +1,264 @@
+"""Two theories besides the model's own paths: discrete ordinates and asymptotic transfer.
+
+Both take grains for points that scatter.  The model does not: a ray leaves a grain where it comes
+out of it, a grain that cuts the last leg or a boundary is drawn again, and wet pores reflect at the
+boundaries.  docs/theories.md says how far that matters.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, one_of, refuse
+
+LARGEST_ALBEDO = 1.0 - 1e-9
+"""PythonicDISORT refuses an albedo of 1 and loses digits as it comes near: at 1 − 10⁻⁹ fluxes are
+good to 10⁻⁶, while an optical thickness of 1000 absorbs 10⁻⁵ more than it should at most."""
+
+EXTRAPOLATION = 1.072
+"""Extrapolation length of a half-space times 3/2, see `kz04`."""
+
+
+def discrete_ordinates(
+    optics: xr.Dataset, incidence_deg: float | str = 0.0, streams: int = 32
+) -> xr.Dataset:
+    """Return what radiative transfer says about a homogeneous layer, by discrete ordinates.
+
+    Boundaries reflect nothing.  The phase function is cut at as many Legendre moments as there are
+    streams, the rest of its forward peak is taken for unscattered (delta-M, Wiscombe 1977).
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`, with at least `streams` moments; or anything
+        with its ``single_scattering_albedo``, ``optical_thickness`` and ``legendre_moment``.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+    streams : int
+        Directions of the solution, both hemispheres together: even, at least 4.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance`` and ``transmittance`` (hemispherical; the latter with the direct beam) over
+        ``wavelength``, and the ``…_truncation`` of each: its difference from the result with
+        half the streams, an upper estimate of what the number of streams misses.  Albedos above
+        `LARGEST_ALBEDO` are taken for that.  The statistical error of the optics is not
+        propagated; repeat with other seeds to see it.
+
+    Raises
+    ------
+    ImportError
+        If PythonicDISORT is not installed (extra ``theory``).
+    ValueError
+        For a value outside its range or too few moments.
+
+    References
+    ----------
+    Stamnes, Tsay, Wiscombe & Jayaweera (1988), Applied Optics 27, 2502; Ho (2024), PythonicDISORT,
+    Journal of Open Source Software 9(103), 6442, doi:10.21105/joss.06442; Wiscombe (1977),
+    Journal of the Atmospheric Sciences 34, 1408.
+    """
+    cosine = _cosine(incidence_deg)
+    if isinstance(streams, bool) or streams % 2 or streams < 4:
+        raise refuse("streams", streams, "an even number of at least 4")
+    if optics.sizes["order"] <= streams:
+        raise refuse("streams", streams, f"below the number of moments, {optics.sizes['order']}")
+    moments = optics.legendre_moment.transpose("wavelength", "order").values
+    pairs = zip(
+        optics.optical_thickness.values, optics.single_scattering_albedo.values, strict=True
+    )
+    fine, coarse = np.array(
+        [
+            [_layer(tau, albedo, chi, cosine, n) for n in (streams, 2 * (streams // 4))]
+            for (tau, albedo), chi in zip(pairs, moments, strict=True)
+        ]
+    ).transpose(1, 2, 0)
+    variables: dict[str, Any] = {}
+    for name, value, other in zip(("reflectance", "transmittance"), fine, coarse, strict=True):
+        variables[name] = ("wavelength", value)
+        variables[f"{name}_truncation"] = ("wavelength", np.abs(value - other))
+    facts = {"theory": "discrete ordinates", "incidence_deg": incidence_deg, "streams": streams}
+    return xr.Dataset(variables, {"wavelength": optics.wavelength}, facts)
+
+
+def packed(optics: xr.Dataset) -> xr.Dataset:
+    """Return optics whose optical thickness allows for the way of light through the grains.
+
+    Radiative transfer counts the way between grains, of mean length l = 1/extinction.  The model's
+    rays also advance by the grains themselves, δ from entry to exit.  Diffusion over many grains
+    is that of points at the mean distance
+
+        l'² = (l + <δ·d>) (l + <δ·d'>) + (1 − g) <δ²>/2,
+
+    d and d' the directions before and after: half the mean square distance gone per grain, summed
+    over the memory g, g², … of directions, is l'²/(1 − g).
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`.
+
+    Returns
+    -------
+    xarray.Dataset
+        A copy with ``extinction`` and ``optical_thickness`` so changed; the latter remains
+        proportional to depth.
+    """
+    free = 1.0 / optics.extinction
+    square = (free + optics.displacement_before) * (free + optics.displacement_after)
+    square = square + 0.5 * (1.0 - optics.asymmetry_parameter) * optics.displacement_square
+    shrunk = free / np.sqrt(square)
+    return optics.assign(
+        extinction=optics.extinction * shrunk, optical_thickness=optics.optical_thickness * shrunk
+    )
+
+
+def kz04(
+    wavelength_nm: Any,
+    ssa_m2_kg: float,
+    incidence_deg: float | str = 0.0,
+    *,
+    extinction_coefficient: Any = "p2016",
+    absorption_enhancement: Any = 1.6,
+    asymmetry: Any = 0.845,
+    density_kg_m3: float = 300.0,
+    depth_m: float = np.inf,
+) -> xr.Dataset:
+    """Return the analytical asymptotic theory of dry snow, as `snowoptics` has it.
+
+    Reflectance of a half-space by `snowoptics.albedo_KZ04`, R∞ = exp(−y u), with y² =
+    16 (1 − ω)/(3 (1 − g)) and u = 3/7 (1 + 2 cosθ), 1 under diffuse light; a finite layer of
+    transport thickness x = √(3 (1 − ω)(1 − g)) τ has
+
+        T = u sinh(y) / sinh(x + 1.072 y),    R = R∞ − T exp(−x − y).
+
+    Meant for weak absorption (k d small, R above about 0.6) and, if finite, τ (1 − g) above 1.
+
+    Parameters
+    ----------
+    wavelength_nm : array_like
+        Vacuum wavelengths (nm).
+    ssa_m2_kg : float
+        Specific surface area (m²/kg), see `splits.Snow.specific_surface_area_m2_kg`.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+    extinction_coefficient : array_like or str
+        k of ice at the wavelengths, or the name of one of the package's datasets.
+    absorption_enhancement, asymmetry : float or array_like
+        Shape factors B and g, diffraction counted; the defaults are those of snowoptics, fitted
+        to natural snow.  `shape_factors` has those of a medium.
+    density_kg_m3 : float
+        Of the snow; matters for a finite depth only.
+    depth_m : float
+        Above 0, may be infinite.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance`` and ``transmittance`` over ``wavelength``.
+
+    References
+    ----------
+    Kokhanovsky & Zege (2004), Applied Optics 43, 1589, doi:10.1364/AO.43.001589; for the finite
+    layer Kokhanovsky & Nauss (2006), Atmospheric Chemistry and Physics 6, 5537; B and g from
+    Libois et al. (2013), The Cryosphere 7, 1803.
+    """
+    import snowoptics
+
+    cosine = _cosine(incidence_deg)
+    ssa = in_range("ssa_m2_kg", ssa_m2_kg, 0.0, np.inf, "m2/kg", open_low=True)
+    if depth_m != np.inf:
+        in_range("depth_m", depth_m, 0.0, np.inf, "m", open_low=True)
+    wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
+    metres = wavelengths * 1e-9
+    ni = extinction_coefficient
+    if not isinstance(ni, str):
+        ni = np.broadcast_to(np.asarray(ni, dtype=float), metres.shape)
+    shape = {"ni": ni, "B": absorption_enhancement, "g": asymmetry}
+    half_space = snowoptics.albedo_KZ04(
+        metres, np.arccos(cosine or 1.0), ssa, r_difftot=float(cosine is None), **shape
+    )
+    # y = 0 has a limit that the formula cannot give.
+    y = np.maximum(np.sqrt(snowoptics.compute_alpha(metres, ssa, **shape)), 1e-9)
+    # From snowoptics' own extinction, ρ SSA/2, and y: x/y = 3/4 (1 − g) τ.
+    x = 0.0
+    transmittance = np.zeros_like(y)
+    if depth_m != np.inf:
+        x = 0.75 * (1.0 - np.asarray(asymmetry)) * 0.5 * density_kg_m3 * ssa * depth_m * y
+        escape = 1.0 if cosine is None else 3.0 / 7.0 * (1.0 + 2.0 * cosine)
+        # sinh y / sinh(x + 1.072 y), without overflow.
+        lower = x + EXTRAPOLATION * y
+        transmittance = escape * np.exp(y - lower) * np.expm1(-2.0 * y) / np.expm1(-2.0 * lower)
+    reflectance = half_space - transmittance * np.exp(-x - y)
+    return xr.Dataset(
+        {
+            "reflectance": ("wavelength", reflectance),
+            "transmittance": ("wavelength", transmittance),
+        },
+        {"wavelength": wavelengths},
+        {"theory": "Kokhanovsky & Zege (2004)", "incidence_deg": incidence_deg},
+    )
+
+
+def shape_factors(
+    optics: xr.Dataset, ssa_m2_kg: float, extinction_coefficient: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the absorption enhancement B and the asymmetry g of a medium, diffraction counted.
+
+    What `kz04` needs to have the medium's own (1 − ω)/(1 − g); B is constant for weak absorption.
+    Smooth ice spheres have B = 1.25 and g = 0.89.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`, of a dry medium.
+    ssa_m2_kg : float
+        Specific surface area (m²/kg).
+    extinction_coefficient : array_like
+        k of ice at the wavelengths, above 0.
+    """
+    gamma = 4.0 * np.pi * np.asarray(extinction_coefficient) / (optics.wavelength.values * 1e-9)
+    lost = 1.0 - optics.single_scattering_albedo.values
+    # snowoptics: 1 − ω' = 2 B γ/(SSA ρ) with ρ = 917 kg/m³, and diffraction halves 1 − ω.
+    return 0.25 * lost * ssa_m2_kg * 917.0 / gamma, 0.5 * (1.0 + optics.asymmetry_parameter.values)
+
+
+def _cosine(incidence_deg: float | str) -> float | None:
+    """Return the cosine of incidence, None for diffuse light."""
+    if isinstance(incidence_deg, str):
+        one_of("incidence_deg", incidence_deg, ["diffuse"])
+        return None
+    return float(
+        np.cos(np.radians(in_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")))
+    )
+
+
+def _layer(
+    thickness: float, albedo: float, moments: np.ndarray, cosine: float | None, streams: int
+) -> tuple[float, float]:
+    """Return hemispherical reflectance and transmittance of one layer."""
+    try:
+        from PythonicDISORT import pydisort
+    except ImportError:
+        raise ImportError(
+            "discrete ordinates need PythonicDISORT: pip install 'splits[theory]'"
+        ) from None
+    # The library wants moments below 1 and a peak that is not negative, as noise may be.
+    chi = np.clip(moments, -LARGEST_ALBEDO, LARGEST_ALBEDO)
+    chi[0] = 1.0
+    peak = max(float(chi[streams]), 0.0)
+    beam = {"mu0": cosine, "I0": 1.0 / cosine} if cosine else {"mu0": 1.0, "I0": 0.0}
+    sky = 0.0 if cosine else 1.0 / np.pi
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Some delta-scaled", UserWarning)
+        _, up, down, *_ = pydisort(
+            thickness, min(albedo, LARGEST_ALBEDO), streams, chi[np.newaxis],
+            phi0=0.0, only_flux=True, f_arr=peak, b_neg=sky, **beam,
+        )  # fmt: skip
+    diffuse, direct = down(float(thickness))
+    return float(up(0.0)), float(diffuse + direct)

@@ -1,0 +1,253 @@
+"""Transmittance of samples that let almost nothing through, to a relative error."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range
+from splits.dataset import attributes, provenance
+from splits.instruments.ensemble import Progress
+from splits.instruments.fixed import check_whole
+from splits.instruments.single_scattering import WAVELENGTH, single_scattering
+from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
+from splits.materials.refractive_index import absorption_coefficient
+from splits.media.granular import GranularMedium
+from splits.transport import sources_digest
+from splits.transport.deep import families
+from splits.transport.scene import Optics, Slab
+
+BATCH = 64
+"""Families per batch: the grain of parallel work."""
+PILOT = 512
+"""Families of each pilot and of the first round."""
+LARGEST_SHARE = 0.05
+"""A run goes on while a single family makes more than this of the sum: an error estimated from
+rare large contributions that mostly have not been seen yet would be too small."""
+SLICES = 24
+"""Slices of the depth in which pilots look how fast the light falls off."""
+_SEEN = 200
+"""Grains met in a slice from which on its weight counts."""
+_SAFE = 0.5
+"""Part of diffusion theory's rate that the first pilot dares: too high a rate multiplies rays."""
+PROPERTY_RAYS = 20_000
+_STREAMS = 3_000_000
+"""First ensemble number: one seed gives other numbers here than in the other instruments."""
+
+
+def deep_transmittance(
+    medium: GranularMedium,
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    relative_stderr: float = 0.05,
+    seed: int = 1,
+    *,
+    max_rays: int = 10_000_000,
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure hemispherical transmittance to a relative error, however small it is.
+
+    Each wavelength is traced by itself in double precision; rays are split as they get deeper and
+    end by roulette where they cannot matter (see `splits.transport.deep`).  How fast they are split
+    comes from two pilots, whose rays do not count, and does not touch the mean.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+    relative_stderr : float
+        Largest standard error wanted as a part of the transmittance, 0.001 to 0.5.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    max_rays : int
+        Rays per wavelength, not counting those they are split into, after which a run stops.
+    threads : int, optional
+        Default: every CPU this process may use.
+    progress : callable, optional
+        Called after every round with a `Progress`, errors being relative.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``transmittance`` and ``transmittance_stderr`` over ``wavelength``; ``largest_share``, what
+        part of the sum the heaviest family of rays makes; ``attenuation_rate`` (1/m), the rate at
+        which rays were split; ``rays``.  Attribute ``stopped_by`` is "error" or "rays".
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+    RuntimeError
+        If a ray found no grain that fits where it was.
+    """
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_incidence(incidence_deg)
+    relative_stderr = in_range("relative_stderr", relative_stderr, 0.001, 0.5)
+    check_whole("seed", seed, 0)
+    check_whole("max_rays", max_rays, 1)
+    if threads is not None:
+        check_whole("threads", threads, 1)
+    begun = time.perf_counter()
+    diffuse = incidence == "diffuse"
+    cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence))))
+    slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
+    index = medium.indices(wavelengths)
+    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    first_guess = attenuation_rate(medium, wavelengths, seed, threads)
+    grains, rules = medium.grains(), medium.readings.rules(False)
+    results = np.zeros((5, len(wavelengths)))
+    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        for row, guess in enumerate(first_guess):
+            optics = Optics(index[row].real.copy(), index[row].imag.copy(), absorption[row])
+            source = _Source(pool, int(seed), (grains, slab, rules, optics))
+            number = _STREAMS + 3 * row
+            rate = _SAFE * guess
+            for stage in range(2):
+                pilot = _Sum()
+                pilot.add(source, number + stage, PILOT, rate)
+                rate = pilot.rate(slab.depth, rate)
+            run = _Sum()
+            wanted = PILOT
+            while True:
+                run.add(source, number + 2, wanted, rate)
+                mean, stderr, share = run.estimate()
+                error = stderr / mean if mean > 0.0 else np.inf
+                if progress:
+                    seconds = time.perf_counter() - begun
+                    left = seconds * max((error / relative_stderr) ** 2 - 1.0, 0.0)
+                    progress(Progress(run.rays, error, relative_stderr, seconds, left))
+                done = error <= relative_stderr and share <= LARGEST_SHARE
+                if done or run.rays >= max_rays:
+                    break
+                needed = 1.1 * run.rays * (error / relative_stderr) ** 2
+                wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * max_rays))
+            results[:, row] = mean, stderr, share, run.rays, rate
+    transmittance, errors, shares, count, rates = results
+    long_name = ("hemispherical" if diffuse else "directional") + "-hemispherical transmittance"
+    variables = {
+        "transmittance": (
+            "wavelength",
+            transmittance,
+            {"long_name": long_name, "units": "1", "ancillary_variables": "transmittance_stderr"},
+        ),
+        "transmittance_stderr": (
+            "wavelength",
+            errors,
+            {"long_name": f"standard error of {long_name}", "units": "1"},
+        ),
+        "largest_share": (
+            "wavelength",
+            shares,
+            {"long_name": "share of the heaviest family of rays", "units": "1"},
+        ),
+        "attenuation_rate": (
+            "wavelength",
+            rates,
+            {"long_name": "rate at which rays are split with depth", "units": "m-1"},
+        ),
+        "rays": ("wavelength", count.astype(np.int64), {"long_name": "rays", "units": "1"}),
+    }
+    reached = (errors <= relative_stderr * transmittance) & (shares <= LARGEST_SHARE)
+    facts = {
+        "title": f"Deep transmittance: {medium.kind}",
+        "instrument": "deep_transmittance",
+        "medium": medium.kind,
+        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        "incidence_deg": incidence,
+        "relative_stderr": relative_stderr,
+        "stopped_by": "error" if reached.all() else "rays",
+        "max_rays": int(max_rays),
+        "seed": int(seed),
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "physics_sources_sha256": sources_digest(),
+        **provenance(),
+    }
+    coordinates = {"wavelength": ("wavelength", wavelengths, WAVELENGTH)}
+    return xr.Dataset(variables, coordinates, attributes(facts))
+
+
+class _Source(NamedTuple):
+    """What traces families of rays of one wavelength."""
+
+    pool: ThreadPoolExecutor
+    seed: int
+    scene: tuple
+
+    def trace(self, number: int, first: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return moments and profile of a batch, see `splits.transport.deep.families`."""
+        moments, profile = np.zeros((2, 3)), np.zeros((2, SLICES))
+        grains, slab, rules, optics = self.scene
+        _, lost = families(
+            self.seed, number, first, BATCH, grains, slab, rules, optics, rate, moments, profile
+        )
+        if lost:
+            raise RuntimeError("a ray found no grain that fits between the boundaries")
+        return moments[1], profile
+
+
+class _Sum:
+    """Families of rays added up in order.
+
+    Attributes
+    ----------
+    rays : int
+    """
+
+    def __init__(self) -> None:
+        self.rays = 0
+        self._total, self._square, self._largest = 0.0, 0.0, 0.0
+        self._profile = np.zeros((2, SLICES))
+
+    def add(self, source: _Source, number: int, wanted: int, rate: float) -> None:
+        """Trace whole batches until there are so many rays."""
+        batches = range(self.rays, wanted, BATCH)
+        for moments, profile in source.pool.map(
+            lambda first: source.trace(number, first, rate), batches
+        ):
+            self._total += moments[0]
+            self._square += moments[1]
+            self._largest = max(self._largest, moments[2])
+            self._profile += profile
+            self.rays += BATCH
+
+    def estimate(self) -> tuple[float, float, float]:
+        """Return the mean, its standard error, and the heaviest family's share of the sum."""
+        mean = self._total / self.rays
+        stderr = np.sqrt(max(self._square / self.rays - mean**2, 0.0) / self.rays)
+        share = self._largest / self._total if self._total > 0.0 else 1.0
+        return float(mean), float(stderr), float(share)
+
+    def rate(self, depth: float, fallback: float) -> float:
+        """Return the rate (1/m) at which the weight falls off with depth, as far as it was seen."""
+        count, weight = self._profile
+        reached = int(np.argmax(np.append(count, 0.0) < _SEEN))
+        inside = slice(min(2, reached), min(reached, SLICES - 1))
+        if inside.stop - inside.start < 3:
+            return fallback
+        place = depth * (np.arange(SLICES)[inside] + 0.5) / SLICES
+        return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
+
+
+def attenuation_rate(
+    medium: GranularMedium, wavelengths: np.ndarray, seed: int, threads: int | None
+) -> np.ndarray:
+    """Return the rate (1/m) at which diffuse light falls off with depth, by diffusion theory.
+
+    √(3 (1 − ω)(1 − ωg)) times the extinction (Ishimaru 1978, Wave Propagation and Scattering in
+    Random Media, section 9.1), from the medium's single-scattering properties.
+    """
+    optics = single_scattering(medium, wavelengths, 1, PROPERTY_RAYS, int(seed), threads)
+    albedo = optics.single_scattering_albedo.values
+    asymmetry = optics.asymmetry_parameter.values
+    loss = np.clip(3.0 * (1.0 - albedo) * (1.0 - albedo * asymmetry), 0.0, 3.0)
+    return optics.extinction.values * np.sqrt(loss)

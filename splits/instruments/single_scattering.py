@@ -1,0 +1,287 @@
+"""Single-scattering properties of a granular medium, for radiative transfer by other means."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import one_of
+from splits.dataset import attributes, provenance
+from splits.instruments.fixed import check_whole
+from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.spectrophotometer import check_wavelengths
+from splits.materials.refractive_index import absorption_coefficient
+from splits.media.granular import GranularMedium
+from splits.transport import sources_digest
+from splits.transport.scattering import scatter
+from splits.transport.scene import DRY_PORE, WET_PORE, Optics
+
+BATCH = 2048
+"""Rays per batch: the grain of parallel work."""
+
+INTERPOLATION = 0.0005
+"""Interpolation error allowed, as for a reflectance (see `splits.instruments.nodes`)."""
+
+MOMENT_SLOPE = 2.0
+"""How much steeper a Legendre moment may be in the contrast than a reflectance: a forward lobe as
+wide as the contrast c has χ_l ~ exp(−c² l²/2), and |dχ/d(ln c)| up to 2/e."""
+
+_STREAMS = 2_000_000
+"""First ensemble number: one seed gives other numbers here than in the spectrophotometer."""
+
+WET_PORES = ("saturation", "equilibrium")
+ESTIMATED = ("single_scattering_albedo", "asymmetry_parameter", "legendre_moment")
+WAVELENGTH = {
+    "long_name": "wavelength in vacuum",
+    "units": "nm",
+    "standard_name": "radiation_wavelength",
+}
+LABELS = {
+    "single_scattering_albedo": ("single-scattering albedo", "1"),
+    "asymmetry_parameter": ("asymmetry parameter", "1"),
+    "legendre_moment": ("Legendre moment of the phase function", "1"),
+    "displacement_before": ("mean way through a grain along the ray before it", "m"),
+    "displacement_after": ("mean way through a grain along the ray after it", "m"),
+    "displacement_square": ("mean square of the way through a grain", "m2"),
+    "wet_share": ("share of the light scattered that leaves into a wet pore", "1"),
+    "extinction": ("extinction coefficient", "m-1"),
+    "optical_thickness": ("optical thickness of extinction", "1"),
+}
+
+
+@dataclass(frozen=True)
+class _Node:
+    """Tallies of one node, per ray, for the wavelengths that draw on it.
+
+    Attributes
+    ----------
+    served : bool, shape (wavelengths,)
+    weight : float, shape (served,)
+        Weight of this node in the wavelengths' means.
+    sums : float, shape (3, orders, served)
+    shift : float, shape (4, served)
+        See `splits.transport.scattering.scatter`.
+    """
+
+    served: np.ndarray
+    weight: np.ndarray
+    sums: np.ndarray
+    shift: np.ndarray
+
+
+def single_scattering(
+    medium: GranularMedium,
+    wavelength_nm: Any,
+    moments: int = 64,
+    rays: int = 200_000,
+    seed: int = 1,
+    threads: int | None = None,
+    *,
+    wet_pores: str = "saturation",
+) -> xr.Dataset:
+    """Measure what single grains of a medium do to light, as radiative transfer wants to know it.
+
+    Rays meet one grain each in free pore space, which is wet with the medium's saturation, drawn
+    and followed by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
+    except those that look at neighbours: no boundary and no last leg rejects a grain.
+
+    As in the papers' model, diffraction is left out: the extinction is that of the geometric
+    cross-section, half of what Mie theory has for large grains, and the phase function lacks the
+    narrow forward peak.  With diffraction, g' = (1 + g)/2 and 1 − ω' = (1 − ω)/2.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+        For example `splits.Snow`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    moments : int
+        Highest order l of the Legendre moments, at least 1.
+    rays : int
+        Rays per refractive-index node, at least 2; rounded up to whole batches of `BATCH`.
+    seed : int
+        Non-negative; the same seed gives the same numbers on any number of threads.
+    threads : int, optional
+        Default: every CPU this process may use.
+    wet_pores : {"saturation", "equilibrium"}
+        Share of the light that meets grains, and is absorbed between them, in wet pores: the
+        saturation S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
+        water over that of air, as deep in the sample, where radiance goes with n² (light leaves
+        grains into water more easily).
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``wavelength``, each but the last two with standard error ``…_stderr``:
+        ``single_scattering_albedo`` (0 to 1, absorption by the pores included),
+        ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l = <P_l(cosΘ)>
+        by weight of the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m), the grains
+        met per metre plus absorption by the pores, and ``optical_thickness``.
+
+        Besides, without standard errors, for `splits.analysis.radiative_transfer.packed`:
+        ``displacement_before`` and ``displacement_after`` (m), the way from entry to exit along
+        the direction before and after; ``displacement_square`` (m²); and ``wet_share``, the
+        share of the scattered light that leaves into a wet pore.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    Notes
+    -----
+    Paths are traced with the refractive indices of a few nodes, as by the spectral estimator;
+    standard errors contain the bound on what that misses.
+    """
+    begun = time.perf_counter()
+    wavelengths = check_wavelengths(wavelength_nm)
+    moments = check_whole("moments", moments, 1)
+    rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)
+    seed = check_whole("seed", seed, 0)
+    threads = (
+        len(os.sched_getaffinity(0)) if threads is None else check_whole("threads", threads, 1)
+    )
+    one_of("wet_pores", wet_pores, WET_PORES)
+    index = medium.indices(wavelengths)
+    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    nodes = choose_nodes(index, medium.interfaces(), INTERPOLATION)
+    wet = _wet_share(medium.saturation, index, wet_pores)
+    at_nodes = _wet_share(medium.saturation, nodes.index, wet_pores)
+    traced = _trace(medium, nodes, at_nodes, absorption, moments + 1, rays, seed, threads)
+    values = _estimate(traced, nodes.bias, moments + 1, rays)
+
+    pore = (1.0 - wet) * absorption[:, DRY_PORE] + wet * absorption[:, WET_PORE]
+    grains = medium.grains().attenuation
+    values["extinction"] = grains + pore
+    values["optical_thickness"] = values["extinction"] * medium.depth_m
+    for name in ("single_scattering_albedo", "single_scattering_albedo_stderr"):
+        values[name] = values[name] * (grains / values["extinction"])
+    facts = {
+        "title": f"Single-scattering properties: {medium.kind}",
+        "instrument": "single_scattering",
+        "medium": medium.kind,
+        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        "diffraction": "none",
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "wet_pores": wet_pores,
+        "rays": rays * len(traced),
+        "ensembles": len(traced),
+        "seed": seed,
+        "threads": threads,
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "physics_sources_sha256": sources_digest(),
+        **provenance(),
+    }
+    return xr.Dataset(
+        {name: _labelled(name, value) for name, value in values.items()},
+        {"wavelength": ("wavelength", wavelengths, WAVELENGTH), "order": np.arange(moments + 1)},
+        attributes(facts),
+    )
+
+
+def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
+    """Return the share of light in pore space that is in wet pores, one for each row of indices."""
+    wet, dry = saturation, 1.0 - saturation
+    if wet_pores == "saturation":
+        return np.full(len(index), float(wet))
+    square = index[:, [DRY_PORE, WET_PORE]].real ** 2
+    return wet * square[:, 1] / (wet * square[:, 1] + dry * square[:, 0])
+
+
+def _trace(
+    medium: GranularMedium,
+    nodes: Nodes,
+    wet: np.ndarray,
+    absorption: np.ndarray,
+    orders: int,
+    rays: int,
+    seed: int,
+    threads: int,
+) -> list[_Node]:
+    """Trace so many rays, a multiple of `BATCH`, at every node."""
+    grains, rules = medium.grains(), medium.readings.rules()
+    saturation = float(medium.saturation)
+
+    def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        node, first, optics, part = job
+        return scatter(
+            seed, _STREAMS + node, first, BATCH, orders, wet[node], saturation, grains, rules,
+            optics, part,
+        )  # fmt: skip
+
+    traced = []
+    with ThreadPoolExecutor(threads) as pool:
+        for node, (m, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
+            served = weight > 0.0
+            part = absorption[served]
+            # Roulette may only use what holds for every wavelength that listens.
+            optics = Optics(m.real.copy(), m.imag.copy(), part.min(axis=0))
+            sums = np.zeros((3, orders, len(part)))
+            shift = np.zeros((4, len(part)))
+            jobs = [(node, first, optics, part) for first in range(0, rays, BATCH)]
+            # In a fixed order, so that rounding does not depend on the threads.
+            for one, other in pool.map(run, jobs):
+                sums += one
+                shift += other
+            traced.append(_Node(served, weight[served], sums / rays, shift / rays))
+    return traced
+
+
+def _estimate(
+    traced: list[_Node], bias: np.ndarray, orders: int, rays: int
+) -> dict[str, np.ndarray]:
+    """Return means over grains and their standard errors, by name.
+
+    A moment is a ratio of means, <w P_l>/<w>; its error is that of w (P_l − χ_l), to first order.
+    """
+    mean = np.zeros((orders, len(bias)))
+    shift = np.zeros((4, len(bias)))
+    for node in traced:
+        mean[:, node.served] += node.weight * node.sums[0]
+        shift[:, node.served] += node.weight * node.shift
+    albedo = mean[0]
+    # Where nothing at all is scattered, the phase function has no meaning: 0, and no NaN.
+    share = np.maximum(albedo, np.finfo(float).tiny)
+    moment = mean / share
+    variance = np.zeros(len(bias))
+    spread = np.zeros((orders, len(bias)))
+    for node in traced:
+        first, mixed, square = node.sums
+        chi = moment[:, node.served]
+        variance[node.served] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
+        residual = square - 2.0 * chi * mixed + chi**2 * square[0]
+        residual -= (first - chi * first[0]) ** 2
+        spread[:, node.served] += node.weight**2 * np.maximum(residual, 0.0)
+    albedo_bias = bias * np.clip(8.0 * albedo * (1.0 - albedo), 0.0, 1.0)
+    moment_bias = MOMENT_SLOPE * bias * np.clip(8.0 * np.abs(moment * (1.0 - moment)), 0.0, 1.0)
+    error = np.sqrt(spread / (rays * share**2) + moment_bias**2)
+    return {
+        "single_scattering_albedo": albedo,
+        "single_scattering_albedo_stderr": np.sqrt(variance / rays + albedo_bias**2),
+        "asymmetry_parameter": moment[1],
+        "asymmetry_parameter_stderr": error[1],
+        "legendre_moment": moment.T,
+        "legendre_moment_stderr": error.T,
+        "displacement_before": shift[0] / share,
+        "displacement_after": shift[1] / share,
+        "displacement_square": shift[2] / share,
+        "wet_share": shift[3] / share,
+    }
+
+
+def _labelled(name: str, value: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
+    """Return a variable as `xarray.Dataset` takes it."""
+    quantity = name.removesuffix("_stderr")
+    label, units = LABELS[quantity]
+    facts = {"long_name": label, "units": units}
+    if name != quantity:
+        facts["long_name"] = f"standard error of {label}"
+    elif quantity in ESTIMATED:
+        facts["ancillary_variables"] = f"{quantity}_stderr"
+    return (("wavelength", "order")[: value.ndim], value, facts)

@@ -1,0 +1,105 @@
+"""The state of all lanes: one array, whose rows lie at multiples of the number of lanes.
+
+``state[DX + lane]`` is the x component of a lane's direction.  Offsets that the compiler knows
+let it see that rows do not overlap, without which it would not vectorise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.transport.jit import exact
+
+LANES = 64
+"""Rays side by side: enough to fill vectors and to average over, few enough for the cache."""
+
+VECTOR = 16
+"""Lanes that fill the widest vectors of today's machines."""
+
+(
+    # Ray: position of the origin of its leg or of its entry into a grain; direction.
+    X, Y, Z, DX, DY, DZ,
+    # Way from the grain's entry point on; direction and length of the leg before (none: −1).
+    GX, GY, GZ, LX, LY, LZ, LAST,
+    # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
+    QX, QY, QZ, WX, WY, WZ, FLATTENING, MINOR, SIGMA,
+    # Ray at the grain: layer (0 pore, 1 outermost, 2 below), 1 inward or −1 outward.
+    LAYER, SIDE,
+    STATUS, WET, TRIES,
+    # Optical depth, next roulette, inverse probability of survival.
+    DEPTH, LIMIT, WEIGHT,
+    # Lengths (m) in wet pores, in coating and in core since they were last put down.
+    PORE_PATH, COAT_PATH, CORE_PATH,
+    # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept.
+    NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP,
+    # The numbers that decide these: positions in their tables, and one for the type.
+    AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND,
+    # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
+    KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,
+) = (LANES * row for row in range(51))  # fmt: skip
+STATE = 51 * LANES
+
+KEY_HIGH, KEY_LOW, COUNT = (LANES * row for row in range(3))
+"""Rows of the random streams, uint32: key, and numbers drawn so far."""
+WORDS = 3 * LANES
+
+FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_BOUNDARY, ABSORBED, LOST, IDLE = (
+    exact(float(status)) for status in range(8)
+)
+"""What a lane waits for: a grain; a facet; a cosine lobe on the near or on the far side; the rest
+waits for the plain loop that ends and launches rays."""
+
+
+class Features(NamedTuple):
+    """What a scene has.  A feature is True or None: being types, they decide at compile time.
+
+    Attributes
+    ----------
+    wet : True or None
+        Some legs run through wet pores.
+    faceted : True or None
+        Grains are not all smooth.
+    mixed : True or None
+        Several types, coatings, or grains whose extinction coefficient shows in reflection.
+    variant : True or None
+        Readings of the papers other than the default in entry point, facets or wrong side.
+    positions : True or None
+        Horizontal positions are tracked.
+    """
+
+    wet: bool | None
+    faceted: bool | None
+    mixed: bool | None
+    variant: bool | None
+    positions: bool | None
+
+
+class Scene(NamedTuple):
+    """Scalars that the passes need, all float32 (m, 1/m) but the rules.
+
+    Attributes
+    ----------
+    mean_leg, depth : float32
+    saturation : float32
+    n_dry, n_wet, k_wet, n_core, k_core : float32
+        The grain's only where all grains are alike.
+    a_wet, a_core : float32
+        Absorption coefficients for roulette.
+    """
+
+    mean_leg: np.float32
+    depth: np.float32
+    saturation: np.float32
+    n_dry: np.float32
+    n_wet: np.float32
+    k_wet: np.float32
+    n_core: np.float32
+    a_wet: np.float32
+    a_core: np.float32
+    entry: np.int32
+    facets: np.int32
+    mirrored: np.bool_
+    reject_on_last_leg: np.bool_
+    reject_across_boundary: np.bool_

@@ -1,0 +1,279 @@
+"""One trial at a grain's surface in every lane: facet, Fresnel, direction, way through the grain.
+
+The scalar counterpart is `splits.transport.grain`; see there for the physics.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy import float32 as single
+
+from splits.transport import facets
+from splits.transport.elementary import half_circle, logarithm
+from splits.transport.facets import facet_normal, projected_choice
+from splits.transport.frames import mirrored, normalized
+from splits.transport.fresnel import fraction, normal_component
+from splits.transport.jit import HALF, ONE, TWO, ZERO, entry, kernel
+from splits.transport.lanes.numbers import three, word
+from splits.transport.lanes.rows import (
+    A_CORE,
+    A_OUTER,
+    COAT_PATH,
+    CORE_PATH,
+    COUNT,
+    DEPTH,
+    DX,
+    DY,
+    DZ,
+    FLATTENING,
+    FLYING,
+    GX,
+    GY,
+    GZ,
+    K_CORE,
+    K_OUTER,
+    LAYER,
+    LAYERS,
+    LOBE_BACK,
+    LOBE_THROUGH,
+    MINOR,
+    N_CORE,
+    N_OUTER,
+    QX,
+    QY,
+    QZ,
+    SIDE,
+    SIGMA,
+    STATUS,
+    THICKNESS,
+    TRIAL,
+    WET,
+    WX,
+    WY,
+    WZ,
+)  # fmt: skip
+from splits.transport.lanes.vectors import widest_vectors
+from splits.transport.spheroid import across, normal_at
+
+_GRAZING = single(1e-6)
+_NORMAL2 = single(1e-8)
+"""Least sin² of incidence for which facets are turned exactly; met by 1e-8 of all trials."""
+_MINUS_TWO = single(-2.0)
+
+
+@kernel
+def leaning(sigma, u1, u2):
+    """Return |ξ| of `facets.lean`, by Box & Muller (1958); to be refused from 1 on."""
+    _, cosine = half_circle(u2)
+    return sigma * math.sqrt(_MINUS_TWO * logarithm(u1)) * cosine
+
+
+@kernel
+def any_choice(c, s, cos_azimuth, cos_i, sin_i, u, rule):
+    """Return what `facets.projected_choice` does, for the other two rules."""
+    cos_azimuth = -cos_azimuth if u < HALF else cos_azimuth
+    cos_facet = c * cos_i + s * sin_i * cos_azimuth
+    return (cos_facet > ZERO) | ((rule == facets.ANY) & (cos_facet < ZERO)), cos_azimuth, cos_facet
+
+
+@entry
+def surface(state, words, width, features, scene):
+    """Advance all lanes that are at a grain's surface by one trial.
+
+    Parameters
+    ----------
+    state : float32[STATE]
+    words : uint32[WORDS]
+    width : int
+        Lanes in use, from the first on: a multiple of `rows.VECTOR`.
+    features, scene : Features, Scene
+        See `splits.transport.lanes.rows`.
+
+    Returns
+    -------
+    flying : int32
+        Lanes that now wait for a grain.
+    """
+    widest_vectors()
+    flying = np.int32(0)
+    for i in range(width):
+        status = state[STATUS + i]
+        active = (status >= TRIAL) & (status <= LOBE_THROUGH)
+        lobe = status > TRIAL
+        u_choice, u_fresnel, u_wet = three(word(words, i, 0))
+        drawn = np.uint32(1)
+        if features.faceted is not None:
+            u1, u2, u_azimuth = three(word(words, i, 1))
+            drawn = np.uint32(2)
+        count = words[COUNT + i]
+        words[COUNT + i] = np.uint32(count + drawn) if active else count
+
+        dx, dy, dz = state[DX + i], state[DY + i], state[DZ + i]
+        qx, qy, qz = state[QX + i], state[QY + i], state[QZ + i]
+        wx, wy, wz = state[WX + i], state[WY + i], state[WZ + i]
+        flattening = state[FLATTENING + i]
+        minor = state[MINOR + i]
+        side = state[SIDE + i]
+        wet = state[WET + i]
+        outward = side < ZERO
+        nx, ny, nz = normal_at(qx, qy, qz, wx, wy, wz, flattening)
+        nx *= side
+        ny *= side
+        nz *= side
+        cos_i = max(-(dx * nx + dy * ny + dz * nz), _GRAZING)
+
+        accepted = True
+        cos_facet = cos_i
+        if features.faceted is not None:
+            tx = -dx - cos_i * nx
+            ty = -dy - cos_i * ny
+            tz = -dz - cos_i * nz
+            sin_i = math.sqrt(max(tx * tx + ty * ty + tz * tz, _NORMAL2))
+            lean = leaning(state[SIGMA + i], u1, u2)
+            c = ONE - lean
+            s = math.sqrt(max(lean * (TWO - lean), ZERO))
+            sin_azimuth, cos_azimuth = half_circle(u_azimuth)
+            lobe_azimuth = -cos_azimuth if u_choice < HALF else cos_azimuth
+            if features.variant is not None and scene.facets != facets.PROJECTED:
+                accepted, cos_azimuth, cos_facet = any_choice(
+                    c, s, cos_azimuth, cos_i, sin_i, u_choice, scene.facets
+                )
+            else:
+                accepted, cos_azimuth, cos_facet = projected_choice(
+                    c, s, cos_azimuth, cos_i, sin_i, u_choice
+                )
+            accepted = accepted & (lean < ONE)
+            turned = cos_facet < ZERO
+            cos_facet = max(abs(cos_facet), _GRAZING)
+
+        # The media on both sides; a ray that reaches the outermost interface from the inside
+        # draws the pore that it may go into, unless it is on its way there in a lobe.
+        new_wet = wet
+        if features.wet is not None:
+            drawn_wet = ONE if u_wet < scene.saturation else ZERO
+            new_wet = wet if lobe & outward else drawn_wet
+        pore_wet = (new_wet if outward else wet) > ZERO
+        n_pore = scene.n_dry
+        k_pore = ZERO
+        if features.wet is not None:
+            n_pore = scene.n_wet if pore_wet else scene.n_dry
+            k_pore = scene.k_wet if pore_wet else ZERO
+        sin2 = max((ONE - cos_facet) * (ONE + cos_facet), ZERO)
+        layer = state[LAYER + i]
+        if features.mixed is not None:
+            n_outer, k_outer = state[N_OUTER + i], state[K_OUTER + i]
+            n_core, k_core = state[N_CORE + i], state[K_CORE + i]
+            below = layer > ONE
+            n_inner = n_core if below else n_outer
+            k_inner = k_core if below else k_outer
+            n_here = n_pore if layer == ZERO else n_inner
+            k_here = k_pore if layer == ZERO else k_inner
+            n_next = n_outer if layer == ZERO else n_core
+            k_next = k_outer if layer == ZERO else k_core
+            n_last = n_outer if below else n_pore
+            k_last = k_outer if below else k_pore
+            n_there = n_last if outward else n_next
+            k_there = k_last if outward else k_next
+            same = (n_here == n_there) & (k_here == k_there)
+            m = n_there / n_here
+            contrast = (n_there - n_here) / n_here
+            k = k_there / n_here
+            a, b2 = normal_component(m, contrast, k, cos_facet, True)
+            a = cos_facet if same else a
+            b2 = ZERO if same else b2
+            ratio = ONE if same else ONE / math.sqrt(sin2 + a * a)
+        else:
+            step = scene.n_core - n_pore
+            m = n_pore / scene.n_core if outward else scene.n_core / n_pore
+            contrast = -step / scene.n_core if outward else step / n_pore
+            k = ZERO
+            a, b2 = normal_component(m, contrast, k, cos_facet, False)
+            ratio = ONE / m
+        numerator, denominator = fraction(m, contrast, k, cos_facet, sin2, a, b2)
+        reflected = (u_fresnel * denominator < numerator) | (a == ZERO)
+        if features.mixed is not None:
+            reflected = reflected & (not same)
+        passed = not reflected
+
+        # Both outcomes are g d + h n' for a facet of normal n'; a lobe is n' alone.
+        g = ONE if reflected else ratio
+        h = TWO * cos_facet if reflected else ratio * (cos_facet - a)
+        if features.faceted is not None:
+            if features.variant is not None:
+                h = -h if turned else h
+            g = ZERO if lobe else g
+            h = ONE if lobe else h
+            passed = (status == LOBE_THROUGH) if lobe else passed
+            cos_lobe = math.sqrt(u_fresnel)
+            c = (-cos_lobe if passed else cos_lobe) if lobe else c
+            s = math.sqrt(ONE - u_fresnel) if lobe else s
+            cos_azimuth = lobe_azimuth if lobe else cos_azimuth
+            mx, my, mz = facet_normal(
+                dx, dy, dz, nx, ny, nz, cos_i, sin_i, c, s, cos_azimuth, sin_azimuth
+            )
+        else:
+            mx, my, mz = nx, ny, nz
+        ex, ey, ez = normalized(g * dx + h * mx, g * dy + h * my, g * dz + h * mz)
+        out = ex * nx + ey * ny + ez * nz
+        right = True
+        if features.faceted is not None:
+            right = (out < ZERO) if passed else (out > ZERO)
+            if features.variant is not None:
+                rx, ry, rz = mirrored(ex, ey, ez, nx, ny, nz)
+                turn = scene.mirrored & (not right)
+                ex = rx if turn else ex
+                ey = ry if turn else ey
+                ez = rz if turn else ez
+                right = right | scene.mirrored
+        done = active & (lobe | (accepted & right))
+        to_lobe = active & (not lobe) & accepted & (not right)
+
+        # Where the ray now is, and its way there.
+        new_layer = layer + side if passed else layer
+        new_side = side if passed else -side
+        exited = new_layer == ZERO
+        chord, px, py, pz = across(qx, qy, qz, ex, ey, ez, wx, wy, wz, flattening)
+        leg = chord * minor
+        if features.mixed is not None:
+            in_core = new_layer == state[LAYERS + i]
+            new_side = -ONE if in_core else new_side
+            film = state[THICKNESS + i] / max(abs(out), _GRAZING)
+            film = film if done & (not exited) & (not in_core) else ZERO
+            state[COAT_PATH + i] += film
+            through = done & in_core
+            core_depth = state[A_CORE + i]
+            film_depth = film * state[A_OUTER + i]
+        else:
+            new_side = -ONE
+            through = done & (not exited)
+            core_depth = scene.a_core
+            film_depth = ZERO
+        leg = leg if through else ZERO
+        wx_ = leg * ex if through else ZERO
+        wy_ = leg * ey if through else ZERO
+        wz_ = leg * ez if through else ZERO
+        state[CORE_PATH + i] += leg
+        state[DEPTH + i] += leg * core_depth + film_depth
+        state[GX + i] += wx_
+        state[GY + i] += wy_
+        state[GZ + i] += wz_
+        state[QX + i] = px if through else qx
+        state[QY + i] = py if through else qy
+        state[QZ + i] = pz if through else qz
+        state[DX + i] = ex if done else dx
+        state[DY + i] = ey if done else dy
+        state[DZ + i] = ez if done else dz
+        state[LAYER + i] = new_layer if done else layer
+        state[SIDE + i] = new_side if done else side
+        if features.wet is not None:
+            # A ray reflected from the outside draws the pore of its next leg, too.
+            keep = done & exited | (to_lobe & outward)
+            state[WET + i] = new_wet if keep else wet
+        after = FLYING if done & exited else TRIAL
+        after = (LOBE_THROUGH if passed else LOBE_BACK) if to_lobe else after
+        after = after if active else status
+        state[STATUS + i] = after
+        flying = np.int32(flying + 1) if after == FLYING else flying
+    return flying

@@ -1,0 +1,88 @@
+"""From rays that left to sums of weights over wavelengths.
+
+Kernels record where and with which path lengths a ray left, and know no wavelength; the lengths
+in each material then give its weight at every wavelength (SPLITSnow Eqs 5-6, the exponential read
+as the probability to pass).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splits.transport.elementary import exponential
+from splits.transport.jit import ONE, ZERO, entry
+
+EXIT_SIDE = 0
+"""Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
+EXIT_WEIGHT = 1
+"""Column of the inverse probability of having survived roulette."""
+EXIT_DIRECTION = 2
+"""First of three columns: direction outside the slab."""
+EXIT_POSITION = 5
+"""First of two columns: horizontal position (m); NaN where a kernel does not track it."""
+EXIT_LENGTH = 7
+"""First of the columns of path lengths (m), one per material."""
+
+
+def exit_rows(rays: int, materials: int) -> np.ndarray:
+    """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
+    rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
+    rows[:, EXIT_SIDE] = -1.0
+    return rows
+
+
+@entry
+def tally(exits, absorption, weighted):
+    """Add up the weights of rays, in the order of their rows.
+
+    Parameters
+    ----------
+    exits : float64[rays, columns]
+    absorption : float64[wavelengths, materials]
+        Absorption coefficients (1/m).
+    weighted : bool
+        False counts every ray that left as 1: absorption was decided on the way.
+
+    Returns
+    -------
+    moments : float64[2, 3, wavelengths]
+        Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
+    least : float64[wavelengths]
+        Smallest weight with which any ray left; 0 once one did not.
+    """
+    wavelengths = absorption.shape[0]
+    moments = np.zeros((2, 3, wavelengths))
+    least = np.full(wavelengths, np.inf)
+    # Wavelengths run fastest, in single precision: the exponential is then vectorised.
+    alpha = np.empty((absorption.shape[1], wavelengths), dtype=np.float32)
+    for material in range(absorption.shape[1]):
+        for i in range(wavelengths):
+            alpha[material, i] = absorption[i, material]
+    depth = np.empty(wavelengths, dtype=np.float32)
+    for j in range(exits.shape[0]):
+        side = int(exits[j, EXIT_SIDE])
+        if side < 0:
+            least[:] = 0.0
+            continue
+        factor = np.float32(exits[j, EXIT_WEIGHT])
+        depth[:] = ZERO
+        if weighted:
+            for material in range(absorption.shape[1]):
+                leg = np.float32(exits[j, EXIT_LENGTH + material])
+                if leg > ZERO:
+                    for i in range(wavelengths):
+                        depth[i] += alpha[material, i] * leg
+        add(moments[side], least, depth, factor)
+    return moments, least
+
+
+@entry
+def add(moments, least, depth, factor):
+    """Add one ray of weight factor·exp(−depth) to one side's moments and to the least weights."""
+    total, square, largest = moments[0], moments[1], moments[2]
+    for i in range(depth.size):
+        w = factor * exponential(-depth[i]) * ONE
+        total[i] += w
+        square[i] += w * w
+        largest[i] = max(largest[i], w)
+        least[i] = min(least[i], w)

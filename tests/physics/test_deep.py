@@ -1,0 +1,78 @@
+"""Transmittance too small to wait for: against exact answers and against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+from scipy import stats
+
+import splits
+
+pytestmark = NEEDS_JIT
+
+
+def test_grains_without_contrast_leave_beers_law():
+    # Everything has the index and the absorption of the pores: a straight line, exp(−α d).
+    index = 1.0 + 2e-6j
+    for alpha_d, depth in ((4.0, 0.1273), (20.0, 0.6366)):
+        snow = splits.Snow(
+            saturation=1.0,
+            depth_m=depth,
+            refractive_index={"ice": index, "water": index},
+        )
+        ds = splits.deep_transmittance(snow, [800.0], relative_stderr=0.01, seed=3)
+        exact = np.exp(-4.0 * np.pi * 2e-6 / 800e-9 * depth)
+        assert exact == pytest.approx(np.exp(-alpha_d), rel=1e-2)
+        z = (ds.transmittance - exact) / ds.transmittance_stderr.clip(1e-12 * exact)
+        judge_z(z.values, f"Beer's law, {exact:.1e}")
+        assert ds.attrs["stopped_by"] == "error"
+
+
+def test_as_much_comes_through_as_by_brute_force():
+    z = []
+    wavelengths = [500.0, 800.0]
+    for number, depth in enumerate((0.03, 0.06)):
+        snow = splits.Snow(depth_m=depth)
+        deep = splits.deep_transmittance(snow, wavelengths, relative_stderr=0.05, seed=number)
+        assert (deep.transmittance_stderr <= 0.05 * deep.transmittance).all()
+        brute = splits.spectrophotometer(snow, wavelengths, max_stderr=0.0015, seed=50 + number)
+        error = np.hypot(deep.transmittance_stderr, brute.transmittance_stderr)
+        z.extend(((deep.transmittance - brute.transmittance) / error).values)
+    judge_z(z, "splitting against brute force")
+
+
+def test_stated_errors_are_the_scatter_between_seeds():
+    snow = splits.Snow(depth_m=0.06, saturation=0.0)
+    runs = [
+        splits.deep_transmittance(snow, [950.0], relative_stderr=0.1, seed=seed)
+        for seed in range(20)
+    ]
+    values = np.array([float(ds.transmittance[0]) for ds in runs])
+    # A run that misses rare large families states too small an error along with too small a
+    # value; what all state together is judged.
+    stated = np.sqrt(np.mean([float(ds.transmittance_stderr[0]) ** 2 for ds in runs]))
+    # Against the mean of all, of which each is a part.
+    z = (values - values.mean()) / stated / np.sqrt(1.0 - 1.0 / len(runs))
+    judge_z(z, "deep transmittance between seeds")
+    square = float(np.sum((values - values.mean()) ** 2) / stated**2)
+    assert 0.005 < stats.chi2.sf(square, len(runs) - 1) < 0.995
+
+
+def test_bits_do_not_depend_on_threads():
+    snow = splits.Snow(depth_m=0.05)
+    one, two = (
+        splits.deep_transmittance(snow, [900.0], relative_stderr=0.3, threads=threads)
+        for threads in (1, 2)
+    )
+    assert one.transmittance.values == two.transmittance.values
+    assert one.transmittance_stderr.values == two.transmittance_stderr.values
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("relative_stderr", 0.0), ("seed", -1), ("max_rays", 0), ("threads", 0)],
+)
+def test_bad_values_are_refused(key, value):
+    with pytest.raises(ValueError, match=key):
+        splits.deep_transmittance(splits.Snow(), [900.0], **{key: value})

@@ -1,0 +1,148 @@
+"""The lane kernel against the scalar one, and against itself in other orders and jobs."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.instruments.ensemble import BATCH, Ensemble, Runner
+from splits.instruments.fixed import EVERY_RAY
+from splits.materials.refractive_index import absorption_coefficient
+from splits.transport import lanes
+from splits.transport.lanes.rows import LANES
+from splits.transport.tally import exit_rows
+
+pytestmark = NEEDS_JIT
+
+RAYS = 50_000
+"""Per wavelength and kernel: a million for each medium."""
+SNOW = np.linspace(400.0, 2500.0, 20)
+SAND = np.linspace(400.0, 1000.0, 20)
+MEDIA = {
+    "representative snow": (splits.Snow(), 0.0, SNOW),
+    "coarse wet snow": (splits.Snow(grain_size_um=(900, 1000), saturation=0.3), 45.0, SNOW),
+    "thin layer": (splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0), 75.0, SNOW),
+    "smooth dry snow": (splits.Snow(facetness=(0, 0, 0, 0), saturation=0), "diffuse", SNOW),
+    "coated sand": (splits.Sand(), 0.0, SAND),
+    "wet sand of all types": (
+        splits.Sand(partition=(0.3, 0.3, 0.4), magnetite=0.02, saturation=0.4), 30.0, SAND,
+    ),
+}  # fmt: skip
+
+
+def ensembles(medium, wavelengths, attenuation):
+    """Return an ensemble of paths for each wavelength by itself."""
+    index = medium.indices(wavelengths)
+    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    one = np.ones(1, dtype=bool)
+    return [
+        Ensemble(number, m, alpha[np.newaxis], one, attenuation, levels=EVERY_RAY)
+        for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
+    ]
+
+
+def spectrum(medium, incidence, wavelengths, kernel, seed):
+    """Return R and T, their standard errors, and the seconds that it took on two threads."""
+    runner = Runner(medium, incidence, seed, 2, False, kernel)
+    work = ensembles(medium, wavelengths, runner.grains.attenuation)
+    begun = time.perf_counter()
+    runner.trace([(e, e.levels[0], RAYS) for e in work], 1.0, 0.0)
+    seconds = time.perf_counter() - begun
+    mean = np.stack([e.means()[:, 0] for e in work], axis=1)
+    error = np.stack([np.sqrt(e.variances()[:2, 0] / e.count[0]) for e in work], axis=1)
+    return mean, error, seconds
+
+
+def test_lanes_agree_with_the_scalar_kernel():
+    z = {"reflectance": [], "transmittance": []}
+    for number, (name, (medium, incidence, wavelengths)) in enumerate(MEDIA.items()):
+        plain, plain_error, slow = spectrum(medium, incidence, wavelengths, "scalar", 100 + number)
+        wide, wide_error, fast = spectrum(medium, incidence, wavelengths, "lanes", 200 + number)
+        print(f"{name}: scalar {slow:.1f} s, lanes {fast:.1f} s, ratio {slow / fast:.1f}")
+        values = (wide - plain) / np.hypot(plain_error, wide_error)
+        # Where hardly any ray gets through, its number is not normally distributed.
+        seen = np.minimum(plain, wide) > 100.0 / RAYS
+        for row, quantity in enumerate(z):
+            z[quantity].extend(values[row, seen[row]])
+            judge_z(values[row, seen[row]], f"{quantity} of {name}") if seen[row].any() else None
+    for quantity, values in z.items():
+        judge_z(values, f"{quantity}, lanes against scalar")
+
+
+def test_a_path_does_not_depend_on_lane_or_batch():
+    medium = splits.Snow(depth_m=0.02)
+    runner = Runner(medium, 30.0, 3, 1, False, "lanes")
+    (ensemble,) = ensembles(medium, np.array([900.0]), runner.grains.attenuation)
+    optics = ensemble.levels[0].optics
+    features = runner.features(optics)
+
+    def exits(first, rays):
+        rows = exit_rows(rays, 3)
+        scene = (runner.grains, runner.slab, runner.rules, optics, rows, features)
+        _, lost = lanes.batch(3, 0, first, rays, *scene)
+        assert not lost
+        return rows
+
+    count = 5 * LANES + 7
+    together = exits(0, count)
+    apart = np.concatenate([exits(ray, 1) for ray in range(count)])
+    assert np.array_equal(together, apart, equal_nan=True)
+
+
+@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize("medium", [splits.Snow(depth_m=0.03), splits.Sand()], ids=["snow", "sand"])
+def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
+    wavelengths = np.array([650.0, 900.0])
+    size = BATCH[kernel]
+    batches = 12
+
+    def moments(threads=None):
+        runner = Runner(medium, 10.0, 4, threads, False, kernel)
+        work = ensembles(medium, wavelengths, runner.grains.attenuation)
+        runner.trace([(e, e.levels[0], batches * size) for e in work], 1.0, 0.0)
+        return np.stack([e.moments for e in work])
+
+    def merged(jobs):
+        """Let jobs of their own trace every seventh batch, in any order; add up in order."""
+        parts = {}
+        for job in random.Random(1).sample(range(jobs), jobs):
+            runner = Runner(medium, 10.0, 4, 1, False, kernel)
+            work = ensembles(medium, wavelengths, runner.grains.attenuation)
+            for number, e in enumerate(work):
+                for batch in range(job, batches, jobs):
+                    (tally,), _ = runner.tallies(e, e.levels[0], batch * size, 1)
+                    parts[number, batch] = tally
+        work = ensembles(medium, wavelengths, runner.grains.attenuation)
+        for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
+            work[number].add(work[number].levels[0], tally)
+        return np.stack([e.moments for e in work])
+
+    expected = moments(1)
+    for other in (moments(2), moments(4), merged(1), merged(7)):
+        assert (other == expected).all()
+
+
+@pytest.mark.parametrize("positions", [False, True])
+def test_light_is_neither_lost_nor_made(positions):
+    medium = splits.Snow(
+        saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
+    )
+    runner = Runner(medium, 60.0, 5, 1, False, "lanes")
+    (ensemble,) = ensembles(medium, np.array([600.0]), runner.grains.attenuation)
+    optics = ensemble.levels[0].optics
+    features = runner.features(optics)._replace(positions=True if positions else None)
+    rows = exit_rows(3000, 3)
+    scene = (runner.grains, runner.slab, runner.rules, optics, rows, features)
+    _, lost = lanes.batch(5, 0, 0, 3000, *scene)
+    assert not lost
+    assert (rows[:, 0] >= 0.0).all()
+    directions = rows[:, 2:5]
+    assert np.abs((directions**2).sum(axis=1) - 1.0).max() < 1e-6
+    assert ((directions[:, 2] > 0.0) == (rows[:, 0] == 0.0)).all()
+    assert (rows[:, 1] == 1.0).all()
+    assert np.isfinite(rows[:, 5:7]).all() == positions

@@ -1,0 +1,155 @@
+"""Single-scattering properties: spheres that are known, grains that nothing happens at, errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.analysis.radiative_transfer import shape_factors
+from splits.instruments.single_scattering import BATCH, single_scattering
+from splits.instruments.spectrophotometer import check_wavelengths
+from splits.materials import ice_density
+
+pytestmark = NEEDS_JIT
+
+SPHERES = {"facetness": (0.0, 0.0, 0.0, 0.0), "sphericity": (1.0, 1.0, 1.0, 0.0)}
+PROJECTED = {"entry": "projected"}
+RAYS = 100_000
+
+
+def dry(ice, **settings):
+    return splits.Snow(saturation=0.0, refractive_index={"ice": ice}, **settings)
+
+
+def test_smooth_ice_sphere_has_the_known_asymmetry():
+    ds = single_scattering(dry(1.31, **SPHERES, readings=PROJECTED), 500.0, rays=400_000)
+    assert abs(float(ds.asymmetry_parameter[0]) - 0.78) < 0.005
+    assert 0.0 < float(ds.asymmetry_parameter_stderr[0]) < 0.002
+
+
+@pytest.mark.parametrize("saturation", [0.0, 0.3])
+def test_without_absorption_the_albedo_is_exactly_one(saturation):
+    snow = splits.Snow(saturation=saturation, refractive_index={"ice": 1.31, "water": 1.33})
+    ds = single_scattering(snow, [400.0, 1500.0], rays=RAYS)
+    assert (ds.single_scattering_albedo == 1.0).all()
+    assert (ds.single_scattering_albedo_stderr == 0.0).all()
+
+
+def test_matched_grain_scatters_forward_only():
+    ds = single_scattering(dry(1.0, facetness=(0.5, 1.0, 0.8, 0.1)), 500.0, rays=RAYS)
+    assert np.abs(ds.legendre_moment - 1.0).max() < 1e-10
+    assert np.abs(ds.legendre_moment_stderr).max() < 1e-6
+
+
+def test_matched_grain_absorbs_along_its_chord():
+    # Struck by projected area, a convex grain has a mean chord of volume over projected area.
+    alpha = 1.0
+    snow = dry(complex(1.0, alpha * 500e-9 / (4.0 * math.pi)), readings=PROJECTED)
+    chord = 1.0 / snow.attenuation_per_m
+    runs = [single_scattering(snow, 500.0, rays=400_000, seed=seed) for seed in range(1, 5)]
+    lost = np.array([1.0 - float(ds.single_scattering_albedo[0]) for ds in runs])
+    error = np.array([float(ds.single_scattering_albedo_stderr[0]) for ds in runs])
+    # Second order in αl, of which <l²> < 3 <l>² leaves 1e-6.
+    second = 1.5 * (alpha * chord) ** 2
+    judge_z((lost - alpha * chord) / np.hypot(error, second), "each seed")
+    mean_error = np.hypot(error.mean() / len(runs) ** 0.5, second)
+    judge_z([(lost.mean() - alpha * chord) / mean_error], "their mean")
+    way = np.mean([float(ds.displacement_before[0]) for ds in runs])
+    assert way == pytest.approx(chord, rel=0.005)
+
+
+def test_smooth_spheres_have_their_known_shape_factors():
+    # B = n² (1 − (1 − 1/n²)^(3/2)): path within a sphere over its mean chord, weak absorption.
+    snow = dry(1.31 + 1e-8j, **SPHERES, readings=PROJECTED)
+    ds = single_scattering(snow, 1000.0, rays=400_000, seed=2)
+    enhancement, asymmetry = shape_factors(ds, snow.specific_surface_area_m2_kg, 1e-8)
+    density = ice_density(snow.temperature_c)
+    expected = 1.31**2 * (1.0 - (1.0 - 1.31**-2) ** 1.5) * 917.0 / density
+    assert enhancement[0] == pytest.approx(expected, rel=0.003)
+    assert asymmetry[0] == pytest.approx(0.89, abs=0.003)
+
+
+def test_first_moment_is_the_asymmetry_and_zeroth_is_one():
+    ds = single_scattering(splits.Snow(), [500.0, 1030.0, 1500.0], rays=RAYS, moments=8)
+    first = ds.legendre_moment.sel(order=1)
+    assert (first == ds.asymmetry_parameter).all()
+    assert (ds.legendre_moment_stderr.sel(order=1) == ds.asymmetry_parameter_stderr).all()
+    assert (ds.legendre_moment.sel(order=0) == 1.0).all()
+    assert ds.sizes["order"] == 9
+    assert np.abs(ds.legendre_moment).max() <= 1.0
+
+
+@pytest.mark.parametrize("medium", [splits.Snow(), splits.Sand()])
+def test_same_numbers_on_one_and_two_threads(medium):
+    runs = [
+        single_scattering(medium, [500.0, 900.0], rays=5 * BATCH, seed=4, threads=n) for n in (1, 2)
+    ]
+    assert runs[0].equals(runs[1])
+    other = single_scattering(medium, [500.0, 900.0], rays=5 * BATCH, seed=5)
+    assert not runs[0].equals(other)
+
+
+def test_standard_errors_are_the_scatter_of_seeds():
+    names = ("single_scattering_albedo", "legendre_moment")
+    runs = [
+        single_scattering(dry(1.31 + 1e-4j), 1000.0, moments=4, rays=2 * BATCH, seed=seed)
+        for seed in range(40)
+    ]
+    for name in names:
+        spread = np.std([run[name].values for run in runs], axis=0, ddof=1).ravel()
+        stated = np.mean([run[f"{name}_stderr"].values for run in runs], axis=0).ravel()
+        known = stated > 0.0
+        # 40 values give a standard deviation to 11 %.
+        assert np.abs(spread[known] / stated[known] - 1.0).max() < 0.45
+        assert (spread[~known] == 0.0).all()
+
+
+def test_interpolation_between_indices_is_within_the_errors():
+    snow = splits.Snow()
+    wavelengths = check_wavelengths([500.0, 800.0, 1100.0, 1400.0, 1600.0, 1900.0, 2300.0])
+    together = single_scattering(snow, wavelengths, moments=16, rays=400_000)
+    assert together.attrs["ensembles"] < len(wavelengths)
+    for wavelength in wavelengths:
+        alone = single_scattering(snow, wavelength, moments=16, rays=400_000, seed=2)
+        part = together.sel(wavelength=[wavelength])
+        for name in ("single_scattering_albedo", "legendre_moment"):
+            error = np.hypot(alone[f"{name}_stderr"], part[f"{name}_stderr"])
+            assert (np.abs(alone[name] - part[name]) <= 4.0 * error).all(), (name, wavelength)
+
+
+def test_extinction_is_grains_met_plus_absorption_by_pores():
+    alpha = 200.0
+    water = complex(1.33, alpha * 1500e-9 / (4.0 * math.pi))
+    snow = splits.Snow(saturation=0.25, refractive_index={"ice": 1.31, "water": water})
+    ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2)
+    grains = snow.grains().attenuation
+    assert float(ds.extinction[0]) == pytest.approx(grains + 0.25 * alpha, rel=1e-12)
+    assert float(ds.optical_thickness[0]) == pytest.approx(float(ds.extinction[0]) * snow.depth_m)
+    # Ice and reflections absorb nothing: what is lost is lost between the grains.
+    assert float(ds.single_scattering_albedo[0]) == pytest.approx(
+        grains / (grains + 0.25 * alpha), rel=1e-12
+    )
+    deep = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
+    share = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
+    assert float(deep.extinction[0]) == pytest.approx(grains + share * alpha, rel=1e-12)
+    # Light in that share keeps it, whichever way it came in.
+    assert float(deep.wet_share[0]) == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"moments": 0}, "moments = 0"),
+        ({"rays": 1}, "rays = 1"),
+        ({"seed": -1}, "seed = -1"),
+        ({"threads": 0}, "threads = 0"),
+        ({"wet_pores": "dry"}, "wet_pores = 'dry'"),
+    ],
+)
+def test_bad_settings_are_refused_by_name(settings, message):
+    with pytest.raises(ValueError, match=message):
+        single_scattering(splits.Snow(), 500.0, **settings)

@@ -1,0 +1,501 @@
+"""What lanes draw, in single precision, against the laws it must follow.
+
+Single functions first, then the passes as a whole: the grain that `flight` gives a lane.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, draw, judge_p, judge_z, p_of_counts, p_of_values, stream
+from numba import njit
+from scipy import stats
+
+import splits
+from splits.media import grain_statistics
+from splits.transport import facets, rng
+from splits.transport.elementary import circle, logarithm
+from splits.transport.lanes import flight, numbers, rows, surface
+
+pytestmark = NEEDS_JIT
+
+COUNT = 400_000
+single = np.float32
+CELLS = np.arange(1, 53) / 53
+TAILS = np.array([1e-4, 5e-4, 2e-3])
+EDGES = np.concatenate([TAILS, CELLS, 1.0 - TAILS[::-1]])
+
+
+@njit
+def bits(state):
+    """Return the stream's next 64 random bits."""
+    state[0] += rng.GOLDEN
+    return rng.mix64(state[0])
+
+
+def evenly(u):
+    return u
+
+
+# --- streams ----------------------------------------------------------------------------------
+
+
+@njit
+def _words(words, lane, first, out):
+    for offset in range(out.size):
+        words[rows.COUNT + lane] = np.uint32(first)
+        out[offset] = numbers.word(words, lane, offset)
+
+
+@njit
+def _stream_words(state, out):
+    for i in range(out.size):
+        out[i] = bits(state)
+
+
+@njit
+def _doubles(words, out):
+    for i in range(out.size):
+        out[i] = numbers.double(words[i])
+
+
+@njit
+def _uniforms(state, out):
+    for i in range(out.size):
+        out[i] = rng.uniform(state)
+
+
+def key(words, lane, start):
+    words[rows.KEY_HIGH + lane] = start >> 32
+    words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
+
+
+@pytest.mark.parametrize("lane", [0, 1, rows.LANES - 1])
+def test_a_lane_draws_the_stream_of_its_ray(lane):
+    words = np.full(rows.WORDS, 0xDEADBEEF, dtype=np.uint32)
+    for ray in (0, 1, 12_345, 2**40):
+        state = stream(ray)
+        key(words, lane, int(state[0]))
+        expected, found = (np.empty(1000, dtype=np.uint64) for _ in range(2))
+        _stream_words(state, expected)
+        # A fresh ray has drawn none: its count starts at 1.
+        _words(words, lane, 1, found)
+        np.testing.assert_array_equal(found, expected)
+        _words(words, lane, 101, found[:900])
+        np.testing.assert_array_equal(found[:900], expected[100:])
+        doubles, uniforms = np.empty(1000), np.empty(1000)
+        _doubles(expected, doubles)
+        _uniforms(stream(ray), uniforms)
+        np.testing.assert_array_equal(doubles, uniforms)
+
+
+def test_numbers_continue_past_two_to_the_31():
+    words = np.zeros(rows.WORDS, dtype=np.uint32)
+    start = stream(5)
+    key(words, 3, int(start[0]))
+    found, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
+    for first in (2**31 - 32, 2**32 - 64):
+        _words(words, 3, first, found)
+        ahead = (int(start[0]) + (first - 1) * int(rng.GOLDEN)) % 2**64
+        _stream_words(np.array([ahead], dtype=np.uint64), expected)
+        np.testing.assert_array_equal(found, expected)
+
+
+# --- uniform numbers --------------------------------------------------------------------------
+
+
+@njit
+def _three(state):
+    a, b, c = numbers.three(bits(state))
+    return float(a), float(b), float(c)
+
+
+@njit
+def _of_bits(word):
+    a, b, c = numbers.three(word)
+    return float(a), float(b), float(c), float(numbers.fine(word)), numbers.double(word)
+
+
+def test_three_numbers_are_uniform_and_independent():
+    out = draw(_three, COUNT, width=3)
+    assert out.min() > 0.0 and out.max() < 1.0
+    p = {i: p_of_values(out[:, i], evenly, EDGES) for i in range(3)}
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        cells = np.histogram2d(out[:, i], out[:, j], bins=12, range=((0, 1), (0, 1)))[0]
+        p[i, j] = p_of_counts(cells, np.full(144, 1 / 144))
+    cube = np.histogramdd(out, bins=6, range=[(0, 1)] * 3)[0]
+    p["all"] = p_of_counts(cube, np.full(216, 1 / 216))
+    # From one draw to the next, and in the lowest of the 21 bits.
+    pairs = np.histogram2d(out[:-1, 2], out[1:, 0], bins=12, range=((0, 1), (0, 1)))[0]
+    p["successive"] = p_of_counts(pairs, np.full(144, 1 / 144))
+    for i in range(3):
+        p["low bits", i] = p_of_values(np.modf(out[:, i] * 2.0**15)[0], evenly, 16)
+    judge_p(p)
+
+
+def test_numbers_of_the_extreme_words():
+    ends = [np.array(_of_bits(np.uint64(word))) for word in (0, 2**64 - 1)]
+    assert ends[0] == pytest.approx([2.0**-22] * 3 + [2.0**-47, 2.0**-53], rel=1e-7)
+    assert ends[1][:3] == pytest.approx([1.0 - 2.0**-22] * 3, abs=1e-9)
+    assert (ends[1][:3] < 1.0).all() and ends[1][4] < 1.0
+    # Rounded to single precision, the largest is 1: its logarithm is 0, and finite.
+    assert ends[1][3] <= 1.0
+
+
+@njit
+def _fine(state, zeros):
+    """Return a number drawn with so many leading zero bits, times 2^zeros."""
+    word = bits(state) >> np.uint64(zeros)
+    return float(numbers.fine(word)) * 2.0**zeros
+
+
+@njit
+def _flown(state, zeros):
+    """Return −ln u of such a number beyond the part that the zeros stand for."""
+    word = bits(state) >> np.uint64(zeros)
+    return -float(logarithm(numbers.fine(word))) - zeros * math.log(2.0)
+
+
+def test_fine_numbers_are_uniform_down_to_their_lower_tail():
+    """Among numbers below 2^-k, hardly ever drawn, the law is the same after scaling."""
+    p = {}
+    for zeros in (0, 1, 10, 22, 23, 24, 30, 36):
+        u = draw(_fine, COUNT, zeros, ray=zeros)
+        assert u.min() > 0.0 and u.max() <= 1.0
+        # Cells of 2^-46: enough of them below 2^-36 to fill 64 cells of equal probability.
+        p["uniform", zeros] = p_of_values(np.minimum(u, 1.0 - 1e-12), evenly, 64)
+        if zeros <= 30:
+            tail = np.concatenate([CELLS, 1.0 - TAILS[::-1]])
+            # Less than the smallest number's own cell is not resolved: 6e-8 in the logarithm.
+            flown = draw(_flown, COUNT, zeros, ray=100 + zeros)
+            p["exponential", zeros] = p_of_values(np.maximum(flown, 0.0), stats.expon.cdf, tail)
+    judge_p(p)
+
+
+@njit
+def _circle(state):
+    u, _, _ = numbers.three(bits(state))
+    x, y = circle(u)
+    return float(x), float(y)
+
+
+def test_azimuths_are_uniform():
+    x, y = draw(_circle, COUNT, width=2).T
+    assert np.abs(x * x + y * y - 1.0).max() < 2e-6
+    judge_p({"azimuth": p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, evenly, 101)})
+
+
+# --- leaning facets ---------------------------------------------------------------------------
+
+
+@njit
+def _leaning(state, sigma):
+    while True:
+        u1, u2, _ = numbers.three(bits(state))
+        x = surface.leaning(sigma, u1, u2)
+        if x < single(1.0):
+            return float(x)
+
+
+def test_leaning_is_half_normal():
+    p = {}
+    for facetness in (0.1, 0.3, 1.0):
+        sigma = 0.5 * facetness
+        x = draw(_leaning, COUNT, single(sigma), ray=int(100 * facetness))
+        assert x.min() >= 0.0 and x.max() < 1.0
+        law = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
+        p[facetness] = p_of_values(x, law.cdf, EDGES)
+        p[facetness, "far"] = p_of_values(x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5))
+    judge_p(p)
+
+
+def test_a_smooth_facet_does_not_lean():
+    assert (draw(_leaning, 1000, single(0.0)) == 0.0).all()
+
+
+@njit
+def _choice(state, sigma, cos_i, sin_i, rule):
+    """Return lean and azimuth of a facet accepted as `surface` does it."""
+    while True:
+        u1, u2, u3 = numbers.three(bits(state))
+        u, _, _ = numbers.three(bits(state))
+        x = surface.leaning(sigma, u1, u2)
+        c = single(1.0) - x
+        s = math.sqrt(max(x * (single(2.0) - x), single(0.0)))
+        sine, cosine = surface.half_circle(u3)
+        if rule == facets.PROJECTED:
+            accepted, cosine, cos_facet = facets.projected_choice(c, s, cosine, cos_i, sin_i, u)
+        else:
+            accepted, cosine, cos_facet = surface.any_choice(c, s, cosine, cos_i, sin_i, u, rule)
+        if accepted and x < single(1.0):
+            return float(x), float(sine), float(cosine), float(cos_facet)
+
+
+@pytest.mark.parametrize("rule", ["projected", "unweighted", "any"])
+def test_facets_are_chosen_as_the_density_says(rule):
+    from test_facets import AZIMUTH_CELLS, RULES, TILT_CELLS, cell_probabilities, tilt
+
+    p = {}
+    for facetness in (0.3, 1.0):
+        for cos_i in (0.05, 0.5, 1.0):
+            sin_i = math.sqrt(1.0 - cos_i**2)
+            out = draw(
+                _choice, COUNT, single(0.5 * facetness), single(cos_i), single(sin_i), RULES[rule],
+                width=4,
+            )  # fmt: skip
+            x, sine, cosine, cos_facet = out.T
+            expected = (1.0 - x) * cos_i + np.sqrt(x * (2.0 - x)) * sin_i * cosine
+            assert np.abs(cos_facet - expected).max() < 1e-6
+            assert rule == "any" or cos_facet.min() >= 0.0
+            turn = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
+            counts = np.histogram2d(
+                tilt(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
+                range=((0, 1), (0, 1)),
+            )[0]  # fmt: skip
+            assert counts.sum() == COUNT
+            p[facetness, cos_i] = p_of_counts(counts, cell_probabilities(facetness, cos_i, rule))
+    judge_p(p)
+
+
+# --- tables -----------------------------------------------------------------------------------
+
+
+@njit
+def _read(state, table):
+    """Return a quantile as `draw_types` does: 31 bits, and a position in single precision."""
+    u = (single(np.int32(bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
+    return float(flight.read(table, 0, flight.position(u, single(table.shape[1] - 1))))
+
+
+@njit
+def _read_at(table, exact, u, out):
+    for i in range(u.size):
+        x = flight.position(u[i], single(table.shape[1] - 1))
+        out[i, 0] = flight.read(table, 0, x)
+        out[i, 1] = rng.from_table(exact, 0, float(u[i]))
+
+
+TABLES = {
+    "sizes": (
+        grain_statistics.struck_inverse_sizes(3e-4, 7.5e-4, "attenuation"),
+        lambda x: (x - 1 / 7.5e-4) / (1 / 3e-4 - 1 / 7.5e-4),
+    ),
+    "sizes 1000 : 1": (
+        grain_statistics.struck_inverse_sizes(1e-5, 1e-2, "attenuation"),
+        lambda x: (x - 1e2) / (1e5 - 1e2),
+    ),
+    "facetness": (
+        grain_statistics.truncated_normal(0.2, 0.4, 0.3, 0.072),
+        stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072).cdf,
+    ),
+    "far limits": (
+        grain_statistics.truncated_normal(0.1, 1.0, 0.55, 0.05),
+        stats.truncnorm(-9.0, 9.0, loc=0.55, scale=0.05).cdf,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_are_read_as_their_quantile_function(name):
+    values, cdf = TABLES[name]
+    table = np.ascontiguousarray(values, dtype=single)[np.newaxis]
+    sample = draw(_read, COUNT, table)
+    far = 10.0 ** np.arange(-4.0, -1.0, 0.5)
+    judge_p(
+        {
+            "cells": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), EDGES),
+            "low": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), far),
+            "high": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]),
+        }
+    )
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_are_read_as_in_double_precision(name):
+    exact = np.ascontiguousarray(TABLES[name][0])[np.newaxis]
+    near = np.logspace(-9.3, -0.4, 200_000)
+    u = np.concatenate([near, 1.0 - near, np.linspace(0.0, 1.0, 200_001)]).astype(single)
+    found = np.empty((u.size, 2))
+    _read_at(exact.astype(single), exact, u, found)
+    # A position is off by a few of its last digits, near the upper end 1e-4 of a cell.
+    steps = np.abs(np.diff(exact[0])).max()
+    error = np.abs(found[:, 0] - found[:, 1])
+    assert (error <= 3e-7 * np.abs(found[:, 1]) + 4e-4 * steps).all()
+    assert found.min() >= exact.min() * (1 - 1e-7) and found.max() <= exact.max() * (1 + 1e-7)
+
+
+@njit
+def _row(table, row):
+    return flight.read(table, row, single(1.5))
+
+
+def test_every_type_reads_its_own_row_unless_there_is_only_one():
+    table = np.array([[0.0, 1.0, 2.0], [10.0, 12.0, 16.0]], dtype=single)
+    assert [_row(table, row) for row in (0, 1)] == [1.5, 14.0]
+    assert [_row(table[:1].copy(), row) for row in (0, 1, 7)] == [1.5] * 3
+
+
+# --- the grain that a pass gives --------------------------------------------------------------
+
+LANES = rows.LANES
+COLUMNS = rows.KIND // LANES + 1
+DEPTH = 1e4
+
+
+def deep_scene(medium, variant):
+    """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
+    grains, rules = medium.grains(), medium.readings.rules()
+    scene = rows.Scene(
+        single(1.0 / grains.attenuation), single(DEPTH), single(0.0), single(1.0), single(1.33),
+        single(0.0), single(1.31), single(0.0), single(0.0), rules.entry, rules.facets, False,
+        False, False,
+    )  # fmt: skip
+    tables = (
+        grains.curvature.astype(single),
+        (1.0 - grains.sphericity**2).astype(single),
+        (0.5 * grains.facetness).astype(single),
+    )
+    mixed = True if grains.share.size > 1 else None
+    features = rows.Features(None, True, mixed, True if variant else None, True)
+    return scene, features, tables, grains.share
+
+
+@njit
+def _fly(state, words, features, scene, tables, share, out):
+    """Fill `out` with the grains that lanes get, one after the other in every lane."""
+    filled = 0
+    while filled < out.shape[0]:
+        flight.draw_types(state, words, LANES, features, tables, share)
+        flight.flight(state, words, LANES, features, scene)
+        for lane in range(LANES):
+            if state[rows.STATUS + lane] == rows.TRIAL:
+                if filled < out.shape[0]:
+                    for j in range(COLUMNS):
+                        out[filled, j] = state[j * LANES + lane]
+                    filled += 1
+                state[rows.STATUS + lane] = rows.FLYING
+                for row in (rows.X, rows.Y):
+                    state[row + lane] = single(0.0)
+                state[rows.Z + lane] = single(-0.5 * DEPTH)
+
+
+def met(medium, variant=False, count=COUNT):
+    """Return the rows of the state of lanes that have just met a grain, by row."""
+    scene, features, tables, share = deep_scene(medium, variant)
+    state = np.zeros(rows.STATE, dtype=single)
+    words = np.zeros(rows.WORDS, dtype=np.uint32)
+    for lane in range(LANES):
+        start = stream(lane)
+        key(words, lane, int(start[0]))
+        words[rows.COUNT + lane] = 1
+        for row, value in (
+            (rows.Z, -0.5 * DEPTH), (rows.DX, 0.48), (rows.DY, -0.64), (rows.DZ, 0.6),
+            (rows.LAST, -1.0), (rows.LIMIT, np.inf), (rows.WEIGHT, 1.0),
+            (rows.STATUS, rows.FLYING),
+        ):  # fmt: skip
+            state[row + lane] = value
+    out = np.empty((count, COLUMNS), dtype=single)
+    _fly(state, words, features, scene, tables, share, out)
+    return lambda *which: out[:, [row // LANES for row in which]].astype(float).squeeze()
+
+
+RAY = np.array([0.48, -0.64, 0.6])
+
+
+@pytest.mark.parametrize("entry", ["uniform", "projected"])
+@pytest.mark.parametrize("psi", [0.3, 0.6, 0.95, 1.0])
+def test_flight_strikes_grains_as_the_laws_say(psi, entry):
+    from spheroids import dot
+    from test_struck_grains import area_below, axial_cdf, axis_cdf, facing_cdf
+
+    medium = splits.Snow(
+        sphericity=(psi, psi, psi, 0.0), saturation=0.0, depth_m=1.0, readings={"entry": entry}
+    )
+    rows_of = met(medium, entry == "projected")
+    q = rows_of(rows.QX, rows.QY, rows.QZ)
+    w = rows_of(rows.WX, rows.WY, rows.WZ)
+    flattening = rows_of(rows.FLATTENING)
+    assert np.abs(flattening - (1.0 - psi * psi)).max() < 1e-6
+    assert np.abs((q * q).sum(axis=1) - 1.0).max() < 2e-6
+    assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-6
+    z = dot(q, w)[:, 0]
+    n = q - (flattening * z)[:, np.newaxis] * w
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    facing = np.clip(-n @ RAY, 0.0, 1.0)
+    v = np.cross(n, RAY)
+    turn = np.arctan2(dot(w, v)[:, 0], dot(w, np.cross(n, v))[:, 0]) / (2 * np.pi) % 1.0
+    u = np.cross(RAY, [1.0, 0.0, 0.0])
+    u /= np.linalg.norm(u)
+    azimuth = np.arctan2(n @ np.cross(RAY, u), n @ u) / (2 * np.pi) % 1.0
+    cells = np.histogram2d(
+        area_below(np.clip(z, -1, 1), psi), facing_cdf(facing, entry), bins=10,
+        range=((0, 1), (0, 1)),
+    )[0]  # fmt: skip
+    side = int((w @ RAY > 0.0).sum())
+    curvature = (1.0 - flattening) / rows_of(rows.MINOR)
+    scale = medium.mean_grain_distance_m
+    judge_p(
+        {
+            "axial": p_of_values(np.clip(z, -1, 1), axial_cdf(psi, entry)),
+            "axis": p_of_values(np.clip(np.abs(w @ RAY), 0, 1), axis_cdf(psi, entry)),
+            "axis side": p_of_counts([side, COUNT - side], [0.5, 0.5]),
+            "facing": p_of_values(facing, lambda x: facing_cdf(x, entry)),
+            "joint": p_of_counts(cells, np.full(100, 0.01)),
+            "turn": p_of_values(turn, evenly),
+            "azimuth": p_of_values(azimuth, evenly),
+            "distance": p_of_values(rows_of(rows.LAST), stats.expon(scale=scale).cdf, EDGES),
+            "size": p_of_values(
+                curvature,
+                lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0.0, 1.0),
+            ),
+        }
+    )
+
+
+def test_shapes_that_are_drawn_again_keep_their_law():
+    """A shape is kept until an axial position fits: as often as it is struck, not more often."""
+    from chi2 import tabulated_cdf
+
+    limits = (0.3, 1.0, 0.5, 0.3)
+    medium = splits.Snow(sphericity=limits, saturation=0.0, depth_m=1.0)
+    rows_of = met(medium)
+    flattening = rows_of(rows.FLATTENING)
+
+    def density(x):
+        bell = np.exp(-0.5 * ((x - limits[2]) / limits[3]) ** 2)
+        return grain_statistics.surface_to_volume(x) * bell
+
+    psi = np.sqrt(1.0 - flattening)
+    curvature = (1.0 - flattening) / rows_of(rows.MINOR)
+    facetness = 2.0 * rows_of(rows.SIGMA)
+    law = stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072)
+    p = {
+        "shape": p_of_values(psi, tabulated_cdf(density, *limits[:2])),
+        "size": p_of_values(
+            curvature, lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0, 1)
+        ),
+        "roughness": p_of_values(facetness, lambda x: np.clip(law.cdf(x), 0, 1), EDGES),
+    }
+    judge_p(p)
+    pairs = ((psi, curvature), (psi, rows_of(rows.LAST)), (curvature, facetness), (psi, facetness))
+    z = [stats.spearmanr(a, b).statistic * math.sqrt(COUNT - 1) for a, b in pairs]
+    judge_z(z, "shape, size, distance, roughness")
+
+
+def test_types_of_sand_are_met_by_their_shares():
+    sand = splits.Sand(
+        iron_oxide=0.04, hematite_ratio=0.4, magnetite=0.1, partition=(0.4, 0.35, 0.25)
+    )
+    shares = np.diff([0.0, *sand.grains().share])
+    rows_of = met(sand)
+    kind = rows_of(rows.KIND)
+    psi = np.sqrt(1.0 - rows_of(rows.FLATTENING))
+    halves = np.histogram2d(
+        kind, psi > np.median(psi), bins=[np.arange(shares.size + 1) - 0.5, [-0.5, 0.5, 1.5]]
+    )[0]
+    p = {"types": p_of_counts(np.bincount(kind.astype(int), minlength=shares.size), shares)}
+    # All types have one shape: it is kept together with the type.
+    p["types and shapes"] = stats.chi2_contingency(halves).pvalue
+    judge_p(p)

@@ -1,0 +1,191 @@
+"""Elementary functions in single precision over their whole stated ranges, as their texts promise.
+
+References are NumPy in float64, and mpmath where the range ends.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT
+from numba import njit
+
+from splits.transport import elementary
+
+pytestmark = NEEDS_JIT
+single = np.float32
+
+
+@njit
+def _logarithms(x, out):
+    for i in range(x.size):
+        out[i] = elementary.logarithm(x[i])
+
+
+@njit
+def _exponentials(x, out):
+    for i in range(x.size):
+        out[i] = elementary.exponential(x[i])
+
+
+@njit
+def _half_circles(x, out):
+    for i in range(x.size):
+        out[i] = elementary.half_circle(x[i])
+
+
+@njit
+def _circles(x, out):
+    for i in range(x.size):
+        out[i] = elementary.circle(x[i])
+
+
+def evaluated(loop, x, width=1):
+    """Return the values in the order of x, shape (len(x), width), as float64."""
+    x = np.ascontiguousarray(x, dtype=single)
+    out = np.empty((x.size, width) if width > 1 else x.size, dtype=single)
+    loop(x, out)
+    assert np.isfinite(out).all()
+    return out.astype(float)
+
+
+def every(low, high, step):
+    """Return every `step`-th float32 from low to high, both included."""
+    first, last = np.array([low, high], dtype=single).view(np.int32)
+    bits = np.append(np.arange(first, last, step, dtype=np.int64), last)
+    return bits.astype(np.int32).view(single)
+
+
+def around(*values, count=200):
+    """Return the float32 numbers next to some values, on both sides."""
+    bits = np.array(values, dtype=single).view(np.int32)[:, np.newaxis]
+    return (bits + np.arange(-count, count + 1, dtype=np.int32)).ravel().view(single)
+
+
+# --- logarithm --------------------------------------------------------------------------------
+
+LOG_RANGE = (1e-30, 1e30)
+
+
+def logarithm_allowed(exact):
+    return 2e-7 * np.abs(exact) + 1e-7
+
+
+def inside(x, low, high):
+    return x[(x >= single(low)) & (x <= single(high))]
+
+
+LOG_ARGUMENTS = {
+    "its range": lambda: every(*LOG_RANGE, 997),
+    "every number from ½ to 2": lambda: every(0.5, 2.0, 1),
+    "steps of the exponent": lambda: around(*(2.0 ** np.arange(-99, 99))),
+    "steps of the significand": lambda: around(*(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))),
+    "random numbers": lambda: (np.arange(2**16) + 0.5) / 2**16,
+    "their lower tail": lambda: (np.arange(2**16) + 0.5) * 2.0**-46,
+}
+
+
+@pytest.mark.parametrize("arguments", LOG_ARGUMENTS)
+def test_logarithm(arguments):
+    x = inside(np.asarray(LOG_ARGUMENTS[arguments](), dtype=single), *LOG_RANGE)
+    exact = np.log(x.astype(float))
+    error = np.abs(evaluated(_logarithms, x) - exact)
+    part = error / logarithm_allowed(exact)
+    print(f"{x.size} arguments, worst {part.max():.2f} of the error allowed at {x[part.argmax()]}")
+    assert (part <= 1.0).all()
+
+
+def test_logarithm_at_the_ends_and_at_1():
+    ends = np.array([*LOG_RANGE, 1.0], dtype=single)
+    for x, value in zip(ends, evaluated(_logarithms, ends), strict=True):
+        exact = float(mp.log(mp.mpf(float(x))))
+        assert abs(value - exact) <= logarithm_allowed(exact)
+    assert evaluated(_logarithms, [1.0])[0] == 0.0
+
+
+def test_logarithm_never_falls():
+    values = evaluated(_logarithms, every(1e-10, 1.0, 499))
+    assert np.diff(values).min() >= 0.0
+
+
+# --- exponential ------------------------------------------------------------------------------
+
+LEAST = -87.0
+EXP_ARGUMENTS = {
+    "its range": lambda: -every(1e-38, -LEAST, 997),
+    "every number from -2 to -1": lambda: -every(1.0, 2.0, 1),
+    "evenly": lambda: np.linspace(LEAST, 0.0, 2_000_001),
+    "steps of the exponent": lambda: around(*(-math.log(2.0) * np.arange(0.5, 125.0))),
+    "between two steps": lambda: around(*(-math.log(2.0) * np.arange(1.0, 125.0))),
+    "the least": lambda: around(LEAST),
+}
+
+
+@pytest.mark.parametrize("arguments", EXP_ARGUMENTS)
+def test_exponential(arguments):
+    x = np.asarray(EXP_ARGUMENTS[arguments](), dtype=single)
+    values = evaluated(_exponentials, x)
+    served = x > single(LEAST)
+    exact = np.exp(x[served].astype(float))
+    error = np.abs(values[served] / exact - 1.0)
+    print(f"{x.size} arguments, worst {error.max():.2e} at {x[served][error.argmax()]}")
+    assert error.max() <= 2e-7
+    # -87 itself counts as below: 1.6e-38 from there to 0.
+    assert (values[~served] == 0.0).all()
+
+
+def test_exponential_at_the_ends():
+    assert evaluated(_exponentials, [0.0, -0.0]).tolist() == [1.0, 1.0]
+    below = [np.nextafter(single(LEAST), single(-np.inf)), -88.0, -1e3, -1e38, -np.inf]
+    assert (evaluated(_exponentials, below) == 0.0).all()
+    x = np.nextafter(single(LEAST), single(0.0))
+    exact = float(mp.exp(mp.mpf(float(x))))
+    assert evaluated(_exponentials, [x])[0] == pytest.approx(exact, rel=2e-7, abs=0.0)
+
+
+def test_exponential_never_exceeds_1_nor_rises():
+    values = evaluated(_exponentials, np.concatenate([-every(1e-38, 87.0, 997)[::-1], [0.0]]))
+    assert values.max() == 1.0 and np.diff(values).min() >= 0.0
+
+
+# --- circles ----------------------------------------------------------------------------------
+
+UNITS = {
+    "evenly": lambda: np.linspace(0.0, 1.0, 2_000_001),
+    "what lanes draw": lambda: (np.arange(2**21, dtype=single) + single(0.5)) * single(2.0**-21),
+    "near 0": lambda: every(1e-30, 1e-3, 4999),
+    "near 1": lambda: 1.0 - every(2.0**-24, 1e-3, 49),
+    "quarters": lambda: around(0.25, 0.5, 0.75),
+}
+
+
+@pytest.mark.parametrize("arguments", UNITS)
+def test_half_circle(arguments):
+    u = np.asarray(UNITS[arguments](), dtype=single)
+    angle = np.pi * (u.astype(float) - 0.5)
+    error = np.abs(evaluated(_half_circles, u, 2) - np.column_stack([np.sin(angle), np.cos(angle)]))
+    print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
+    assert error.max() <= 3e-7
+
+
+def test_half_circle_at_the_ends_and_in_the_middle():
+    for u in (0.0, 2.0**-22, 0.5, 1.0 - 2.0**-22, 1.0):
+        sine, cosine = evaluated(_half_circles, [u], 2)[0]
+        assert abs(sine - float(mp.sin(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
+        assert abs(cosine - float(mp.cos(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
+    assert evaluated(_half_circles, [0.5], 2).tolist() == [[0.0, 1.0]]
+
+
+@pytest.mark.parametrize("arguments", UNITS)
+def test_circle(arguments):
+    u = np.asarray(UNITS[arguments](), dtype=single)
+    points = evaluated(_circles, u, 2)
+    # Which angle a number stands for is the circle's own affair: twice that of `half_circle`.
+    angle = 2.0 * np.pi * (u.astype(float) - 0.5)
+    error = np.abs(points - np.column_stack([np.cos(angle), np.sin(angle)]))
+    print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
+    assert error.max() <= 1e-6
+    assert np.abs((points**2).sum(axis=1) - 1.0).max() <= 2e-6

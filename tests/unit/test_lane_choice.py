@@ -1,0 +1,206 @@
+"""Which scenes lanes serve, with which features; and what faint extinction they leave out."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+import splits
+from splits.transport.fresnel import interface
+from splits.transport.lanes.choice import DEEPEST, FAINT, extinction_shows, features_for
+from splits.transport.lanes.rows import Features
+from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Optics, Slab
+
+
+def features(medium, k=0.0, analog=False, positions=False, depth=None, **changes):
+    """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
+    grains = medium.grains()._replace(**changes)
+    materials = int(grains.material.max()) + 1
+    n = np.full(materials, 1.5)
+    n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
+    extinction = np.full(materials, k)
+    extinction[[DRY_PORE, WET_PORE]] = 0.0
+    optics = Optics(n, extinction, np.zeros(materials))
+    slab = Slab(depth or float(medium.depth_m), float(medium.saturation), 1.0, False)
+    return features_for(grains, slab, medium.readings.rules(analog), optics, positions)
+
+
+def having(**present):
+    """Return features of which those named are present."""
+    return Features(*(True if present.pop(name, False) else None for name in Features._fields))
+
+
+SMOOTH = (0.0, 0.0, 0.0, 0.0)
+SCENES = {
+    "Table 1": (splits.Snow(), {}, {"wet", "faceted"}),
+    "dry": (splits.Snow(saturation=0.0), {}, {"faceted"}),
+    "smooth": (splits.Snow(facetness=SMOOTH), {}, {"wet"}),
+    "dry and smooth": (splits.Snow(saturation=0.0, facetness=SMOOTH), {}, set()),
+    "with positions": (splits.Snow(), {"positions": True}, {"wet", "faceted", "positions"}),
+    "k that does not show": (splits.Snow(), {"k": 1e-8}, {"wet", "faceted"}),
+    "k that shows": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "mixed"}),
+    "sand": (splits.Sand(), {}, {"faceted", "mixed"}),
+    "wet sand": (splits.Sand(saturation=0.3), {}, {"wet", "faceted", "mixed"}),
+    "barely deep enough": (
+        splits.Snow(), {"depth": 0.999 * DEEPEST * splits.Snow().mean_grain_distance_m},
+        {"wet", "faceted"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_features_are_those_of_the_scene(scene):
+    medium, how, expected = SCENES[scene]
+    assert features(medium, **how) == having(**dict.fromkeys(expected, True))
+
+
+@pytest.mark.parametrize(
+    ("reading", "value", "variant"),
+    [
+        ("entry", "uniform", False),
+        ("entry", "projected", True),
+        ("facets", "projected", False),
+        ("facets", "unweighted", True),
+        ("facets", "any", True),
+        ("wrong_side", "lobe", False),
+        ("wrong_side", "mirrored", True),
+        ("grain_on_last_leg", "keep", False),
+        ("grain_across_boundary", "keep", False),
+    ],
+)
+def test_readings_other_than_the_default_are_variants(reading, value, variant):
+    snow = splits.Snow(readings={reading: value})
+    assert features(snow) == having(wet=True, faceted=True, variant=variant)
+
+
+def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
+    assert features(splits.Snow(), analog=True) is None
+    deep = 1.001 * DEEPEST * splits.Snow().mean_grain_distance_m
+    assert features(splits.Snow(), depth=deep) is None
+
+
+def table(coats):
+    """Return grains of one type with so many coatings."""
+    one = np.ones((1, 2))
+    return Grains(
+        1e3, np.ones(1), np.array([coats + 1]), np.array([[*range(3, 3 + coats), 2]]),
+        np.full((1, coats + 1), 0.01), one, one, 0.0 * one,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("coats", [0, 1, 2, 3])
+def test_at_most_one_coating(coats):
+    optics = Optics(np.full(6, 1.5), np.zeros(6), np.zeros(6))
+    rules = splits.Readings().rules()
+    found = features_for(table(coats), Slab(0.1, 0.0, 1.0, False), rules, optics)
+    assert found == (having(mixed=coats == 1) if coats < 2 else None)
+
+
+QUADRATURE = 1.5
+"""How far the estimate of `extinction_shows` may fall short: its 96 points straddle the critical
+angle, about which reflectance changes with the root of the distance."""
+
+# Where to look for the extinction at which it starts to show.
+EDGES = np.logspace(-9.0, -0.5, 171)
+GRAINS = {
+    "dry": (1.0, 1.31, 0.0),
+    "dry, n below 1": (1.0, 0.97, 0.0),
+    "wet": (1.33, 1.31, 0.3),
+    "wet, heavy grains": (1.33, 1.55, 0.3),
+    "in a heavy liquid": (1.6, 1.31, 1.0),
+    "nearly matched": (1.33, 1.3301, 1.0),
+    "matched": (1.33, 1.33, 1.0),
+}
+
+
+def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
+    """Return whether extinction coefficients of wet pores and of grains are left out."""
+    optics = Optics(np.array([1.0, n_pore, n_core]), np.array([0.0, k_pore, k_core]), np.zeros(3))
+    slab = Slab(0.1, saturation, 1.0, False)
+    found = features_for(splits.Snow().grains(), slab, splits.Readings().rules(), optics)
+    return found.mixed is None
+
+
+@pytest.mark.parametrize("where", GRAINS)
+@pytest.mark.parametrize("whose", ["grains", "pores"])
+def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(where, whose):
+    n_pore, n_core, saturation = GRAINS[where]
+    at = [(k, 0.0) if whose == "pores" else (0.0, k) for k in EDGES]
+    out = np.array([leaves_out(n_pore, n_core, *k, saturation) for k in at])
+    assert out[0] and (np.diff(out.astype(int)) <= 0).all()
+    if whose == "pores":
+        if saturation == 0.0:
+            assert out.all()
+            return
+        pairs = [(n_core, n_pore)]
+    else:
+        pairs = [(1.0, n_core)] + ([(n_pore, n_core)] if saturation > 0.0 else [])
+    last = EDGES[np.flatnonzero(out)[-1]]
+    moved = max(shift(*pair, last) for pair in pairs)
+    print(f"left out up to k = {last:.1e}, which moves R by {moved:.1e}")
+    assert moved < QUADRATURE * FAINT
+    # Nor is more asked for than needed: a step of the grid further it would show.
+    assert max(shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs) > FAINT / 4.0
+
+
+def test_the_public_interface_refuses_lanes_that_cannot_serve():
+    for settings, how in (
+        ({}, {"estimator": "analog"}),
+        ({"depth_m": 1.001 * DEEPEST * splits.Snow().mean_grain_distance_m}, {}),
+    ):
+        with pytest.raises(ValueError, match=r"kernel = 'lanes'.*'auto' or 'scalar'"):
+            splits.spectrophotometer(
+                splits.Snow(**settings), 500.0, max_stderr=0.5, kernel="lanes", **how
+            )
+
+
+# --- faint extinction -------------------------------------------------------------------------
+
+
+def diffuse_reflectance(n1, n2, k):
+    """Return the reflectance of diffuse light, ∫ 2μ R dμ, with the critical angle as a seam."""
+    critical = np.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0))
+    seams = sorted({1e-9, 1.0, *(x for x in (critical,) if 0.0 < x < 1.0)})
+    # Total reflection ends with a root, which the substitution below smooths on both sides.
+    total = 0.0
+    for low, high in pairwise(seams):
+        width = high - low
+
+        def integrand(t, low=low, width=width):
+            mu = low + width * t * t * (3.0 - 2.0 * t)
+            return 2.0 * mu * interface(n1, n2, k, mu)[0] * width * 6.0 * t * (1.0 - t)
+
+        total += integrate.quad(integrand, 0.0, 1.0, epsabs=1e-9, limit=400)[0]
+    return total
+
+
+def shift(n1, n2, k):
+    """Return how much the far side's extinction moves the reflectance of diffuse light."""
+    return abs(diffuse_reflectance(n1, n2, k) - diffuse_reflectance(n1, n2, 0.0))
+
+
+INDICES = np.unique(np.concatenate([np.linspace(0.95, 1.6, 14), [0.99, 0.999, 1.0, 1.001, 1.01]]))
+
+
+@pytest.mark.parametrize("inwards", [True, False])
+@pytest.mark.parametrize("k", [1e-6, 3e-6, 1e-4, 1e-3, 3e-3])
+def test_what_extinction_does_to_diffuse_light(k, inwards):
+    """The estimate is not below the true shift, but for quadrature, nor far above it."""
+    ratios = []
+    for m in INDICES:
+        n1, n2 = (1.0, m) if inwards else (m, 1.0)
+        optics = Optics(np.array([n1, n2]), np.array([0.0, k]), np.zeros(2))
+        estimate, exact = extinction_shows(optics, 0, 1), shift(n1, n2, k)
+        ratios.append(estimate / max(exact, 1e-8))
+        assert estimate > exact / QUADRATURE - 1e-8, (n1, n2)
+        # R may rise at some angles and fall at others, where indices are about equal.
+        assert estimate < 4.0 * exact + 1e-8 or abs(m - 1.0) < 0.06, (n1, n2)
+    print(f"k {k}: estimate over shift {min(ratios):.2f} to {max(ratios):.2f}")
+
+
+def test_nothing_shows_without_extinction():
+    optics = Optics(np.array([1.31, 1.0]), np.zeros(2), np.zeros(2))
+    assert extinction_shows(optics, 0, 1) == 0.0

@@ -1,0 +1,162 @@
+"""Discrete ordinates and asymptotic theory on phase functions and layers with known answers."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import snowoptics
+import xarray as xr
+
+from splits.analysis.radiative_transfer import discrete_ordinates, kz04, packed, shape_factors
+
+WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
+
+
+def layer(albedo, thickness, g=0.0, orders=65):
+    """Return optics of a layer with the phase function of Henyey & Greenstein (1941)."""
+    moments = np.tile(float(g) ** np.arange(orders), (len(albedo), 1))
+    count = len(albedo)
+    return xr.Dataset(
+        {
+            "single_scattering_albedo": ("wavelength", np.asarray(albedo, dtype=float)),
+            "asymmetry_parameter": ("wavelength", np.full(count, float(g))),
+            "optical_thickness": ("wavelength", np.full(count, float(thickness))),
+            "legendre_moment": (("wavelength", "order"), moments),
+        },
+        {"wavelength": 500.0 + np.arange(count)},
+    )
+
+
+def chandrasekhar(albedo, cosine):
+    """Return 1 − H(μ) √(1 − ω), the plane albedo of an isotropic half-space (Chandrasekhar)."""
+    x, w = np.polynomial.legendre.leggauss(200)
+    mu, w = 0.5 * (x + 1.0), 0.5 * w
+    root = math.sqrt(1.0 - albedo)
+
+    def h_at(points, h):
+        kernel = w * mu * h / (np.atleast_1d(points)[:, np.newaxis] + mu)
+        return 1.0 / (root + 0.5 * albedo * kernel.sum(axis=1))
+
+    h = np.ones_like(mu)
+    for _ in range(500):
+        h = 0.5 * (h + h_at(mu, h))
+    return 1.0 - root * float(h_at(cosine, h)[0])
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0])
+def test_isotropic_half_space(incidence):
+    pytest.importorskip("PythonicDISORT")
+    albedo = [0.5, 0.9, 0.99]
+    ds = discrete_ordinates(layer(albedo, 1000.0), incidence)
+    expected = [chandrasekhar(a, math.cos(math.radians(incidence))) for a in albedo]
+    assert ds.reflectance.values == pytest.approx(expected, abs=2e-5)
+    assert np.abs(ds.transmittance).max() < 1e-6
+
+
+@pytest.mark.parametrize("incidence", [0.0, 75.0, "diffuse"])
+def test_nothing_is_lost_without_absorption(incidence):
+    pytest.importorskip("PythonicDISORT")
+    for thickness in (0.1, 10.0, 300.0):
+        ds = discrete_ordinates(layer([1.0], thickness, 0.8), incidence)
+        assert float((ds.reflectance + ds.transmittance)[0]) == pytest.approx(1.0, abs=2e-5)
+
+
+def test_forward_scattering_alone_passes():
+    pytest.importorskip("PythonicDISORT")
+    ds = discrete_ordinates(layer([1.0, 0.5], 2.0, 1.0))
+    assert ds.reflectance.values == pytest.approx(0.0, abs=1e-6)
+    assert ds.transmittance.values == pytest.approx([1.0, math.exp(-1.0)], abs=1e-6)
+
+
+def test_more_streams_change_less_than_the_stated_truncation():
+    pytest.importorskip("PythonicDISORT")
+    optics = layer([0.999], 5.0, 0.85)
+    few, many = (discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
+    for name in ("reflectance", "transmittance"):
+        assert np.abs(few[name] - many[name]).max() <= few[f"{name}_truncation"].max()
+
+
+def test_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "PythonicDISORT", None)
+    with pytest.raises(ImportError, match=r"splits\[theory\]"):
+        discrete_ordinates(layer([0.9], 1.0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"streams": 5}, "streams = 5"),
+        ({"streams": 66}, "streams = 66"),
+        ({"incidence_deg": 90.0}, "incidence_deg"),
+        ({"incidence_deg": "sky"}, "incidence_deg"),
+    ],
+)
+def test_bad_settings_are_refused_by_name(settings, message):
+    with pytest.raises(ValueError, match=message):
+        discrete_ordinates(layer([0.9], 1.0), **settings)
+
+
+def test_half_space_is_that_of_snowoptics():
+    for incidence, share in ((30.0, 0.0), ("diffuse", 1.0)):
+        ds = kz04(WAVELENGTHS, 20.0, incidence)
+        expected = snowoptics.albedo_KZ04(WAVELENGTHS * 1e-9, math.radians(30.0), 20.0, share)
+        assert ds.reflectance.values == pytest.approx(expected, rel=1e-12)
+        assert (ds.transmittance == 0.0).all()
+        deep = kz04(WAVELENGTHS, 20.0, incidence, depth_m=50.0)
+        assert deep.reflectance.values == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
+def test_finite_layer_without_absorption(incidence):
+    ds = kz04(
+        WAVELENGTHS, 20.0, incidence, extinction_coefficient=0.0, density_kg_m3=300.0, depth_m=0.1
+    )
+    thickness = 0.5 * 300.0 * 20.0 * 0.1
+    escape = 1.0 if incidence == "diffuse" else 3 / 7 * (1 + 2 * math.cos(math.radians(incidence)))
+    expected = escape / (1.072 + 0.75 * thickness * (1.0 - 0.845))
+    assert ds.transmittance.values == pytest.approx(expected, rel=1e-6)
+    assert (ds.reflectance + ds.transmittance).values == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
+def test_both_theories_agree_where_absorption_is_weak(incidence):
+    pytest.importorskip("PythonicDISORT")
+    ssa, density, depth, g = 20.0, 300.0, 0.05, 0.7
+    k = np.array([3e-9, 1e-7])
+    optics = layer([1.0, 1.0], 0.25 * ssa * density * depth, g)
+    # Of 1 − ω = γ/(SSA ρ/4 · 917/ρ) diffraction leaves half: B = 1.
+    lost = 4.0 * math.pi * k / (optics.wavelength.values * 1e-9) / (0.25 * ssa * 917.0)
+    optics["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
+    enhancement, asymmetry = shape_factors(optics, ssa, k)
+    assert enhancement == pytest.approx(1.0, rel=1e-6)
+    assert asymmetry == pytest.approx(0.85)
+    exact = discrete_ordinates(optics, incidence)
+    theory = kz04(
+        optics.wavelength, ssa, incidence, extinction_coefficient=k,
+        absorption_enhancement=enhancement, asymmetry=asymmetry,
+        density_kg_m3=density, depth_m=depth,
+    )  # fmt: skip
+    for name in ("reflectance", "transmittance"):
+        assert np.abs(exact[name] - theory[name]).max() < 0.005
+
+
+def test_packing_thins_a_layer():
+    optics = layer([0.9], 10.0, 0.5).assign(
+        {
+            name: ("wavelength", [value])
+            for name, value in (
+                ("extinction", 1000.0),
+                ("displacement_before", 3e-4),
+                ("displacement_after", 1e-4),
+                ("displacement_square", 8e-8),
+            )
+        }
+    )
+    # (1 + 0.3)(1 + 0.1) + (1 − 0.5) 0.08/2, in units of the mean distance squared.
+    expected = 10.0 / math.sqrt(1.3 * 1.1 + 0.02)
+    assert float(packed(optics).optical_thickness[0]) == pytest.approx(expected, rel=1e-12)
+    assert float(packed(optics).extinction[0]) == pytest.approx(100.0 * expected, rel=1e-12)
+    assert float(optics.optical_thickness[0]) == 10.0

@@ -1,0 +1,333 @@
+"""Formulas that lose digits if written down naively, against 50 digits by mpmath.
+
+A result may be off by 1e-12 of itself, or by what the last digit of a rounded argument does to it
+(`last_digit`): more no formula in float64 can give.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from chi2 import stream
+
+import splits
+from splits.materials import ice_density
+from splits.materials.mixing import maxwell_garnett
+from splits.media import grain_statistics as statistics
+from splits.media.soil_sizes import LIMITS_M, soil_sizes
+from splits.transport import facets, spheroid
+from splits.transport.fresnel import interface
+from splits.transport.rng import half_normal, table_probabilities
+
+M = mp.mpf
+RELATIVE = 1e-12
+EPS = 2.0**-52
+QUANTILES = range(1, statistics.TABLE_POINTS - 1, 73)
+
+
+@pytest.fixture(autouse=True)
+def fifty_digits():
+    with mp.workdps(50):
+        yield
+
+
+def off(value, exact):
+    return float(abs((M(float(value)) - exact) / exact))
+
+
+def last_digit(exact, x):
+    """Return the relative change of exact(x) when x moves by its last digit, either way."""
+    centre = exact(M(x))
+    return max(float(abs(exact(M(x) * (1 + s * M(EPS))) / centre - 1)) for s in (1, -1))
+
+
+# --- shapes and sizes -------------------------------------------------------------------------
+
+
+def area(psi):
+    """A(Ψ) of SPLITSnow Eq A.9."""
+    x2 = 1 - psi**4
+    return 3 * (1 + (mp.asin(mp.sqrt(x2)) / mp.sqrt(x2) if x2 else M(1)) / psi**2)
+
+
+def test_surface_to_volume():
+    psi = np.concatenate([np.linspace(0.1, 1.0, 181), 1.0 - np.logspace(-16, -1, 181)])
+    for p, value in zip(psi, statistics.surface_to_volume(psi), strict=True):
+        assert off(value, area(M(float(p)))) < RELATIVE
+
+
+def test_size_attenuation_from_one_size_to_a_ratio_of_1000():
+    for spread in [0.0, *np.logspace(-16, math.log10(999.0), 150)]:
+        low, high = 2e-4, 2e-4 * (1.0 + spread)
+        a, b = M(low), M(high)
+        exact = 1 / a if a == b else (1 / a - 1 / b) / mp.log(b / a)
+        assert off(statistics.size_attenuation(low, high), exact) < RELATIVE
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.0 + 1e-12, 2.5, 1000.0])
+def test_struck_inverse_sizes(ratio):
+    low, high = 1e-5, 1e-5 * ratio
+    u = table_probabilities(statistics.TABLE_POINTS)
+    attenuation = statistics.struck_inverse_sizes(low, high, "attenuation")
+    uniform = statistics.struck_inverse_sizes(low, high, "uniform")
+    for i in QUANTILES:
+        p, a, b = M(float(u[i])), M(low), M(high)
+        assert off(attenuation[i], (1 - p) / b + p / a) < RELATIVE
+        assert off(uniform[i], 1 / (b - p * (b - a))) < RELATIVE
+
+
+SHAPES = {
+    "Table 1": (0.6, 0.95, 0.798, 0.064),
+    "needle-sharp between far limits": (0.1, 1.0, 0.8, 1e-6),
+    "nearly uniform": (0.1, 1.0, 0.5, 1.0),
+    "at the lower limit": (0.1, 1.0, 0.1, 0.05),
+    "at the sphere": (0.5, 1.0, 1.0, 0.02),
+    "nearly one value": (0.3, 0.3 + 1e-9, 0.3, 0.1),
+}
+
+
+def bell_integral(low, high, weight):
+    low, high = max(low, M(-14)), min(high, M(14))
+    return mp.quad(lambda t: mp.exp(-t * t / 2) * weight(t), mp.linspace(low, high, 9))
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_mean_and_quantiles_of_sphericity(shape):
+    minimum, maximum, mean, sd = (M(x) for x in shape)
+    table = statistics.struck_sphericities(*shape)
+    u = table_probabilities(statistics.TABLE_POINTS)
+    low, high = (minimum - mean) / sd, (maximum - mean) / sd
+    with mp.workdps(25):
+
+        def weighted(t):
+            return area(mean + sd * t)
+
+        total = bell_integral(low, high, weighted)
+        plain = bell_integral(low, high, lambda t: M(1))
+        assert off(statistics.shape_attenuation(*shape), total / plain / 4) < RELATIVE
+        for i in (1, 100, 512, 900, statistics.TABLE_POINTS - 2):
+            score = (M(float(table[i])) - mean) / sd
+            gap = bell_integral(low, score, weighted) / total - M(float(u[i]))
+            slope = mp.exp(-score * score / 2) * weighted(score) / total / sd
+            # A probability near 1 is rounded to EPS: what that moves the quantile.
+            assert abs(gap / slope / table[i]) < RELATIVE + float(EPS / slope / table[i])
+
+
+@pytest.mark.parametrize(
+    "limits", [(0.2, 0.4, 0.3, 0.072), (0.0, 1.0, 0.5, 1.0), (0.0, 1.0, 0.0, 0.3), (0, 1, 1, 0.01)]
+)
+def test_truncated_normal(limits):
+    minimum, maximum, mean, sd = (M(x) for x in limits)
+    table = statistics.truncated_normal(*map(float, limits))
+    u = table_probabilities(statistics.TABLE_POINTS)
+    low, high = (minimum - mean) / sd, (maximum - mean) / sd
+    total = mp.ncdf(high) - mp.ncdf(low)
+    for i in QUANTILES:
+        score = (M(float(table[i])) - mean) / sd
+        gap = (mp.ncdf(score) - mp.ncdf(low)) / total - M(float(u[i]))
+        # Of the range: facetness starts at 0.
+        assert abs(gap * total * sd / mp.npdf(score)) < RELATIVE * (maximum - minimum)
+
+
+@pytest.mark.parametrize("sd", [5e-324, 1e-308, 1e-20])
+def test_a_spread_too_small_to_see_is_one_value(sd):
+    limits = (0.6, 0.95, 0.8, sd)
+    assert off(statistics.shape_attenuation(*limits), area(M(0.8)) / 4) < RELATIVE
+    for table in (statistics.truncated_normal(*limits), statistics.struck_sphericities(*limits)):
+        assert off(table[1], M(0.8)) < RELATIVE and off(table[-2], M(0.8)) < RELATIVE
+        assert table.min() >= 0.6 and table.max() <= 0.95
+
+
+TEXTURES = [
+    (0.0, 0.15, 0.85), (0.0, 0.0, 1.0), (0.1, 0.0, 0.9), (0.01, 0.135, 0.855), (0.0, 1e-3, 0.999),
+    (1e-4 * (1 + 1e-9), 0.0, 1 - 1e-4 * (1 + 1e-9)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("texture", TEXTURES, ids=str)
+@pytest.mark.parametrize("tail", [1e-6, 1e-4, 0.01])
+def test_soil_sizes(texture, tail):
+    bounds = [min(max(b, tail), 1 - tail) for b in (tail, texture[0], sum(texture[:2]), 1 - tail)]
+    for piece in soil_sizes(texture, tail).separates:
+        x0, x1, mean, sd = mp.log(piece.low), mp.log(piece.high), M(piece.mean), M(piece.sd)
+        i = LIMITS_M.index(piece.low)
+        for x, bound in ((x0, bounds[i]), (x1, bounds[i + 1])):
+            assert float(abs(mp.ncdf((x - mean) / sd) - M(bound))) < RELATIVE * max(bound, 1e-3)
+        with mp.workdps(25):
+
+            def shape(x, power, x0=x0, mean=mean, sd=sd):
+                return mp.exp(-(((x - mean) / sd) ** 2) / 2 + power * (x - x0))
+
+            def integral(end, power, x0=x0, shape=shape):
+                return mp.quad(lambda y: shape(y, power), mp.linspace(x0, end, 12))
+
+            inverse = integral(x1, -1)
+            assert off(piece.inverse_mean, inverse / integral(x1, 0) / M(piece.low)) < RELATIVE
+            u = np.array([1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6])
+            for p, size in zip(u, piece.struck_size(u), strict=True):
+                x = mp.log(M(float(size)))
+                slope = shape(x, -1) / inverse
+                gap = integral(x, -1) / inverse - M(float(p))
+                assert abs(gap / slope) < RELATIVE + 4.0 * float(EPS / slope)
+
+
+# --- matter -----------------------------------------------------------------------------------
+
+MIXTURES = [
+    (1.54, 2.9 + 0.05j), (1.54, 1.54 + 1e-9j), (1.54 + 1e-6j, 1.54), (1.56 + 5e-4j, 2.3 + 0.01j),
+    (2.9 + 1j, 1.5), (1.5, 0.3 + 3j), (1.54, 1.54 + 1e-9),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("matrix", "inclusion"), MIXTURES, ids=str)
+def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
+    for fraction in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 0.5, 0.9, 1 - 1e-6, 1 - 1e-12, 1.0):
+        outer, inner, f = mp.mpc(matrix) ** 2, mp.mpc(inclusion) ** 2, M(fraction)
+        contrast, total = inner - outer, inner + 2 * outer
+        exact = mp.sqrt(outer * (total + 2 * f * contrast) / (total - f * contrast))
+        mixed = complex(maxwell_garnett(matrix, inclusion, fraction))
+        assert off(mixed.real, exact.real) < RELATIVE
+        if abs(exact.imag) > 1e-40:
+            assert off(mixed.imag, exact.imag) < RELATIVE
+        else:
+            assert mixed.imag == 0.0
+
+
+@pytest.mark.parametrize("below", [915.9, 0.9, 1e-6, 1e-10])
+def test_porosity_up_to_solid_ice(below):
+    ice = ice_density(-1.0)
+    snow = splits.Snow(density_kg_m3=ice - below)
+    assert off(snow.porosity, (M(ice) - M(snow.density_kg_m3)) / M(ice)) < RELATIVE
+    distance = M(ice) / M(snow.density_kg_m3) / M(snow.attenuation_per_m)
+    assert off(snow.mean_grain_distance_m, distance) < RELATIVE
+
+
+@pytest.mark.parametrize("temperature", [-40.0, -39.999999, -20.0, -1.0, -1e-12, 0.0])
+def test_density_of_ice(temperature):
+    rows = [(-40, 922.8), (-30, 921.6), (-20, 920.3), (-10, 918.7), (0, 916.7)]
+    i = min(int((temperature + 40.0) // 10), 3)
+    (t0, d0), (t1, d1) = rows[i : i + 2]
+    exact = M(d0) + (M(temperature) - t0) / (t1 - t0) * (M(d1) - M(d0))
+    assert off(ice_density(temperature), exact) < RELATIVE
+
+
+# --- Fresnel ----------------------------------------------------------------------------------
+
+
+def reflectance(n1, n2, k2, cos_i):
+    m = mp.mpc(n2, k2) / M(n1)
+    q = mp.sqrt(m * m - 1 + cos_i * cos_i)
+    s = abs((cos_i - q) / (cos_i + q)) ** 2
+    return (s + abs((m * m * cos_i - q) / (m * m * cos_i + q)) ** 2) / 2
+
+
+COSINES = np.concatenate([np.logspace(-12, 0, 49), 1.0 - np.logspace(-15, -1, 29)])
+CLEAR = [
+    (1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 1e-12), (1.31, 1.0, 1e-12), (1.0, 1.0, 1.0),
+    (1.0, 1.0, 3.0), (1.0, 1.31, 3.0), (1.0, 0.3, 3.0), (1.5, 1.31, 0.0), (1.0, 300.0, 0.0),
+]  # fmt: skip
+NEARLY_MATCHED = [
+    (1.0, 1.0 + 1e-9, 0.0), (1.0, 1.0 - 1e-9, 0.0), (1.31, 1.31 * (1.0 + 1e-9), 0.0),
+    (1.0, 1.0, 1e-12), (1.31, 1.31, 1e-9),
+]  # fmt: skip
+
+
+def check_reflectance(indices, cosines):
+    for cos_i in map(float, cosines):
+        exact = reflectance(*indices, M(cos_i))
+        allowed = RELATIVE + 4.0 * last_digit(lambda c: reflectance(*indices, c), cos_i)
+        assert off(interface(*indices, cos_i)[0], exact) < allowed, cos_i
+
+
+@pytest.mark.parametrize("indices", CLEAR, ids=str)
+def test_reflectance_from_normal_to_grazing(indices):
+    check_reflectance(indices, COSINES)
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(1.31, 1.0), (1.5, 1.31), (300.0, 1.0)])
+def test_reflectance_about_the_critical_angle(n1, n2):
+    critical = math.sqrt((n1 - n2) * (n1 + n2)) / n1
+    away = np.logspace(-15, -2, 27)
+    cosines = critical * np.concatenate([1.0 + away, 1.0 - away])
+    check_reflectance((n1, n2, 0.0), cosines[cosines <= 1.0])
+
+
+@pytest.mark.parametrize("indices", NEARLY_MATCHED, ids=str)
+def test_small_reflectance_of_nearly_matched_indices(indices):
+    check_reflectance(indices, COSINES)
+
+
+def test_transmitted_share_at_grazing_incidence():
+    # 1 − R = 2 cosθ (1 + n²)/√(n² − 1) to first order, above the resolution of R itself.
+    n = 1.31
+    for cos_i in np.logspace(-12, -8, 9):
+        passed = 2.0 * cos_i * (1.0 + n * n) / math.sqrt(n * n - 1.0)
+        assert 1.0 - interface(1.0, n, 0.0, cos_i)[0] == pytest.approx(passed, rel=1e-6, abs=4e-16)
+
+
+# --- grains -----------------------------------------------------------------------------------
+
+
+def units(rng):
+    for _ in range(60):
+        vectors = rng.normal(size=(3, 3))
+        yield vectors / np.linalg.norm(vectors, axis=1)[:, np.newaxis]
+
+
+def exact_chord(q, d, w, flattening):
+    """Return chord and other end, and how far rounding of every product may carry it, in EPS."""
+    q, d, w = ([M(float(x)) for x in v] for v in (q, d, w))
+    f = M(flattening)
+
+    def dot(x, y, size=lambda v: v):
+        return sum(size(a * b) for a, b in zip(x, y, strict=True))
+
+    squeezed = [a - f * dot(d, w) * b for a, b in zip(d, w, strict=True)]
+    # Each component of the squeezed direction errs as its largest term does.
+    sizes = [abs(a) + f * dot(d, w, abs) * abs(b) for a, b in zip(d, w, strict=True)]
+    along, square = dot(q, squeezed), dot(squeezed, squeezed)
+    spread = dot(q, sizes, abs) / abs(along) + 2 * dot(squeezed, sizes, abs) / square
+    chord = -2 * along / square
+    return chord, [a + chord * b for a, b in zip(q, squeezed, strict=True)], float(spread)
+
+
+@pytest.mark.parametrize("psi", [1.0, 1.0 - 1e-12, 0.8, 0.3, 0.1])
+@pytest.mark.parametrize("grazing", [1.0, 1e-3, 1e-6, 1e-9])
+def test_chord_down_to_a_grazing_ray(psi, grazing):
+    flattening = 1.0 - psi * psi
+    for w, s, t in units(np.random.default_rng(7)):
+        # A point of the unit sphere, and a direction along the surface there.
+        n = np.array(spheroid.normal_at(*s, *w, flattening))
+        tangent = np.cross(n, t)
+        d = -grazing * n + math.sqrt(1.0 - grazing**2) * tangent / np.linalg.norm(tangent)
+        exact, end, spread = exact_chord(s, d, w, flattening)
+        value, *other = spheroid.across(*s, *d, *w, flattening)
+        assert off(value, exact) < RELATIVE + 4.0 * EPS * spread
+        # In lengths of the grain this is always nothing.
+        assert abs(value - float(exact)) < 1e-11 / (psi * psi)
+        assert np.abs(np.array(other) - np.array(end, dtype=float)).max() < 1e-11
+
+
+def test_tilt_of_a_rough_facet():
+    for facetness in (0.3, 1.0):
+        check_tilt(facetness)
+
+
+@pytest.mark.parametrize("facetness", [1e-12, 1e-8, 1e-6, 1e-3])
+def test_tilt_of_a_nearly_smooth_facet(facetness):
+    check_tilt(facetness)
+
+
+def check_tilt(facetness):
+    # Along the normal no draw is refused: the first |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
+    for ray in range(40):
+        state = stream(ray)
+        tilt = 0.5 * facetness * half_normal(state)
+        if tilt >= 1.0:
+            continue
+        exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
+        _, sine, _, _, _ = facets.facet_angles(stream(ray), facetness, 1.0, facets.UNWEIGHTED)
+        assert off(sine, exact) < RELATIVE

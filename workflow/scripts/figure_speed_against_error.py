@@ -1,0 +1,11 @@
+"""Draw error against time (map snakemake to `splits.figures`)."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from splits.figures import save_figure
+from splits.figures.efficiency import speed_against_error
+
+figure = speed_against_error(pd.read_csv(snakemake.input[0]))
+save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

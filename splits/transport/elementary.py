@@ -51,7 +51,7 @@ def logarithm(x):
 
 @kernel
 def exponential(x):
-    """Return exp x of a float32 x ≤ 0, to 2e-7 relative; 0 below −87; exactly 1 at 0.
+    """Return exp x of a float32 x ≤ 0, to 2e-7 relative; 0 from −87 on; exactly 1 at 0.
 
     exp x = 2ⁿ exp r with |r| ≤ ln 2 / 2 (Cephes, S. Moshier, expf).
     """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from splits.transport.absorption import survives
 from splits.transport.facets import struck_facet
-from splits.transport.frames import cosine_lobe, mirrored
+from splits.transport.frames import cosine_lobe, mirrored, normalized
 from splits.transport.fresnel import between, refracted
 from splits.transport.jit import kernel
 from splits.transport.rng import uniform
@@ -51,6 +51,8 @@ def interact(state, dx, dy, dz, nx, ny, nz, facetness, n1, k1, n2, k2, rules):
     reflectance, ratio, cos_t = between(n1, k1, n2, k2, cos_i)
     if reflectance > 0.0 and uniform(state) < reflectance:
         dx, dy, dz = mirrored(dx, dy, dz, mx, my, mz)
+        # Reflection keeps the length only up to rounding, which adds up in long walks.
+        dx, dy, dz = normalized(dx, dy, dz)
         dx, dy, dz = onto_side(state, dx, dy, dz, nx, ny, nz, rules.wrong_side)
         return False, dx, dy, dz
     dx, dy, dz = refracted(dx, dy, dz, mx, my, mz, cos_i, ratio, cos_t)

@@ -99,9 +99,8 @@ def test_at_most_one_coating(coats):
     assert found == (having(mixed=coats == 1) if coats < 2 else None)
 
 
-QUADRATURE = 1.5
-"""How far the estimate of `extinction_shows` may fall short: its 96 points straddle the critical
-angle, about which reflectance changes with the root of the distance."""
+QUADRATURE = 1.02
+"""How far the estimate of `extinction_shows` may fall short of adaptive quadrature."""
 
 # Where to look for the extinction at which it starts to show.
 EDGES = np.logspace(-9.0, -0.5, 171)

@@ -167,8 +167,9 @@ def at_boundary(state, words, lane, slab, rules, optics):
         state[way + lane] = ZERO
     dx, dy, dz = state[DX + lane], state[DY + lane], state[DZ + lane]
     goal = ZERO if dz > ZERO else -single(slab.depth)
-    # A grain kept across a boundary may have ended outside: no way is left to go then.
-    leg = max((goal - state[Z + lane]) / dz, ZERO)
+    # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
+    height = min(max(state[Z + lane], -single(slab.depth)), ZERO)
+    leg = (goal - height) / dz
     state[X + lane] += leg * dx
     state[Y + lane] += leg * dy
     state[Z + lane] = goal

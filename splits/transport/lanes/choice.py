@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from splits.transport import facets, spheroid
@@ -14,9 +16,10 @@ FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
 reflection.  They show most where light meets an absorbing medium of lower index."""
 
-_COSINE, _WEIGHT = np.polynomial.legendre.leggauss(96)
-_COSINE = 0.5 * (_COSINE + 1.0)
-_WEIGHT = _WEIGHT * _COSINE
+LARGEST = 1e3
+"""Refractive index and extinction coefficient whose powers single precision still holds."""
+
+_PLACE, _WEIGHT = np.polynomial.legendre.leggauss(96)
 
 DEEPEST = 1e5
 """Depth in mean distances between grains up to which single precision places rays well: its
@@ -28,8 +31,8 @@ def features_for(
 ) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
-    Lanes do without absorption by coin toss, more than one coating, and samples of more than
-    `DEEPEST` mean distances.
+    Lanes do without absorption by coin toss, more than one coating, samples of more than `DEEPEST`
+    mean distances, and indices beyond `LARGEST`.
 
     Parameters
     ----------
@@ -39,6 +42,8 @@ def features_for(
         Whether horizontal positions of exit are wanted.
     """
     if rules.analog or grains.layers.max() > 2 or slab.depth * grains.attenuation > DEEPEST:
+        return None
+    if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
     mixed = grains.share.size > 1 or grains.layers.max() > 1
     if not mixed:
@@ -77,10 +82,20 @@ def extinction_shows(optics: Optics, near: int, far: int) -> float:
 
 @entry
 def _shift(n1, n2, k2):
+    """Integrate on both sides of the critical angle, where the difference peaks.
+
+    Towards that angle nodes crowd by a square, for a root that ends there.
+    """
+    critical = math.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0)) if n2 < n1 else 0.0
     total = 0.0
-    for i in range(_COSINE.size):
-        with_k = interface(n1, n2, k2, _COSINE[i])[0]
-        total += _WEIGHT[i] * abs(with_k - interface(n1, n2, 0.0, _COSINE[i])[0])
+    for i in range(_PLACE.size):
+        t = 0.5 * (_PLACE[i] + 1.0)
+        for span in (critical - 1.0, critical):
+            # t² of the way from the critical cosine to 1 or to 0.
+            mu = critical - span * t * t
+            if span != 0.0:
+                moved = interface(n1, n2, k2, mu)[0] - interface(n1, n2, 0.0, mu)[0]
+                total += _WEIGHT[i] * t * abs(span) * 2.0 * mu * abs(moved)
     return total
 
 

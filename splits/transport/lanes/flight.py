@@ -184,7 +184,8 @@ def flight(state, words, width, features, scene):
         lx, ly, lz, last = state[LX + i], state[LY + i], state[LZ + i], state[LAST + i]
         z = state[Z + i]
         leg = -logarithm(u_leg) * scene.mean_leg
-        height = z + gz + leg * dz
+        # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
+        height = min(max(z + gz, -scene.depth), ZERO) + leg * dz
         outside = (height > ZERO) | (height < -scene.depth)
 
         old_flattening = state[FLATTENING + i]

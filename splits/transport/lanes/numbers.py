@@ -36,7 +36,7 @@ def three(bits):
 
 @kernel
 def fine(bits):
-    """Return a number uniform on (0, 1) with 46 bits near 0: for logarithms of it.
+    """Return a number uniform on (0, 1] with 46 bits near 0: for logarithms of it.
 
     A free flight is capped at 32 mean paths only; 24 bits would cap it at 17.
     """

@@ -83,7 +83,7 @@ class Scene(NamedTuple):
     ----------
     mean_leg, depth : float32
     saturation : float32
-    n_dry, n_wet, k_wet, n_core, k_core : float32
+    n_dry, n_wet, k_wet, n_core : float32
         The grain's only where all grains are alike.
     a_wet, a_core : float32
         Absorption coefficients for roulette.

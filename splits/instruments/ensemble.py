@@ -262,7 +262,7 @@ class Runner:
                 "kernel",
                 "lanes",
                 "'auto' or 'scalar' for this sample",
-                "lanes know no absorption by coin toss, stacked coatings, or extreme depths",
+                "lanes know no coin-toss absorption, stacked coatings, extreme depths or indices",
             )
         return features
 

@@ -17,6 +17,7 @@ import splits
 from splits.instruments.spectrophotometer import WAVELENGTH_RANGE_NM
 from splits.materials.datasets import _DATASETS, dataset
 from splits.transport.fresnel import interface
+from splits.transport.lanes.choice import LARGEST
 
 pytestmark = NEEDS_JIT
 
@@ -267,6 +268,9 @@ def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("k", [1.0, 3.0, 1e3, 1e7])
 def test_opaque_grains_let_nothing_through(k, kernel):
+    if k > LARGEST:
+        # Single precision has no room for such powers of it; "auto" takes the scalar kernel.
+        kernel = "auto"
     for geometry in ("", "sphericity 0.3", "facetness 1"):
         shares, errors = measure(snow(geometry, 0.0, ice=1.0 + 1j * k), 500.0, kernel=kernel)
         if k <= 3.0:
@@ -276,10 +280,12 @@ def test_opaque_grains_let_nothing_through(k, kernel):
             assert shares[2, 0] < 0.05 + 1e3 / k
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_perfect_conductor(kernel):
-    shares, _ = measure(snow("", 0.0, ice=1.0 + 1e9j), 500.0, kernel=kernel)
+def test_a_perfect_conductor():
+    conductor = snow("", 0.0, ice=1.0 + 1e9j)
+    shares, _ = measure(conductor, 500.0, kernel="auto")
     assert shares[2, 0] < 1e-3
+    with pytest.raises(ValueError, match="kernel = 'lanes'"):
+        measure(conductor, 500.0, kernel="lanes")
 
 
 # --- indices ----------------------------------------------------------------------------------

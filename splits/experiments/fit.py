@@ -60,7 +60,7 @@ class Effort:
     points: int = 128
     starts: tuple[int, ...] = (6, 3, 1)
     evaluations: tuple[int, ...] = (40, 40, 40)
-    rays: tuple[int, ...] = (1024, 1024, 2048, 16_384)
+    rays: tuple[int, ...] = (512, 512, 2048, 16_384)
     max_stderr: float = 0.002
 
     def __post_init__(self) -> None:

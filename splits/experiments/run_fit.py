@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -66,30 +68,28 @@ def run_fit(
     ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
     max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
-    results = []
-    points = list(experiment.settings())
-    for number, ((labels, settings, incidence), sample) in enumerate(
-        itertools.product(points, samples), start=1
-    ):
+    cases = list(itertools.product(experiment.settings(), samples))
+    workers = threads or len(os.sched_getaffinity(0))
+
+    def one(number: int) -> FitResult:
+        (labels, settings, incidence), sample = cases[number]
         where = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
-        head = f"{experiment.name} {number}/{len(points) * len(samples)} {where}"
-
-        def show(line: str, head: str = head) -> None:
-            say(f"{head}: {line}")
-
-        results.append(
-            fit(
-                settings,
-                wavelength,
-                measured[sample].to_numpy(dtype=float),
-                incidence,
-                ranges,
-                seed if experiment.instrument.seed is None else experiment.instrument.seed,
-                threads,
-                show,
-                effort=effort_for(max_stderr),
-            )
+        head = f"{experiment.name} {number + 1}/{len(cases)} {where}"
+        return fit(
+            settings,
+            wavelength,
+            measured[sample].to_numpy(dtype=float),
+            incidence,
+            ranges,
+            seed if experiment.instrument.seed is None else experiment.instrument.seed,
+            max(1, workers // len(cases)),
+            lambda line: say(f"{head}: {line}"),
+            effort=effort_for(max_stderr),
         )
+
+    # Simulations of a fit are short: whole fits side by side keep more threads busy than theirs.
+    with ThreadPoolExecutor(min(workers, len(cases))) as pool:
+        results = list(pool.map(one, range(len(cases))))
     return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
 
 

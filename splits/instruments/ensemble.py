@@ -18,11 +18,11 @@ from splits.transport.lanes.rows import Features
 from splits.transport.scene import Grains, Optics, Rules, Slab
 from splits.transport.tally import exit_rows, tally
 
-BATCH = {"scalar": 128, "lanes": 1024}
+BATCH = {"scalar": 128, "lanes": 512}
 """Rays whose weights are added up together, by kernel: fixed, so that sums do not depend on who
 adds them.  Lanes, of which some stand idle while the last rays end, want more of them."""
 
-JOB = 8
+JOB = 16
 """Largest number of batches that a thread traces at a time."""
 
 KERNELS = ("auto", "lanes", "scalar")

@@ -9,6 +9,7 @@ points of a normal distribution in log size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -53,11 +54,7 @@ class LogNormal:
     @property
     def inverse_mean(self) -> float:
         """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
-        # Not in closed form: its error functions cancel when a separate's limits lie close
-        # together in probability, while this integrand is always smooth.
-        low, high = float(np.log(self.low)), float(np.log(self.high))
-        weighted, _ = integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high)
-        return weighted / integral_and_quantiles(self._shape, low, high)[0] / self.low
+        return _inverse_mean(self)
 
     def struck_size(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
@@ -65,6 +62,16 @@ class LogNormal:
         return np.exp(
             integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high, probability)[1]
         )
+
+
+@lru_cache(maxsize=1024)
+def _inverse_mean(sizes: LogNormal) -> float:
+    """Return `LogNormal.inverse_mean`; fits ask for the same soils again and again."""
+    # Not in closed form: its error functions cancel when a separate's limits lie close
+    # together in probability, while this integrand is always smooth.
+    low, high = float(np.log(sizes.low)), float(np.log(sizes.high))
+    weighted, _ = integral_and_quantiles(lambda x: sizes._shape(x, -1.0), low, high)
+    return weighted / integral_and_quantiles(sizes._shape, low, high)[0] / sizes.low
 
 
 @dataclass(frozen=True)
@@ -89,16 +96,21 @@ class SoilSizes:
         Between the outermost quantiles of two separates the table is linear, as within one: where
         clay and sand have no silt between them, about 0.1 % of struck particles fall in the gap.
         """
-        u = table_probabilities(TABLE_POINTS)
-        weights = np.array([s.mass * s.inverse_mean for s in self.separates])[::-1]
-        edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
-        edges[-1] = 1.0
-        inverse = np.empty(u.shape)
-        for i, separate in enumerate(reversed(self.separates)):
-            inside = (u >= edges[i]) & (u <= edges[i + 1])
-            part = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
-            inverse[inside] = 1.0 / separate.struck_size(1.0 - part)
-        return inverse
+        return _struck_inverse_sizes(self).copy()
+
+
+@lru_cache(maxsize=64)
+def _struck_inverse_sizes(sizes: SoilSizes) -> np.ndarray:
+    u = table_probabilities(TABLE_POINTS)
+    weights = np.array([s.mass * s.inverse_mean for s in sizes.separates])[::-1]
+    edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
+    edges[-1] = 1.0
+    inverse = np.empty(u.shape)
+    for i, separate in enumerate(reversed(sizes.separates)):
+        inside = (u >= edges[i]) & (u <= edges[i + 1])
+        part = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
+        inverse[inside] = 1.0 / separate.struck_size(1.0 - part)
+    return inverse
 
 
 def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -> SoilSizes:

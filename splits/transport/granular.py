@@ -152,7 +152,7 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
             z + leg * dz, q3, w3, axial, minor, flattening, slab.depth
         ):
             continue
-        if rules.reject_on_last_leg and cuts_segment(
+        if rules.reject_on_last_leg and last > 0.0 and cuts_segment(
             q1, q2, q3, w1, w2, w3, minor, flattening,
             -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
         ):  # fmt: skip

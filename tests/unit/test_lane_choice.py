@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from chi2 import NEEDS_JIT
 from scipy import integrate
 
 import splits
@@ -98,6 +99,8 @@ def test_at_most_one_coating(coats):
     found = features_for(table(coats), Slab(0.1, 0.0, 1.0, False), rules, optics)
     assert found == (having(mixed=coats == 1) if coats < 2 else None)
 
+
+pytestmark = NEEDS_JIT
 
 QUADRATURE = 1.02
 """How far the estimate of `extinction_shows` may fall short of adaptive quadrature."""

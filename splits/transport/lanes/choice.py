@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import config
 
 from splits.transport import facets, spheroid
 from splits.transport.fresnel import interface
@@ -32,7 +33,7 @@ def features_for(
     """Return what a scene has, or None if only the scalar kernel serves it.
 
     Lanes do without absorption by coin toss, more than one coating, samples of more than `DEEPEST`
-    mean distances, and indices beyond `LARGEST`.
+    mean distances, and indices beyond `LARGEST`; and they need a compiler.
 
     Parameters
     ----------
@@ -41,6 +42,8 @@ def features_for(
     positions : bool
         Whether horizontal positions of exit are wanted.
     """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return None
     if rules.analog or grains.layers.max() > 2 or slab.depth * grains.attenuation > DEEPEST:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:

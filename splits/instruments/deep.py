@@ -30,11 +30,13 @@ PILOT = 512
 LARGEST_SHARE = 0.05
 """A run goes on while a single family makes more than this of the sum: an error estimated from
 rare large contributions that mostly have not been seen yet would be too small."""
+STAGES = 3
+"""Pilots, each of which sees deeper than the one before."""
 SLICES = 24
 """Slices of the depth in which pilots look how fast the light falls off."""
 _SEEN = 200
 """Grains met in a slice from which on its weight counts."""
-_SAFE = 0.5
+_SAFE = 0.6
 """Part of diffusion theory's rate that the first pilot dares: too high a rate multiplies rays."""
 PROPERTY_RAYS = 20_000
 _STREAMS = 3_000_000
@@ -56,7 +58,7 @@ def deep_transmittance(
 
     Each wavelength is traced by itself in double precision; rays are split as they get deeper and
     end by roulette where they cannot matter (see `splits.transport.deep`).  How fast they are split
-    comes from two pilots, whose rays do not count, and does not touch the mean.
+    comes from three pilots, whose rays do not count, and does not touch the mean.
 
     Parameters
     ----------
@@ -110,16 +112,16 @@ def deep_transmittance(
         for row, guess in enumerate(first_guess):
             optics = Optics(index[row].real.copy(), index[row].imag.copy(), absorption[row])
             source = _Source(pool, int(seed), (grains, slab, rules, optics))
-            number = _STREAMS + 3 * row
+            number = _STREAMS + (STAGES + 1) * row
             rate = _SAFE * guess
-            for stage in range(2):
+            for stage in range(STAGES):
                 pilot = _Sum()
                 pilot.add(source, number + stage, PILOT, rate)
-                rate = pilot.rate(slab.depth, rate)
+                rate = min(pilot.rate(slab.depth, rate), guess)
             run = _Sum()
             wanted = PILOT
             while True:
-                run.add(source, number + 2, wanted, rate)
+                run.add(source, number + STAGES, wanted, rate)
                 mean, stderr, share = run.estimate()
                 error = stderr / mean if mean > 0.0 else np.inf
                 if progress:
@@ -230,9 +232,10 @@ class _Sum:
     def rate(self, depth: float, fallback: float) -> float:
         """Return the rate (1/m) at which the weight falls off with depth, as far as it was seen."""
         count, weight = self._profile
-        reached = int(np.argmax(np.append(count, 0.0) < _SEEN))
-        inside = slice(min(2, reached), min(reached, SLICES - 1))
-        if inside.stop - inside.start < 3:
+        # Neither the slice at the top nor that at the bottom, where light escapes.
+        inside = (count >= _SEEN) & (weight > 0.0)
+        inside[[0, -1]] = False
+        if inside.sum() < 3:
             return fallback
         place = depth * (np.arange(SLICES)[inside] + 0.5) / SLICES
         return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)

@@ -262,7 +262,7 @@ class Runner:
                 "kernel",
                 "lanes",
                 "'auto' or 'scalar' for this sample",
-                "lanes know no coin-toss absorption, stacked coatings, extreme depths or indices",
+                "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
             )
         return features
 

@@ -95,7 +95,9 @@ def spectral(
         step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
         step *= min(1.0, (max_rays - rays.sum()) / step.sum())
         left = float((wanted - rays - step).clip(0).sum())
-        work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= 1.0]
+        # However few rays are left, at least the level that wants most gets some.
+        least = min(1.0, step.max())
+        work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
         runner.trace(work, float(stderr.max()), max_stderr, left)
     return Estimate(
         mean, stderr, bias, int(rays.sum()), len(ensembles), converged, runner.kernels(ensembles)

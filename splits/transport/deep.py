@@ -53,8 +53,7 @@ def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa
         For [reflected, transmitted]: sum, sum of squares and largest of the families' weights,
         advanced in place.
     profile : float64[2, slices]
-        For equal slices of the depth, number and total weight of the decisions taken there,
-        advanced in place.
+        See `splits.transport.granular.Window`; advanced in place.
 
     Returns
     -------
@@ -82,7 +81,7 @@ def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa
         fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
         while True:
             while fate == TRAVELS:
-                window = Window(weight, kappa, LOWER, UPPER)
+                window = Window(weight, kappa, LOWER, UPPER, slab.depth, profile)
                 fate, x, y, z, dx, dy, dz, last_leg, pore, spent = follow(
                     state, x, y, z, dx, dy, dz, last_leg, pore,
                     grains, slab, rules, optics, length, purse, window,
@@ -90,11 +89,7 @@ def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa
                 legs += spent
                 if fate != TRAVELS:
                     break
-                carried = weight * math.exp(-purse[DEPTH])
-                depth = min(int(-z / slab.depth * profile.shape[1]), profile.shape[1] - 1)
-                profile[0, depth] += 1.0
-                profile[1, depth] += carried
-                worth = carried * math.exp(-kappa * z)
+                worth = weight * math.exp(-purse[DEPTH] - kappa * z)
                 if worth < LOWER:
                     if uniform(state) >= worth:
                         break

@@ -77,17 +77,28 @@ class Window(NamedTuple):
     kappa : float
         1/m.
     lower, upper : float
+    depth : float
+        Of the slab (m).
+    profile : float64[2, slices]
+        For equal slices of the depth, number and total weight of the legs that began there,
+        advanced in place.
     """
 
     weight: float
     kappa: float
     lower: float
     upper: float
+    depth: float
+    profile: np.ndarray
 
 
 @kernel
 def left_window(window, z, purse):
-    """Tell whether a ray's worth lies outside its window."""
+    """Tell whether a ray's worth lies outside its window, and note where it is."""
+    slices = window.profile.shape[1]
+    place = min(int(-z / window.depth * slices), slices - 1)
+    window.profile[0, place] += 1.0
+    window.profile[1, place] += window.weight * math.exp(-purse[DEPTH])
     worth = window.weight * math.exp(-purse[DEPTH] - window.kappa * z)
     return worth < window.lower or worth > window.upper
 

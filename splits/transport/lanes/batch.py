@@ -278,7 +278,7 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
     stream = np.zeros(1, dtype=np.uint64)
     state[STATUS : STATUS + LANES] = IDLE
     next_ray, busy, legs = 0, 0, 0
-    width = min(LANES, -(-rays // VECTOR) * VECTOR)
+    width = min(LANES, max(1, -(-rays // VECTOR)) * VECTOR)
     flying, ended = 0, width
     while True:
         if ended > 0:

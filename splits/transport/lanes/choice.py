@@ -17,6 +17,10 @@ FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
 reflection.  They show most where light meets an absorbing medium of lower index."""
 
+GRAZING = 1e-4
+"""Cosine of incidence below which single precision no longer tells whether a grain just below the
+boundary fits."""
+
 LARGEST = 1e3
 """Refractive index and extinction coefficient whose powers single precision still holds."""
 
@@ -33,7 +37,7 @@ def features_for(
     """Return what a scene has, or None if only the scalar kernel serves it.
 
     Lanes do without absorption by coin toss, more than one coating, samples of more than `DEEPEST`
-    mean distances, and indices beyond `LARGEST`; and they need a compiler.
+    mean distances, extremely grazing beams, and indices beyond `LARGEST`; and they need a compiler.
 
     Parameters
     ----------
@@ -45,6 +49,8 @@ def features_for(
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
     if rules.analog or grains.layers.max() > 2 or slab.depth * grains.attenuation > DEEPEST:
+        return None
+    if not slab.diffuse and slab.cos_incidence < GRAZING:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import config, njit
 
-kernel = njit(cache=True, error_model="numpy", forceinline=True, fastmath={"contract", "nsz"})
+kernel = njit(cache=True, error_model="numpy", forceinline=True)
 """A small function that is inlined where it is called: scenes keep what they do not have out of
 the loop, and calls that pass dozens of scalars cost nothing.  Division by zero follows IEEE 754
-instead of raising, which spares a check at every division; products and sums may be fused."""
+instead of raising, which spares a check at every division.  No other liberty is taken: were
+products and sums fused, bits would depend on whether code was just compiled or comes from the
+cache."""
 
-entry = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "nsz"})
+entry = njit(cache=True, error_model="numpy", nogil=True)
 """A function that Python calls, free of the interpreter's lock."""
 
 

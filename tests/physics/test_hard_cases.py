@@ -216,10 +216,10 @@ def test_water_reflects_its_fresnel_share_near_90_degrees(incidence, kernel):
     assert shares[1, 0] < 1.0 - at_least + 4.0 * errors[1, 0]
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("saturation", [0.0, 1.0])
-def test_incidence_of_89_9999_degrees(saturation, kernel):
-    # Smooth spheres, and water's surface, let less through than at 89.99 degrees.
+def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
+    # Smooth spheres, and water's surface, let less through than at 89.99 degrees.  Beams so near
+    # the horizon go to the scalar kernel.
     medium = splits.Snow(**MIRRORS, saturation=saturation)
     shares = shares_at(medium, 89.9999, stderr=0.02, kernel=kernel)
     assert shares[1] < 0.05

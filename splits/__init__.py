@@ -11,18 +11,8 @@ Examples
 True
 """
 
-from splits.dataset import load, save
-from splits.instruments import deep_transmittance, single_scattering, spectrophotometer
-from splits.media import Readings, Sand, SandReadings, Snow
+import lazy_loader
 
-__all__ = [
-    "Readings",
-    "Sand",
-    "SandReadings",
-    "Snow",
-    "deep_transmittance",
-    "load",
-    "save",
-    "single_scattering",
-    "spectrophotometer",
-]
+# Drawing a figure needs no kernels: a public name loads its module, as listed in __init__.pyi,
+# when it is first used.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

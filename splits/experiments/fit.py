@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.stats import qmc
 
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import Cube, FitResult, covariance_of, parameter_errors
@@ -195,6 +193,8 @@ def _search(
     say: Callable[[str], None],
 ) -> list[list[_Candidate]]:
     """Return where the descents of every stage ended, best first."""
+    from scipy.stats import qmc  # a second, which every start of the workflow would take
+
     model = problem.model(effort.rays[0], survey)
     places = qmc.Sobol(len(problem.cube.names), seed=survey).random(effort.points)
     found = [_Candidate(_misfit(model(x), problem.wanted), x) for x in places]
@@ -267,6 +267,8 @@ def descend(
     radius : float
         Half the edge of the first trust region, 0 to 1.
     """
+    from scipy.optimize import lsq_linear
+
     x = start.copy()
     f = model(x)
     best = float(np.sum((f - wanted) ** 2))

@@ -12,7 +12,6 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy import stats
 
 from splits.transport.rng import table_probabilities
 
@@ -150,7 +149,10 @@ def truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> 
     """Return the quantile function of a normal distribution within [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:
         return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    return np.clip(_truncated(minimum, maximum, mean, sd).ppf(_PROBABILITIES), minimum, maximum)
+    _, score = integral_and_quantiles(
+        lambda t: np.exp(-0.5 * t * t), *_scores(minimum, maximum, mean, sd), _PROBABILITIES
+    )
+    return np.clip(mean + sd * score, minimum, maximum)
 
 
 def _fixed(minimum: float, maximum: float, mean: float) -> float:
@@ -177,7 +179,3 @@ def _weighted_bell(
         return np.exp(-0.5 * score**2) * surface_to_volume(psi)
 
     return density
-
-
-def _truncated(minimum: float, maximum: float, mean: float, sd: float):
-    return stats.truncnorm((minimum - mean) / sd, (maximum - mean) / sd, loc=mean, scale=sd)

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
-from scipy import stats
 
 from splits.checks import in_range, numbers, refuse
 from splits.media.grain_statistics import TABLE_POINTS, integral_and_quantiles
@@ -142,7 +142,7 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
         )
     tail = in_range("size_tail", tail, 1e-6, 0.01)
     cumulative = np.clip([tail, clay, clay + silt, 1.0 - tail], tail, 1.0 - tail)
-    score = stats.norm.ppf(cumulative)
+    score = [NormalDist().inv_cdf(c) for c in cumulative]
     x = np.log(LIMITS_M)
     if pieces == "single":
         return SoilSizes((_single((clay, silt, sand)),))

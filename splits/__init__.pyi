@@ -1,0 +1,9 @@
+from .dataset import load as load
+from .dataset import save as save
+from .instruments import deep_transmittance as deep_transmittance
+from .instruments import single_scattering as single_scattering
+from .instruments import spectrophotometer as spectrophotometer
+from .media import Readings as Readings
+from .media import Sand as Sand
+from .media import SandReadings as SandReadings
+from .media import Snow as Snow

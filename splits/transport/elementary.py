@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
+from splits.transport.arithmetic import fused
 from splits.transport.jit import HALF, ONE, TWO, ZERO, exact, kernel
 
 _SIGNIFICAND = 0x007FFFFF
@@ -36,17 +37,17 @@ def logarithm(x):
     e = e + ONE if high else e
     f = (HALF * m if high else m) - ONE
     p = single(7.0376836292e-2)
-    p = p * f + single(-1.1514610310e-1)
-    p = p * f + single(1.1676998740e-1)
-    p = p * f + single(-1.2420140846e-1)
-    p = p * f + single(1.4249322787e-1)
-    p = p * f + single(-1.6668057665e-1)
-    p = p * f + single(2.0000714765e-1)
-    p = p * f + single(-2.4999993993e-1)
-    p = p * f + single(3.3333331174e-1)
+    p = fused(p, f, single(-1.1514610310e-1))
+    p = fused(p, f, single(1.1676998740e-1))
+    p = fused(p, f, single(-1.2420140846e-1))
+    p = fused(p, f, single(1.4249322787e-1))
+    p = fused(p, f, single(-1.6668057665e-1))
+    p = fused(p, f, single(2.0000714765e-1))
+    p = fused(p, f, single(-2.4999993993e-1))
+    p = fused(p, f, single(3.3333331174e-1))
     square = f * f
-    low = p * f * square - HALF * square + e * _LN2_LOW
-    return f + low + e * _LN2_HIGH
+    low = fused(p * f, square, fused(e, _LN2_LOW, -HALF * square))
+    return fused(e, _LN2_HIGH, f + low)
 
 
 @kernel
@@ -58,14 +59,14 @@ def exponential(x):
     held = max(x, single(-87.0))
     n = np.int32(held * _LOG2_E - HALF)
     whole = np.float32(n)
-    r = held - whole * _LN2_HIGH - whole * _LN2_LOW
+    r = fused(-whole, _LN2_LOW, fused(-whole, _LN2_HIGH, held))
     p = single(1.9875691500e-4)
-    p = p * r + single(1.3981999507e-3)
-    p = p * r + single(8.3334519073e-3)
-    p = p * r + single(4.1665795894e-2)
-    p = p * r + single(1.6666665459e-1)
-    p = p * r + single(5.0000001201e-1)
-    p = p * r * r + r + ONE
+    p = fused(p, r, single(1.3981999507e-3))
+    p = fused(p, r, single(8.3334519073e-3))
+    p = fused(p, r, single(4.1665795894e-2))
+    p = fused(p, r, single(1.6666665459e-1))
+    p = fused(p, r, single(5.0000001201e-1))
+    p = fused(p * r, r, r) + ONE
     power = np.int32((n + 127) << 23).view(np.float32)
     return p * power if x > single(-87.0) else ZERO
 
@@ -79,21 +80,21 @@ def half_circle(u):
     x = _PI * (u - HALF)
     y = x * x
     s = single(-2.50521083854e-8)
-    s = s * y + single(2.75573192240e-6)
-    s = s * y + single(-1.98412698413e-4)
-    s = s * y + single(8.33333333333e-3)
-    s = s * y + single(-1.66666666667e-1)
+    s = fused(s, y, single(2.75573192240e-6))
+    s = fused(s, y, single(-1.98412698413e-4))
+    s = fused(s, y, single(8.33333333333e-3))
+    s = fused(s, y, single(-1.66666666667e-1))
     c = single(2.08767569879e-9)
-    c = c * y + single(-2.75573192240e-7)
-    c = c * y + single(2.48015873016e-5)
-    c = c * y + single(-1.38888888889e-3)
-    c = c * y + single(4.16666666667e-2)
-    c = c * y - HALF
-    return s * y * x + x, c * y + ONE
+    c = fused(c, y, single(-2.75573192240e-7))
+    c = fused(c, y, single(2.48015873016e-5))
+    c = fused(c, y, single(-1.38888888889e-3))
+    c = fused(c, y, single(4.16666666667e-2))
+    c = fused(c, y, -HALF)
+    return fused(s * y, x, x), fused(c, y, ONE)
 
 
 @kernel
 def circle(u):
     """Return (cos, sin) of an angle uniform on the circle for u uniform on (0, 1), to 1e-6."""
     s, c = half_circle(u)
-    return TWO * c * c - ONE, TWO * s * c
+    return fused(TWO * c, c, -ONE), TWO * s * c

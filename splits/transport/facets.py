@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 
-from splits.transport.frames import around, normalized
+from splits.transport.arithmetic import fused, root
+from splits.transport.frames import around, dot, normalized
 from splits.transport.jit import ONE, TWO, ZERO, kernel
 from splits.transport.rng import half_normal, uniform, unit_circle
 
@@ -34,7 +35,7 @@ def lean(state, facetness):
 @kernel
 def tilt_sine(leaning):
     """Return the sine of the angle whose cosine is 1 − `leaning`, without cancellation."""
-    return math.sqrt(leaning * (TWO - leaning))
+    return root(leaning * (TWO - leaning))
 
 
 @kernel
@@ -74,19 +75,20 @@ def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
 
 
 @kernel
-def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, sin_i, c, s, cos_azimuth, sin_azimuth):
+def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_azimuth):
     """Return the facet's normal, its azimuth counted from the tangential part of −d.
 
-    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
+    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ, of
+    which `per_sin` is the reciprocal.
     """
-    k = s / sin_i
+    k = s * per_sin
     p = k * cos_azimuth
     q = k * sin_azimuth
-    a = c - p * cos_i
+    a = fused(-p, cos_i, c)
     return (
-        a * nx - p * dx + q * (dy * nz - dz * ny),
-        a * ny - p * dy + q * (dz * nx - dx * nz),
-        a * nz - p * dz + q * (dx * ny - dy * nx),
+        fused(q, fused(dy, nz, -dz * ny), fused(-p, dx, a * nx)),
+        fused(q, fused(dz, nx, -dx * nz), fused(-p, dy, a * ny)),
+        fused(q, fused(dx, ny, -dy * nx), fused(-p, dz, a * nz)),
     )
 
 
@@ -135,7 +137,7 @@ def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
     cosine of incidence on it.
     """
     # Rounding may turn a grazing ray to the far side; at 1e-12 all light is reflected anyway.
-    cos_i = max(-(dx * nx + dy * ny + dz * nz), 1e-12)
+    cos_i = max(-dot(dx, dy, dz, nx, ny, nz), 1e-12)
     if facetness == 0.0:
         return nx, ny, nz, cos_i
     c, s, cp, sp, _ = facet_angles(state, facetness, cos_i, rule)
@@ -143,14 +145,15 @@ def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
     tx = -dx - cos_i * nx
     ty = -dy - cos_i * ny
     tz = -dz - cos_i * nz
-    sin2 = tx * tx + ty * ty + tz * tz
+    sin2 = dot(tx, ty, tz, tx, ty, tz)
     if sin2 < 1e-20:
         # At exactly normal incidence every azimuth is alike.
         mx, my, mz = around(nx, ny, nz, c, s, cp, sp)
     else:
-        mx, my, mz = facet_normal(dx, dy, dz, nx, ny, nz, cos_i, math.sqrt(sin2), c, s, cp, sp)
+        per_sin = 1.0 / math.sqrt(sin2)
+        mx, my, mz = facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cp, sp)
         mx, my, mz = normalized(mx, my, mz)
-    cos_facet = -(dx * mx + dy * my + dz * mz)
+    cos_facet = -dot(dx, dy, dz, mx, my, mz)
     if cos_facet < 0.0:
         return -mx, -my, -mz, -cos_facet
     return mx, my, mz, max(cos_facet, 1e-12)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
+from splits.transport.arithmetic import fused, reciprocal_root, root
 from splits.transport.jit import ONE, TWO, ZERO, kernel
 from splits.transport.rng import uniform, unit_circle
+
+
+@kernel
+def dot(x1, x2, x3, y1, y2, y3):
+    """Return the scalar product of x and y."""
+    return fused(x1, y1, fused(x2, y2, x3 * y3))
 
 
 @kernel
@@ -31,7 +36,7 @@ def orthonormal_basis(nx, ny, nz):
 @kernel
 def normalized(x, y, z):
     """Return (x, y, z) scaled to unit length."""
-    scale = ONE / math.sqrt(x * x + y * y + z * z)
+    scale = reciprocal_root(dot(x, y, z, x, y, z))
     return x * scale, y * scale, z * scale
 
 
@@ -42,9 +47,9 @@ def around(nx, ny, nz, cos_polar, sin_polar, cos_azimuth, sin_azimuth):
     p = sin_polar * cos_azimuth
     q = sin_polar * sin_azimuth
     return normalized(
-        cos_polar * nx + p * ux + q * vx,
-        cos_polar * ny + p * uy + q * vy,
-        cos_polar * nz + p * uz + q * vz,
+        fused(q, vx, fused(p, ux, cos_polar * nx)),
+        fused(q, vy, fused(p, uy, cos_polar * ny)),
+        fused(q, vz, fused(p, uz, cos_polar * nz)),
     )
 
 
@@ -53,11 +58,11 @@ def cosine_lobe(state, nx, ny, nz):
     """Return a direction around the unit vector n with density cosθ/π (Lambert)."""
     u = uniform(state)
     c, s = unit_circle(state)
-    return around(nx, ny, nz, math.sqrt(u), math.sqrt(ONE - u), c, s)
+    return around(nx, ny, nz, root(u), root(ONE - u), c, s)
 
 
 @kernel
 def mirrored(dx, dy, dz, nx, ny, nz):
     """Return the direction d mirrored in the plane with unit normal n."""
-    k = TWO * (dx * nx + dy * ny + dz * nz)
+    k = TWO * dot(dx, dy, dz, nx, ny, nz)
     return dx - k * nx, dy - k * ny, dz - k * nz

@@ -12,8 +12,8 @@ coating or a grain lets hardly any light arrive from inside.
 
 from __future__ import annotations
 
-import math
-
+from splits.transport.arithmetic import fused, reciprocal_root, root
+from splits.transport.frames import normalized
 from splits.transport.jit import FOUR, HALF, ONE, TINY, ZERO, kernel
 
 
@@ -36,17 +36,18 @@ def normal_component(m, g, k, cos_i, absorbs):
     absorbs : bool
         False takes k as 0 and is cheaper.
     """
-    real = cos_i * cos_i + g * (m + ONE)
+    real = fused(cos_i, cos_i, g * (m + ONE))
     if absorbs:
-        real = real - k * k
+        real = fused(-k, k, real)
         mk = m * k
-        root = math.sqrt(real * real + FOUR * mk * mk)
-        large = math.sqrt(HALF * (root + abs(real)))
-        small = mk / max(large, TINY)
+        square = HALF * (root(fused(real, real, FOUR * mk * mk)) + abs(real))
+        per_large = reciprocal_root(max(square, TINY))
+        large = square * per_large
+        small = mk * per_large
         a = large if real > ZERO else small
         b = small if real > ZERO else large
         return a, b * b
-    return math.sqrt(max(real, ZERO)), max(-real, ZERO)
+    return root(max(real, ZERO)), max(-real, ZERO)
 
 
 @kernel
@@ -65,15 +66,16 @@ def fraction(m, g, k, cos_i, sin2, a, b2):
     sin2 : float
         sin²θ_i.
     """
-    contrast = (g * g + k * k) * ((m + ONE) * (m + ONE) + k * k)
+    k2 = k * k
+    contrast = fused(g, g, k2) * fused(m + ONE, m + ONE, k2)
     plus = cos_i + a
-    s_plus = plus * plus + b2
+    s_plus = fused(plus, plus, b2)
     across = a * cos_i
     b2_cos2 = b2 * cos_i * cos_i
     minus = across - sin2
     plus = across + sin2
-    p_minus = minus * minus + b2_cos2
-    p_plus = plus * plus + b2_cos2
+    p_minus = fused(minus, minus, b2_cos2)
+    p_plus = fused(plus, plus, b2_cos2)
     return contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus)
 
 
@@ -111,7 +113,7 @@ def interface(n1, n2, k2, cos_i):
     if a == ZERO:
         return 1.0, 0.0, 0.0
     numerator, denominator = fraction(m, g, k, cos_i, sin2, a, b2)
-    ratio = ONE / math.sqrt(sin2 + a * a)
+    ratio = reciprocal_root(fused(a, a, sin2))
     return min(numerator / denominator, 1.0), ratio, a * ratio
 
 
@@ -127,8 +129,4 @@ def between(n1, k1, n2, k2, cos_i):
 def refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t):
     """Return the refracted direction for incidence along d on the facet normal n (d·n < 0)."""
     k = ratio * cos_i - cos_t
-    tx = ratio * dx + k * nx
-    ty = ratio * dy + k * ny
-    tz = ratio * dz + k * nz
-    scale = ONE / math.sqrt(tx * tx + ty * ty + tz * tz)
-    return tx * scale, ty * scale, tz * scale
+    return normalized(fused(ratio, dx, k * nx), fused(ratio, dy, k * ny), fused(ratio, dz, k * nz))

@@ -149,7 +149,8 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         sphericity = from_table(grains.sphericity, kind, uniform(state))
         ratio = sphericity * sphericity
         flattening = 1.0 - ratio
-        minor = ratio / curvature
+        major = 1.0 / curvature
+        minor = ratio * major
         axial = axial_position(state, flattening)
         facing = uniform(state)
         if rules.entry == PROJECTED:
@@ -160,7 +161,7 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
             dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
         if rules.reject_across_boundary and crosses(
-            z + leg * dz, q3, w3, axial, minor, flattening, slab.depth
+            z + leg * dz, q3, w3, axial, minor, major, slab.depth
         ):
             continue
         if rules.reject_on_last_leg and last > 0.0 and cuts_segment(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import config, njit
 
-kernel = njit(cache=True, error_model="numpy", forceinline=True)
+ALIKE = {"error_model": "numpy", "forceinline": True}
+"""Options of every small function: see `kernel`."""
+
+kernel = njit(cache=True, **ALIKE)
 """A small function that is inlined where it is called: scenes keep what they do not have out of
 the loop, and calls that pass dozens of scalars cost nothing.  Division by zero follows IEEE 754
 instead of raising, which spares a check at every division.  No other liberty is taken: were
-products and sums fused, bits would depend on whether code was just compiled or comes from the
-cache."""
+products and sums fused at will, bits would depend on whether code was just compiled or comes
+from the cache; `arithmetic.fused` says where they are."""
 
 entry = njit(cache=True, error_model="numpy", nogil=True)
 """A function that Python calls, free of the interpreter's lock."""
@@ -27,5 +30,6 @@ def exact(value: float) -> float | np.float32:
 
 
 ZERO, HALF, ONE, TWO, THREE, FOUR = (exact(x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
-TINY = exact(1e-20)
+ONE_AND_HALF = exact(1.5)
+TINY = exact(1e-30)
 """Keeps a quotient of zeros finite; its own value never matters."""

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 
-from splits.transport.frames import around, normalized
+from splits.transport.arithmetic import fused, reciprocal_root, root
+from splits.transport.frames import around, dot, normalized
 from splits.transport.jit import HALF, ONE, THREE, TWO, ZERO, kernel
 from splits.transport.rng import uniform, unit_circle
 
@@ -24,8 +25,8 @@ PROJECTED = 1
 @kernel
 def squeezed(x1, x2, x3, w1, w2, w3, flattening):
     """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
-    k = flattening * (x1 * w1 + x2 * w2 + x3 * w3)
-    return x1 - k * w1, x2 - k * w2, x3 - k * w3
+    k = -flattening * dot(x1, x2, x3, w1, w2, w3)
+    return fused(k, w1, x1), fused(k, w2, x2), fused(k, w3, x3)
 
 
 @kernel
@@ -47,13 +48,13 @@ def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
         The other end, brought back to unit length, so that errors do not add up.
     """
     e1, e2, e3 = squeezed(dx, dy, dz, w1, w2, w3, flattening)
-    along = q1 * e1 + q2 * e2 + q3 * e3
-    chord = max(-TWO * along / (e1 * e1 + e2 * e2 + e3 * e3), ZERO)
-    q1 += chord * e1
-    q2 += chord * e2
-    q3 += chord * e3
+    along = dot(q1, q2, q3, e1, e2, e3)
+    chord = max(-TWO * along / dot(e1, e2, e3, e1, e2, e3), ZERO)
+    q1 = fused(chord, e1, q1)
+    q2 = fused(chord, e2, q2)
+    q3 = fused(chord, e3, q3)
     # One step of Newton's method for 1/|q| from 1.
-    scale = HALF * (THREE - (q1 * q1 + q2 * q2 + q3 * q3))
+    scale = HALF * (THREE - dot(q1, q2, q3, q1, q2, q3))
     return chord, q1 * scale, q2 * scale, q3 * scale
 
 
@@ -108,15 +109,17 @@ def entry_point(
     q, w, n : 3 float each
         Entry point, major axis and outward normal, d·n = −`facing`.
     """
-    root = math.sqrt(slope_squared(axial, flattening))
-    sine = math.sqrt(max(ONE - facing * facing, ZERO))
+    square = slope_squared(axial, flattening)
+    per_slope = reciprocal_root(square)
+    slope = square * per_slope
+    sine = root(max(ONE - facing * facing, ZERO))
     n1, n2, n3 = around(-dx, -dy, -dz, facing, sine, cos_azimuth, sin_azimuth)
-    cos_axis = (ONE - flattening) * axial / root
-    sin_axis = math.sqrt(max(ONE - axial * axial, ZERO)) / root
+    cos_axis = (ONE - flattening) * axial * per_slope
+    sin_axis = root(max(ONE - axial * axial, ZERO)) * per_slope
     w1, w2, w3 = around(n1, n2, n3, cos_axis, sin_axis, cos_turn, sin_turn)
     shift = flattening * axial
     return (
-        root * n1 + shift * w1, root * n2 + shift * w2, root * n3 + shift * w3,
+        fused(shift, w1, slope * n1), fused(shift, w2, slope * n2), fused(shift, w3, slope * n3),
         w1, w2, w3, n1, n2, n3,
     )  # fmt: skip
 
@@ -137,7 +140,7 @@ def struck_point(state, dx, dy, dz, flattening, entry):
 
 
 @kernel
-def crosses(height, q3, w3, axial, minor, flattening, depth):
+def crosses(height, q3, w3, axial, minor, major, depth):
     """Tell whether a grain entered at a height below the boundary 0 reaches over 0 or −depth.
 
     Parameters
@@ -146,14 +149,14 @@ def crosses(height, q3, w3, axial, minor, flattening, depth):
         Height of the entry point (m).
     q3, w3 : float
         Vertical components of entry point and major axis.
-    axial, minor, flattening : float
-        z/b of the entry point; semi-minor axis (m); flattening.
+    axial, minor, major : float
+        z/b of the entry point; semi-axes (m).
     depth : float
         Metres.
     """
-    stretch = ONE / (ONE - flattening)
-    centre = height - minor * (q3 + (stretch - ONE) * axial * w3)
-    half = minor * math.sqrt(ONE + (stretch * stretch - ONE) * w3 * w3)
+    excess = (major - minor) * w3
+    centre = height - fused(minor, q3, axial * excess)
+    half = root(fused(minor, minor, (major + minor) * excess * w3))
     return (centre + half > ZERO) | (centre - half < -depth)
 
 
@@ -176,18 +179,14 @@ def cuts_segment(
     length : float
         Its length (m); none if negative.
     """
-    scale = ONE / minor
     a1, a2, a3 = squeezed(e1, e2, e3, w1, w2, w3, flattening)
-    a1 = a1 * scale + q1
-    a2 = a2 * scale + q2
-    a3 = a3 * scale + q3
+    a1 = fused(minor, q1, a1)
+    a2 = fused(minor, q2, a2)
+    a3 = fused(minor, q3, a3)
     b1, b2, b3 = squeezed(lx, ly, lz, w1, w2, w3, flattening)
-    b1 *= scale
-    b2 *= scale
-    b3 *= scale
-    t = (a1 * b1 + a2 * b2 + a3 * b3) / (b1 * b1 + b2 * b2 + b3 * b3)
-    t = min(max(t, ZERO), length)
-    a1 -= t * b1
-    a2 -= t * b2
-    a3 -= t * b3
-    return (length > ZERO) & (a1 * a1 + a2 * a2 + a3 * a3 < ONE)
+    t = dot(a1, a2, a3, b1, b2, b3) / dot(b1, b2, b3, b1, b2, b3)
+    t = -min(max(t, ZERO), length)
+    a1 = fused(t, b1, a1)
+    a2 = fused(t, b2, a2)
+    a3 = fused(t, b3, a3)
+    return (length > ZERO) & (dot(a1, a2, a3, a1, a2, a3) < minor * minor)

@@ -53,14 +53,15 @@ from splits.transport.lanes.rows import (
     PORE_PATH,
     STATE,
     STATUS,
+    STRIDE,
     THICKNESS,
     TRIAL,
     TRIES,
-    VECTOR,
     WEIGHT,
     WET,
     WORDS,
     Scene,
+    Step,
     X,
     Y,
     Z,
@@ -97,6 +98,14 @@ def boundary(words, lane, dx, dy, dz, n1, n2, k2):
         return False, dx, dy, -dz
     dx, dy, dz = refracted(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
     return True, dx, dy, dz
+
+
+@kernel
+def step(optics, near, far):
+    """Return the `Step` from one material into another; none between equal ones."""
+    n1, k1, n2, k2 = optics.n[near], optics.k[near], optics.n[far], optics.k[far]
+    k = 0.0 if n1 == n2 and k1 == k2 else k2 / n1
+    return Step(single(n2 / n1), single((n2 - n1) / n1), single(k))
 
 
 @kernel
@@ -210,7 +219,7 @@ def close_ranks(state, words, length, ray, width, busy):
 
     A ray carries its random stream along, so its path does not depend on its lane.
     """
-    smaller = -(-busy // VECTOR) * VECTOR
+    smaller = -(-busy // STRIDE) * STRIDE
     free = 0
     for lane in range(smaller, width):
         if state[STATUS + lane] == IDLE:
@@ -257,7 +266,10 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
         single(optics.n[DRY_PORE]),
         single(optics.n[WET_PORE]),
         single(optics.k[WET_PORE]),
-        single(optics.n[core]),
+        step(optics, DRY_PORE, core),
+        step(optics, WET_PORE, core),
+        step(optics, core, DRY_PORE),
+        step(optics, core, WET_PORE),
         single(optics.absorption[WET_PORE]),
         single(optics.absorption[core]),
         rules.entry,
@@ -278,7 +290,7 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
     stream = np.zeros(1, dtype=np.uint64)
     state[STATUS : STATUS + LANES] = IDLE
     next_ray, busy, legs = 0, 0, 0
-    width = min(LANES, max(1, -(-rays // VECTOR)) * VECTOR)
+    width = min(LANES, max(1, -(-rays // STRIDE)) * STRIDE)
     flying, ended = 0, width
     while True:
         if ended > 0:
@@ -314,7 +326,7 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
                         state[STATUS + lane] = IDLE
             if busy == 0:
                 return legs, False
-            if busy <= width - VECTOR:
+            if busy <= width - STRIDE:
                 width = close_ranks(state, words, length, ray, width, busy)
             flying = 0
             for lane in range(width):

@@ -55,11 +55,12 @@ def features_for(
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
     mixed = grains.share.size > 1 or grains.layers.max() > 1
+    absorbing = False
     if not mixed:
         core = grains.material[0, 0]
         pores = [DRY_PORE, WET_PORE] if slab.saturation > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
-        mixed = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
+        absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
     default = (rules.entry, rules.facets, rules.wrong_side) == (
         spheroid.UNIFORM,
         facets.PROJECTED,
@@ -68,6 +69,7 @@ def features_for(
     return Features(
         wet=_feature(slab.saturation > 0.0),
         faceted=_feature(bool((grains.facetness > 0.0).any())),
+        absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),
         variant=_feature(not default),
         positions=_feature(positions),

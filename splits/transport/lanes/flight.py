@@ -5,12 +5,11 @@ The scalar counterpart is `splits.transport.granular`; see there for the physics
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy import float32 as single
 
 from splits.transport.absorption import NEXT_ROULETTE, ROULETTE_SURVIVAL
+from splits.transport.arithmetic import fused, root
 from splits.transport.elementary import circle, logarithm
 from splits.transport.granular import MAX_REJECTIONS
 from splits.transport.jit import HALF, ONE, TWO, ZERO, entry, kernel
@@ -35,6 +34,7 @@ from splits.transport.lanes.rows import (
     KEEP,
     KIND,
     LAST,
+    LANES,
     LAYER,
     LIMIT,
     LOST,
@@ -46,6 +46,7 @@ from splits.transport.lanes.rows import (
     NEW_FLATTENING,
     NEW_KIND,
     NEW_SIGMA,
+    PICKED,
     PORE_PATH,
     QX,
     QY,
@@ -53,8 +54,10 @@ from splits.transport.lanes.rows import (
     SIDE,
     SIGMA,
     STATUS,
+    STRIDE,
     TRIAL,
     TRIES,
+    VECTOR,
     WEIGHT,
     WET,
     WX,
@@ -64,8 +67,7 @@ from splits.transport.lanes.rows import (
     Y,
     Z,
 )  # fmt: skip
-from splits.transport.lanes.vectors import widest_vectors
-from splits.transport.rng import pick
+from splits.transport.lanes.vectors import look_up, two_at_a_time, widest_vectors
 from splits.transport.spheroid import (
     PROJECTED,
     crosses,
@@ -88,17 +90,8 @@ _TO_31 = single(2.0**-31)
 def position(u, last):
     """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last`."""
     below = u < HALF
-    root = math.sqrt(HALF * (u if below else ONE - u))
-    return (root if below else ONE - root) * last
-
-
-@kernel
-def read(table, row, x):
-    """Return a table's value at a position, joined linearly; a single row serves all types."""
-    row = min(row, table.shape[0] - 1)
-    j = min(int(x), table.shape[1] - 2)
-    low = table[row, j]
-    return low + (x - single(j)) * (table[row, j + 1] - low)
+    x = root(HALF * (u if below else max(ONE - u, ZERO)))
+    return (x if below else ONE - x) * last
 
 
 @entry
@@ -126,45 +119,36 @@ def draw_types(state, words, width, features, tables, share):
             state[AT_SIGMA + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
         if features.mixed is not None:
             state[AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
-    # Tables cannot be read in vector code, hence a loop of its own.  A trial refused for its
-    # axial position keeps type and shape, which made that likely.
-    for i in range(width):
-        keep = state[KEEP + i] > ZERO
-        kind = 0
-        if features.mixed is not None:
-            kind = int(state[NEW_KIND + i]) if keep else pick(share, state[AT_KIND + i])
-            state[NEW_KIND + i] = single(kind)
-        state[NEW_CURVATURE + i] = read(curvature, kind, state[AT_CURVATURE + i])
-        drawn = read(flattening, kind, state[AT_FLATTENING + i])
-        state[NEW_FLATTENING + i] = state[NEW_FLATTENING + i] if keep else drawn
+            state[PICKED + i] = ZERO
+    # A trial refused for its axial position keeps type and shape, which made that likely.
+    if features.mixed is not None:
+        for row in range(share.size - 1):
+            bound = single(share[row])
+            for i in range(width):
+                state[PICKED + i] += ONE if state[AT_KIND + i] >= bound else ZERO
+        for i in range(width):
+            kind = state[NEW_KIND + i]
+            state[NEW_KIND + i] = kind if state[KEEP + i] > ZERO else state[PICKED + i]
+    for i in range(0, width, VECTOR):
+        look_up(curvature, state, NEW_KIND + i, AT_CURVATURE + i, NEW_CURVATURE + i)
+        look_up(flattening, state, NEW_KIND + i, AT_FLATTENING + i, AT_FLATTENING + i)
         if features.faceted is not None:
-            state[NEW_SIGMA + i] = read(sigma, kind, state[AT_SIGMA + i])
+            look_up(sigma, state, NEW_KIND + i, AT_SIGMA + i, NEW_SIGMA + i)
+    for i in range(width):
+        old = state[NEW_FLATTENING + i]
+        state[NEW_FLATTENING + i] = old if state[KEEP + i] > ZERO else state[AT_FLATTENING + i]
 
 
-@entry
-def flight(state, words, width, features, scene):
-    """Give all lanes between grains their next grain, or another fate.
-
-    Parameters
-    ----------
-    state : float32[STATE]
-    words : uint32[WORDS]
-    width : int
-        Lanes in use, from the first on: a multiple of `rows.VECTOR`.
-    features, scene : Features, Scene
-        See `splits.transport.lanes.rows`.
-
-    Returns
-    -------
-    flying : int32
-        Lanes that still wait for a grain that fits.
-    ended : int32
-        Lanes that wait for the loop that ends and launches rays.
-    """
-    widest_vectors()
+@kernel
+def flights(state, words, first, features, scene):
+    """Do what `flight` does for `STRIDE` lanes from `first` on."""
     flying = np.int32(0)
     ended = np.int32(0)
-    for i in range(width):
+    widest_vectors()
+    # What cannot be negative needs no test for an index that counts from the end.
+    first &= LANES - 1
+    for j in range(STRIDE):
+        i = first + j
         status = state[STATUS + i]
         active = status == FLYING
         u_roulette, u_facing, u_azimuth = three(word(words, i, 0))
@@ -185,30 +169,31 @@ def flight(state, words, width, features, scene):
         z = state[Z + i]
         leg = -logarithm(u_leg) * scene.mean_leg
         # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
-        height = min(max(z + gz, -scene.depth), ZERO) + leg * dz
+        height = fused(leg, dz, min(max(z + gz, -scene.depth), ZERO))
         outside = (height > ZERO) | (height < -scene.depth)
 
         old_flattening = state[FLATTENING + i]
         flattening = state[NEW_FLATTENING + i]
-        minor = (ONE - flattening) / state[NEW_CURVATURE + i]
+        major = ONE / state[NEW_CURVATURE + i]
+        minor = (ONE - flattening) * major
         axial = TWO * u_axial - ONE
         placed = u_area * u_area < slope_squared(axial, flattening)
         facing = u_facing
         if features.variant is not None:
-            facing = math.sqrt(u_facing) if scene.entry == PROJECTED else u_facing
+            facing = root(u_facing) if scene.entry == PROJECTED else u_facing
         ca, sa = circle(u_azimuth)
         ct, st = circle(u_turn)
         qx, qy, qz, wx, wy, wz, _, _, _ = entry_point(
             dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
         refused = scene.reject_across_boundary & crosses(
-            height, qz, wz, axial, minor, flattening, scene.depth
+            height, qz, wz, axial, minor, major, scene.depth
         )
         refused = refused | (
             scene.reject_on_last_leg
             & cuts_segment(
                 qx, qy, qz, wx, wy, wz, minor, flattening,
-                -gx - leg * dx, -gy - leg * dy, -gz - leg * dz, lx, ly, lz, last,
+                fused(-leg, dx, -gx), fused(-leg, dy, -gy), fused(-leg, dz, -gz), lx, ly, lz, last,
             )
         )  # fmt: skip
         # The trial of the axial position comes before all else that a draw can lead to, so that
@@ -271,4 +256,35 @@ def flight(state, words, width, features, scene):
         state[STATUS + i] = after
         flying = np.int32(flying + 1) if after == FLYING else flying
         ended = np.int32(ended + 1) if after >= AT_BOUNDARY else ended
+    two_at_a_time()
+    return flying, ended
+
+
+@entry
+def flight(state, words, width, features, scene):
+    """Give all lanes between grains their next grain, or another fate.
+
+    Parameters
+    ----------
+    state : float32[STATE]
+    words : uint32[WORDS]
+    width : int
+        Lanes in use, from the first on: a multiple of `rows.STRIDE`.
+    features, scene : Features, Scene
+        See `splits.transport.lanes.rows`.
+
+    Returns
+    -------
+    flying : int32
+        Lanes that still wait for a grain that fits.
+    ended : int32
+        Lanes that wait for the loop that ends and launches rays.
+    """
+    widest_vectors()
+    flying = np.int32(0)
+    ended = np.int32(0)
+    for first in range(0, width, STRIDE):
+        more = flights(state, words, first, features, scene)
+        flying += more[0]
+        ended += more[1]
     return flying, ended

@@ -18,6 +18,9 @@ LANES = 64
 VECTOR = 16
 """Lanes that fill the widest vectors of today's machines."""
 
+STRIDE = 2 * VECTOR
+"""Lanes that a pass takes at a time."""
+
 (
     # Ray: position of the origin of its leg or of its entry into a grain; direction.
     X, Y, Z, DX, DY, DZ,
@@ -34,12 +37,12 @@ VECTOR = 16
     PORE_PATH, COAT_PATH, CORE_PATH,
     # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept.
     NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP,
-    # The numbers that decide these: positions in their tables, and one for the type.
-    AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND,
+    # What decides these: positions in their tables; a number for the type, and its choice.
+    AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
     # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
     KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,
-) = (LANES * row for row in range(51))  # fmt: skip
-STATE = 51 * LANES
+) = (LANES * row for row in range(52))  # fmt: skip
+STATE = 52 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT = (LANES * row for row in range(3))
 """Rows of the random streams, uint32: key, and numbers drawn so far."""
@@ -61,8 +64,10 @@ class Features(NamedTuple):
         Some legs run through wet pores.
     faceted : True or None
         Grains are not all smooth.
+    absorbing : True or None
+        Extinction coefficients show in reflection.
     mixed : True or None
-        Several types, coatings, or grains whose extinction coefficient shows in reflection.
+        Several types, or coatings; includes `absorbing`.
     variant : True or None
         Readings of the papers other than the default in entry point, facets or wrong side.
     positions : True or None
@@ -71,9 +76,26 @@ class Features(NamedTuple):
 
     wet: bool | None
     faceted: bool | None
+    absorbing: bool | None
     mixed: bool | None
     variant: bool | None
     positions: bool | None
+
+
+class Step(NamedTuple):
+    """What light meets that steps from one medium into another, all float32.
+
+    Attributes
+    ----------
+    m, k : float32
+        Real and imaginary part of the index beyond, in units of the real index on this side.
+    contrast : float32
+        m − 1, with all its digits.
+    """
+
+    m: np.float32
+    contrast: np.float32
+    k: np.float32
 
 
 class Scene(NamedTuple):
@@ -83,8 +105,10 @@ class Scene(NamedTuple):
     ----------
     mean_leg, depth : float32
     saturation : float32
-    n_dry, n_wet, k_wet, n_core : float32
-        The grain's only where all grains are alike.
+    n_dry, n_wet, k_wet : float32
+        Indices of the pores.
+    into_dry, into_wet, out_to_dry, out_to_wet : Step
+        From pores into grains and back, where all grains are alike.
     a_wet, a_core : float32
         Absorption coefficients for roulette.
     """
@@ -95,7 +119,10 @@ class Scene(NamedTuple):
     n_dry: np.float32
     n_wet: np.float32
     k_wet: np.float32
-    n_core: np.float32
+    into_dry: Step
+    into_wet: Step
+    out_to_dry: Step
+    out_to_wet: Step
     a_wet: np.float32
     a_core: np.float32
     entry: np.int32

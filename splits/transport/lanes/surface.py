@@ -5,15 +5,14 @@ The scalar counterpart is `splits.transport.grain`; see there for the physics.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy import float32 as single
 
 from splits.transport import facets
+from splits.transport.arithmetic import fused, reciprocal_root, root
 from splits.transport.elementary import half_circle, logarithm
 from splits.transport.facets import facet_normal, projected_choice
-from splits.transport.frames import mirrored, normalized
+from splits.transport.frames import dot, mirrored, normalized
 from splits.transport.fresnel import fraction, normal_component
 from splits.transport.jit import HALF, ONE, TWO, ZERO, entry, kernel
 from splits.transport.lanes.numbers import three, word
@@ -34,6 +33,7 @@ from splits.transport.lanes.rows import (
     GZ,
     K_CORE,
     K_OUTER,
+    LANES,
     LAYER,
     LAYERS,
     LOBE_BACK,
@@ -47,6 +47,7 @@ from splits.transport.lanes.rows import (
     SIDE,
     SIGMA,
     STATUS,
+    STRIDE,
     THICKNESS,
     TRIAL,
     WET,
@@ -54,7 +55,7 @@ from splits.transport.lanes.rows import (
     WY,
     WZ,
 )  # fmt: skip
-from splits.transport.lanes.vectors import widest_vectors
+from splits.transport.lanes.vectors import two_at_a_time, widest_vectors
 from splits.transport.spheroid import across, normal_at
 
 _GRAZING = single(1e-6)
@@ -67,38 +68,26 @@ _MINUS_TWO = single(-2.0)
 def leaning(sigma, u1, u2):
     """Return |ξ| of `facets.lean`, by Box & Muller (1958); to be refused from 1 on."""
     _, cosine = half_circle(u2)
-    return sigma * math.sqrt(_MINUS_TWO * logarithm(u1)) * cosine
+    return sigma * root(_MINUS_TWO * logarithm(u1)) * cosine
 
 
 @kernel
 def any_choice(c, s, cos_azimuth, cos_i, sin_i, u, rule):
     """Return what `facets.projected_choice` does, for the other two rules."""
     cos_azimuth = -cos_azimuth if u < HALF else cos_azimuth
-    cos_facet = c * cos_i + s * sin_i * cos_azimuth
+    cos_facet = fused(c, cos_i, s * sin_i * cos_azimuth)
     return (cos_facet > ZERO) | ((rule == facets.ANY) & (cos_facet < ZERO)), cos_azimuth, cos_facet
 
 
-@entry
-def surface(state, words, width, features, scene):
-    """Advance all lanes that are at a grain's surface by one trial.
-
-    Parameters
-    ----------
-    state : float32[STATE]
-    words : uint32[WORDS]
-    width : int
-        Lanes in use, from the first on: a multiple of `rows.VECTOR`.
-    features, scene : Features, Scene
-        See `splits.transport.lanes.rows`.
-
-    Returns
-    -------
-    flying : int32
-        Lanes that now wait for a grain.
-    """
-    widest_vectors()
+@kernel
+def trials(state, words, first, features, scene):
+    """Do what `surface` does for `STRIDE` lanes from `first` on."""
     flying = np.int32(0)
-    for i in range(width):
+    widest_vectors()
+    # What cannot be negative needs no test for an index that counts from the end.
+    first &= LANES - 1
+    for j in range(STRIDE):
+        i = first + j
         status = state[STATUS + i]
         active = (status >= TRIAL) & (status <= LOBE_THROUGH)
         lobe = status > TRIAL
@@ -122,18 +111,21 @@ def surface(state, words, width, features, scene):
         nx *= side
         ny *= side
         nz *= side
-        cos_i = max(-(dx * nx + dy * ny + dz * nz), _GRAZING)
+        cos_i = max(-dot(dx, dy, dz, nx, ny, nz), _GRAZING)
 
         accepted = True
         cos_facet = cos_i
         if features.faceted is not None:
-            tx = -dx - cos_i * nx
-            ty = -dy - cos_i * ny
-            tz = -dz - cos_i * nz
-            sin_i = math.sqrt(max(tx * tx + ty * ty + tz * tz, _NORMAL2))
+            tx = fused(cos_i, nx, dx)
+            ty = fused(cos_i, ny, dy)
+            tz = fused(cos_i, nz, dz)
+            tangential2 = max(dot(tx, ty, tz, tx, ty, tz), _NORMAL2)
+            per_sin = reciprocal_root(tangential2)
+            sin_i = tangential2 * per_sin
             lean = leaning(state[SIGMA + i], u1, u2)
             c = ONE - lean
-            s = math.sqrt(max(lean * (TWO - lean), ZERO))
+            # A lobe's sine takes the same root.
+            s = root(max(ONE - u_fresnel if lobe else lean * (TWO - lean), ZERO))
             sin_azimuth, cos_azimuth = half_circle(u_azimuth)
             lobe_azimuth = -cos_azimuth if u_choice < HALF else cos_azimuth
             if features.variant is not None and scene.facets != facets.PROJECTED:
@@ -155,14 +147,11 @@ def surface(state, words, width, features, scene):
             drawn_wet = ONE if u_wet < scene.saturation else ZERO
             new_wet = wet if lobe & outward else drawn_wet
         pore_wet = (new_wet if outward else wet) > ZERO
-        n_pore = scene.n_dry
-        k_pore = ZERO
-        if features.wet is not None:
-            n_pore = scene.n_wet if pore_wet else scene.n_dry
-            k_pore = scene.k_wet if pore_wet else ZERO
         sin2 = max((ONE - cos_facet) * (ONE + cos_facet), ZERO)
         layer = state[LAYER + i]
         if features.mixed is not None:
+            n_pore = scene.n_wet if pore_wet else scene.n_dry
+            k_pore = scene.k_wet if pore_wet else ZERO
             n_outer, k_outer = state[N_OUTER + i], state[K_OUTER + i]
             n_core, k_core = state[N_CORE + i], state[K_CORE + i]
             below = layer > ONE
@@ -177,20 +166,38 @@ def surface(state, words, width, features, scene):
             n_there = n_last if outward else n_next
             k_there = k_last if outward else k_next
             same = (n_here == n_there) & (k_here == k_there)
-            m = n_there / n_here
-            contrast = (n_there - n_here) / n_here
-            k = k_there / n_here
+            per_here = ONE / n_here
+            m = n_there * per_here
+            contrast = (n_there - n_here) * per_here
+            k = k_there * per_here
             a, b2 = normal_component(m, contrast, k, cos_facet, True)
             a = cos_facet if same else a
             b2 = ZERO if same else b2
-            ratio = ONE if same else ONE / math.sqrt(sin2 + a * a)
+            ratio = ONE if same else reciprocal_root(fused(a, a, sin2))
         else:
-            step = scene.n_core - n_pore
-            m = n_pore / scene.n_core if outward else scene.n_core / n_pore
-            contrast = -step / scene.n_core if outward else step / n_pore
+            into, out_of = scene.into_dry, scene.out_to_dry
+            m_in, contrast_in = into.m, into.contrast
+            m_out, contrast_out = out_of.m, out_of.contrast
+            if features.wet is not None:
+                into, out_of = scene.into_wet, scene.out_to_wet
+                m_in = into.m if pore_wet else m_in
+                contrast_in = into.contrast if pore_wet else contrast_in
+                m_out = out_of.m if pore_wet else m_out
+                contrast_out = out_of.contrast if pore_wet else contrast_out
+            m = m_out if outward else m_in
+            contrast = contrast_out if outward else contrast_in
             k = ZERO
-            a, b2 = normal_component(m, contrast, k, cos_facet, False)
-            ratio = ONE / m
+            if features.absorbing is not None:
+                k_in, k_out = scene.into_dry.k, ZERO
+                if features.wet is not None:
+                    k_in = scene.into_wet.k if pore_wet else k_in
+                    k_out = scene.out_to_wet.k if pore_wet else ZERO
+                k = k_out if outward else k_in
+                a, b2 = normal_component(m, contrast, k, cos_facet, True)
+                ratio = reciprocal_root(fused(a, a, sin2))
+            else:
+                a, b2 = normal_component(m, contrast, k, cos_facet, False)
+                ratio = m_in if outward else m_out
         numerator, denominator = fraction(m, contrast, k, cos_facet, sin2, a, b2)
         reflected = (u_fresnel * denominator < numerator) | (a == ZERO)
         if features.mixed is not None:
@@ -206,17 +213,16 @@ def surface(state, words, width, features, scene):
             g = ZERO if lobe else g
             h = ONE if lobe else h
             passed = (status == LOBE_THROUGH) if lobe else passed
-            cos_lobe = math.sqrt(u_fresnel)
+            cos_lobe = root(u_fresnel)
             c = (-cos_lobe if passed else cos_lobe) if lobe else c
-            s = math.sqrt(ONE - u_fresnel) if lobe else s
             cos_azimuth = lobe_azimuth if lobe else cos_azimuth
             mx, my, mz = facet_normal(
-                dx, dy, dz, nx, ny, nz, cos_i, sin_i, c, s, cos_azimuth, sin_azimuth
+                dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_azimuth
             )
         else:
             mx, my, mz = nx, ny, nz
-        ex, ey, ez = normalized(g * dx + h * mx, g * dy + h * my, g * dz + h * mz)
-        out = ex * nx + ey * ny + ez * nz
+        ex, ey, ez = normalized(fused(g, dx, h * mx), fused(g, dy, h * my), fused(g, dz, h * mz))
+        out = dot(ex, ey, ez, nx, ny, nz)
         right = True
         if features.faceted is not None:
             right = (out < ZERO) if passed else (out > ZERO)
@@ -276,4 +282,30 @@ def surface(state, words, width, features, scene):
         after = after if active else status
         state[STATUS + i] = after
         flying = np.int32(flying + 1) if after == FLYING else flying
+    two_at_a_time()
+    return flying
+
+
+@entry
+def surface(state, words, width, features, scene):
+    """Advance all lanes that are at a grain's surface by one trial.
+
+    Parameters
+    ----------
+    state : float32[STATE]
+    words : uint32[WORDS]
+    width : int
+        Lanes in use, from the first on: a multiple of `rows.STRIDE`.
+    features, scene : Features, Scene
+        See `splits.transport.lanes.rows`.
+
+    Returns
+    -------
+    flying : int32
+        Lanes that now wait for a grain.
+    """
+    widest_vectors()
+    flying = np.int32(0)
+    for first in range(0, width, STRIDE):
+        flying += trials(state, words, first, features, scene)
     return flying

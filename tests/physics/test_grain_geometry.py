@@ -107,7 +107,7 @@ def test_a_point_off_the_unit_sphere_is_brought_back(random, psi):
 @pytest.mark.parametrize("psi", SPHERICITIES)
 def test_crosses_against_the_highest_and_lowest_point(random, psi):
     c, flattening = shape(psi)
-    depth = 12.0
+    major, depth = c / (1.0 - flattening), 12.0
     for _ in range(50):
         axis = unit(random.normal(size=3))
         m = form(psi, axis)
@@ -118,12 +118,12 @@ def test_crosses_against_the_highest_and_lowest_point(random, psi):
         top = (top / np.sqrt(top @ m @ top))[2]
         for hair in (-1e-12, 1e-12):
             for height in (p[2] - top + hair, p[2] + top - depth - hair):
-                crosses = spheroid.crosses(height, q[2], axis[2], q @ axis, c, flattening, depth)
+                crosses = spheroid.crosses(height, q[2], axis[2], q @ axis, c, major, depth)
                 assert crosses == (hair > 0.0)
         # Somewhere at random, and between boundaries that are nearer than the grain is high.
         height = random.uniform(-depth, 0.0)
         outside = height - p[2] + top > 0.0 or height - p[2] - top < -depth
-        args = (q[2], axis[2], q @ axis, c, flattening)
+        args = (q[2], axis[2], q @ axis, c, major)
         assert spheroid.crosses(height, *args, depth) == outside
         assert spheroid.crosses(-0.5 * top + p[2], *args, 1.9 * top)
 

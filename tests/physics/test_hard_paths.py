@@ -154,7 +154,7 @@ def test_rays_along_the_axes_of_a_grain(axis, psi):
         assert spheroid.normal_at(*-d, *axis, flattening) == pytest.approx(-d, abs=1e-15)
         # Struck at this pole: it reaches over the boundary when it is a hair too near.
         height = a if abs(axis[2]) == 1.0 else c
-        entered = (-d[2], axis[2], float(-d @ axis), c, flattening)
+        entered = (-d[2], axis[2], float(-d @ axis), c, a)
         up = -semi * d[2]
         for hair, over in ((-1e-15, False), (1e-15, True)):
             at_top = up - height * (1.0 - hair)

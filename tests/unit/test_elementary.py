@@ -13,7 +13,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport import elementary
+from splits.transport import arithmetic, elementary
 
 pytestmark = NEEDS_JIT
 single = np.float32
@@ -41,6 +41,18 @@ def _half_circles(x, out):
 def _circles(x, out):
     for i in range(x.size):
         out[i] = elementary.circle(x[i])
+
+
+@njit
+def _reciprocal_roots(x, out):
+    for i in range(x.size):
+        out[i] = arithmetic.reciprocal_root(x[i])
+
+
+@njit
+def _roots(x, out):
+    for i in range(x.size):
+        out[i] = arithmetic.root(x[i])
 
 
 def evaluated(loop, x, width=1):
@@ -189,3 +201,20 @@ def test_circle(arguments):
     print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 1e-6
     assert np.abs((points**2).sum(axis=1) - 1.0).max() <= 2e-6
+
+
+def test_roots_over_their_range():
+    x = every(1e-36, 1e30, 1009)
+    reference = np.sqrt(x.astype(float))
+    assert np.abs(evaluated(_reciprocal_roots, x) * reference - 1.0).max() <= 2e-7
+    assert np.abs(evaluated(_roots, x) / reference - 1.0).max() <= 3e-7
+    assert evaluated(_roots, np.zeros(1))[0] == 0.0
+
+
+def test_roots_in_double_precision_are_those_of_the_library():
+    x = np.logspace(-300, 300, 1001)
+    double = np.empty_like(x)
+    _reciprocal_roots(x, double)
+    assert (double == 1.0 / np.sqrt(x)).all()
+    _roots(x, double)
+    assert (double == np.sqrt(x)).all()

@@ -42,7 +42,7 @@ SCENES = {
     "dry and smooth": (splits.Snow(saturation=0.0, facetness=SMOOTH), {}, set()),
     "with positions": (splits.Snow(), {"positions": True}, {"wet", "faceted", "positions"}),
     "k that does not show": (splits.Snow(), {"k": 1e-8}, {"wet", "faceted"}),
-    "k that shows": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "mixed"}),
+    "k that shows": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "absorbing"}),
     "sand": (splits.Sand(), {}, {"faceted", "mixed"}),
     "wet sand": (splits.Sand(saturation=0.3), {}, {"wet", "faceted", "mixed"}),
     "barely deep enough": (
@@ -123,7 +123,7 @@ def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
     optics = Optics(np.array([1.0, n_pore, n_core]), np.array([0.0, k_pore, k_core]), np.zeros(3))
     slab = Slab(0.1, saturation, 1.0, False)
     found = features_for(splits.Snow().grains(), slab, splits.Readings().rules(), optics)
-    return found.mixed is None
+    return found.absorbing is None
 
 
 @pytest.mark.parametrize("where", GRAINS)

@@ -33,8 +33,8 @@ from splits.transport.lanes.rows import (
     GZ,
     KEEP,
     KIND,
-    LAST,
     LANES,
+    LAST,
     LAYER,
     LIMIT,
     LOST,
@@ -94,9 +94,46 @@ def position(u, last):
     return (x if below else ONE - x) * last
 
 
+@kernel
+def draws(state, words, first, features, last):
+    """Draw the numbers that decide the next grain of `STRIDE` lanes from `first` on."""
+    widest_vectors()
+    first &= LANES - 1
+    for j in range(STRIDE):
+        i = first + j
+        bits = word(words, i, 3)
+        state[AT_CURVATURE + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
+        state[AT_FLATTENING + i] = position((single(np.int32(bits & _LOW31)) + HALF) * _TO_31, last)
+        bits = word(words, i, 4)
+        if features.faceted is not None:
+            state[AT_SIGMA + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
+        if features.mixed is not None:
+            state[AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
+            state[PICKED + i] = ZERO
+    two_at_a_time()
+
+
+@kernel
+def picks(state, first, share):
+    """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
+    widest_vectors()
+    first &= LANES - 1
+    for row in range(share.size - 1):
+        bound = single(share[row])
+        for j in range(STRIDE):
+            i = first + j
+            state[PICKED + i] += ONE if state[AT_KIND + i] >= bound else ZERO
+    for j in range(STRIDE):
+        i = first + j
+        kind, picked = state[NEW_KIND + i], state[PICKED + i]
+        state[NEW_KIND + i] = kind if state[KEEP + i] > ZERO else picked
+
+
 @entry
 def draw_types(state, words, width, features, tables, share):
     """Draw type, size, shape and roughness of the next grain in every lane.
+
+    A trial refused for its axial position keeps type and shape, which made that likely.
 
     Parameters
     ----------
@@ -108,35 +145,21 @@ def draw_types(state, words, width, features, tables, share):
     share : float64[types]
         See `splits.transport.scene.Grains`.
     """
+    widest_vectors()
     curvature, flattening, sigma = tables
     last = single(curvature.shape[1] - 1)
-    for i in range(width):
-        bits = word(words, i, 3)
-        state[AT_CURVATURE + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
-        state[AT_FLATTENING + i] = position((single(np.int32(bits & _LOW31)) + HALF) * _TO_31, last)
-        bits = word(words, i, 4)
-        if features.faceted is not None:
-            state[AT_SIGMA + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
+    for first in range(0, width, STRIDE):
+        draws(state, words, first, features, last)
         if features.mixed is not None:
-            state[AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
-            state[PICKED + i] = ZERO
-    # A trial refused for its axial position keeps type and shape, which made that likely.
-    if features.mixed is not None:
-        for row in range(share.size - 1):
-            bound = single(share[row])
-            for i in range(width):
-                state[PICKED + i] += ONE if state[AT_KIND + i] >= bound else ZERO
-        for i in range(width):
-            kind = state[NEW_KIND + i]
-            state[NEW_KIND + i] = kind if state[KEEP + i] > ZERO else state[PICKED + i]
+            picks(state, first, share)
     for i in range(0, width, VECTOR):
         look_up(curvature, state, NEW_KIND + i, AT_CURVATURE + i, NEW_CURVATURE + i)
         look_up(flattening, state, NEW_KIND + i, AT_FLATTENING + i, AT_FLATTENING + i)
         if features.faceted is not None:
             look_up(sigma, state, NEW_KIND + i, AT_SIGMA + i, NEW_SIGMA + i)
     for i in range(width):
-        old = state[NEW_FLATTENING + i]
-        state[NEW_FLATTENING + i] = old if state[KEEP + i] > ZERO else state[AT_FLATTENING + i]
+        old, drawn = state[NEW_FLATTENING + i], state[AT_FLATTENING + i]
+        state[NEW_FLATTENING + i] = old if state[KEEP + i] > ZERO else drawn
 
 
 @kernel

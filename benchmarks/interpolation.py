@@ -16,9 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.instruments.ensemble import Ensemble, Runner
+from splits.instruments.ensemble import Ensemble
 from splits.instruments.fixed import fixed_spectrum
 from splits.instruments.nodes import CURVATURE, SLOPE, choose_nodes
+from splits.instruments.runner import Runner
 from splits.materials.refractive_index import absorption_coefficient
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.

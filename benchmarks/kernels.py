@@ -38,7 +38,6 @@ import pandas as pd
 
 import splits
 from splits.analysis.tables import write_table
-from splits.instruments.ensemble import BATCH, JOB
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, lanes
 from splits.transport.lanes.choice import features_for
@@ -69,6 +68,7 @@ SMOOTH = {"facetness": (0, 0, 0, 0), "saturation": 0}
 ROUGH = SMOOTH | {"facetness": (0.2, 0.4, 0.3, 0.072)}
 HARMLESS = {
     "water": "wet",
+    "extinction in reflection": "absorbing",
     "mixed types, coatings": "mixed",
     "other readings": "variant",
     "positions": "positions",
@@ -106,17 +106,17 @@ WAYS = {
 
 @dataclass(frozen=True)
 class Plan:
-    """How much to measure: rounds, batches per call, seconds per timing, error and spectra."""
+    """How much to measure: rounds, rays per call, seconds per timing, error and spectra."""
 
     rounds: int = 7
-    batches: int = JOB
+    rays: int = 16_384
     seconds: float = 0.5
     error: float = 0.001
     spectra: int = 3
     snow_rays: int = 16_384
 
 
-QUICK = Plan(1, 1, 0.05, 0.01, 1, 2_048)
+QUICK = Plan(1, 512, 0.05, 0.01, 1, 2_048)
 
 
 class Bench:
@@ -140,18 +140,20 @@ class Bench:
 
     def run(self, seed: int, first: int) -> int:
         """Trace rays from one of that number on and return their legs."""
-        given = (seed, 0, first, self.rays, *self.scene, self.exits)
+        *scene, optics = self.scene
         if self.features is None:
-            *_, legs, lost = granular.batch(*given)
+            legs, lost = granular.batch(seed, 0, first, self.rays, *scene, optics, self.exits)
         else:
-            *_, legs, lost = lanes.batch(*given, self.features)
+            work = np.array([[0, first, self.rays]])
+            optics = Optics(*(values[np.newaxis] for values in optics))
+            (legs,), lost = lanes.batch(seed, work, *scene, optics, self.exits, self.features)
         if lost:
             raise RuntimeError("a ray was lost")
         return int(legs)
 
     def prepare(self, plan: Plan) -> None:
         """Compile, and choose how many calls make a timing of the length planned."""
-        self.rays = plan.batches * BATCH["scalar" if self.features is None else "lanes"]
+        self.rays = plan.rays if self.features else plan.rays // 8
         self.exits = exit_rows(self.rays, self.scene[3].n.size)
         self.run(0, 0)
         begun = time.perf_counter()

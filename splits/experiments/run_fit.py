@@ -127,7 +127,7 @@ def effort_for(max_stderr: float) -> Effort:
     if max_stderr <= 0.005:
         return Effort(max_stderr=max_stderr)
     return Effort(
-        points=32, starts=(2, 1), evaluations=(20, 20), rays=(128, 256, 512), max_stderr=max_stderr
+        points=32, starts=(2, 1), evaluations=(20, 20), rays=(512, 512, 512), max_stderr=max_stderr
     )
 
 

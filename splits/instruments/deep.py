@@ -13,8 +13,8 @@ import xarray as xr
 
 from splits.checks import in_range
 from splits.dataset import attributes, provenance
-from splits.instruments.ensemble import Progress
 from splits.instruments.fixed import check_whole
+from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import WAVELENGTH, single_scattering
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.materials.refractive_index import absorption_coefficient

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import Ensemble, Runner
+from splits.instruments.ensemble import Ensemble
 from splits.instruments.nodes import choose_nodes
+from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 
@@ -76,6 +77,7 @@ def spectral(
     levels = [(e, level) for e in ensembles for level in e.levels]
     weights = nodes.weights[:, np.newaxis, :]
 
+    runner.prepare(ensembles)
     runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
     while True:
         mean = np.einsum("jw,jqw->qw", nodes.weights, np.stack([e.means() for e in ensembles]))
@@ -95,8 +97,8 @@ def spectral(
         step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
         step *= min(1.0, (max_rays - rays.sum()) / step.sum())
         left = float((wanted - rays - step).clip(0).sum())
-        # However few rays are left, at least the level that wants most gets some.
-        least = min(1.0, step.max())
+        # Small wishes wait, but however few rays are left, the level that wants most gets some.
+        least = min(0.5 * BATCH, step.max())
         work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
         runner.trace(work, float(stderr.max()), max_stderr, left)
     return Estimate(
@@ -144,7 +146,8 @@ def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble
         rays *= excess(rays).max()
     rays = np.maximum(rays, floor)
     # What the floor gives away can be saved elsewhere; a little is added against falling short.
-    return np.maximum(np.ceil(1.03 * rays * max(excess(rays).max(), 0.1)), floor + 1.0)
+    wanted = np.maximum(np.ceil(1.03 * rays * max(excess(rays).max(), 0.1)), floor)
+    return wanted if (wanted > floor).any() else floor + BATCH
 
 
 def analog(

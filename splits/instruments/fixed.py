@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.ensemble import Ensemble, Runner
+from splits.instruments.ensemble import Ensemble
 from splits.instruments.nodes import nodes_at
+from splits.instruments.runner import Runner
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
@@ -79,6 +80,7 @@ def fixed_spectrum(
         if w.any()
     ]
     weights = nodes.weights[nodes.weights.any(axis=1)]
+    runner.prepare(ensembles)
     runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.levels], 1.0, 0.0)
     mean = np.einsum("jw,jqw->qw", weights, np.stack([e.means() for e in ensembles]))
     variance = np.zeros((3, len(wavelengths)))

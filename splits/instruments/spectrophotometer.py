@@ -12,8 +12,8 @@ import xarray as xr
 
 from splits.checks import in_range, one_of, refuse
 from splits.dataset import attributes, provenance
-from splits.instruments.ensemble import KERNELS, Progress, Runner
 from splits.instruments.estimators import ESTIMATORS
+from splits.instruments.runner import KERNELS, Progress, Runner
 from splits.media.granular import GranularMedium
 from splits.transport import sources_digest
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import config, njit
 
-ALIKE = {"error_model": "numpy", "forceinline": True}
+ALIKE: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `kernel`."""
 
 kernel = njit(cache=True, **ALIKE)

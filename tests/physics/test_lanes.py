@@ -10,11 +10,13 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.instruments.ensemble import BATCH, Ensemble, Runner
+from splits.instruments.ensemble import Ensemble
 from splits.instruments.fixed import EVERY_RAY
+from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import lanes
 from splits.transport.lanes.rows import LANES
+from splits.transport.scene import Optics
 from splits.transport.tally import exit_rows
 
 pytestmark = NEEDS_JIT
@@ -74,6 +76,32 @@ def test_lanes_agree_with_the_scalar_kernel():
         judge_z(values, f"{quantity}, lanes against scalar")
 
 
+def alone(optics):
+    """Return the optics of work of a single item."""
+    return Optics(*(values[np.newaxis] for values in optics))
+
+
+def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
+    runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
+    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.grains.attenuation)
+    each = [e.levels[0].optics for e in work]
+    features = runner.features(each[0])
+    scene = runner.grains, runner.slab, runner.rules
+
+    def exits(items, optics):
+        rows = exit_rows(sum(rays for *_, rays in items), 3)
+        legs, lost = lanes.batch(3, np.array(items), *scene, optics, rows, features)
+        assert not lost and legs.min() > 0
+        return rows, legs
+
+    items = [(0, 0, 101), (4, 50, 1), (4, 7, 300), (0, 200, 33)]
+    optics = [each[0], each[1], each[1], each[0]]
+    together, legs = exits(items, Optics(*map(np.stack, zip(*optics, strict=True))))
+    apart = [exits([item], alone(one)) for item, one in zip(items, optics, strict=True)]
+    assert np.array_equal(together, np.concatenate([rows for rows, _ in apart]), equal_nan=True)
+    assert legs.tolist() == [int(count[0]) for _, count in apart]
+
+
 def test_a_path_does_not_depend_on_lane_or_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "lanes")
@@ -83,8 +111,9 @@ def test_a_path_does_not_depend_on_lane_or_batch():
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
-        scene = (runner.grains, runner.slab, runner.rules, optics, rows, features)
-        _, lost = lanes.batch(3, 0, first, rays, *scene)
+        work = np.array([[0, first, rays]])
+        scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
+        _, lost = lanes.batch(3, work, *scene)
         assert not lost
         return rows
 
@@ -98,13 +127,13 @@ def test_a_path_does_not_depend_on_lane_or_batch():
 @pytest.mark.parametrize("medium", [splits.Snow(depth_m=0.03), splits.Sand()], ids=["snow", "sand"])
 def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
     wavelengths = np.array([650.0, 900.0])
-    size = BATCH[kernel]
     batches = 12
 
     def moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
         work = ensembles(medium, wavelengths, runner.grains.attenuation)
-        runner.trace([(e, e.levels[0], batches * size) for e in work], 1.0, 0.0)
+        runner.prepare(work)
+        runner.trace([(e, e.levels[0], batches * BATCH) for e in work], 1.0, 0.0)
         return np.stack([e.moments for e in work])
 
     def merged(jobs):
@@ -113,9 +142,10 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
             work = ensembles(medium, wavelengths, runner.grains.attenuation)
+            runner.prepare(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
-                    (tally,), _ = runner.tallies(e, e.levels[0], batch * size, 1)
+                    ((tally,), _), *_ = runner.tallies([(e, e.levels[0], batch * BATCH, 1)])
                     parts[number, batch] = tally
         work = ensembles(medium, wavelengths, runner.grains.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
@@ -137,8 +167,8 @@ def test_light_is_neither_lost_nor_made(positions):
     optics = ensemble.levels[0].optics
     features = runner.features(optics)._replace(positions=True if positions else None)
     rows = exit_rows(3000, 3)
-    scene = (runner.grains, runner.slab, runner.rules, optics, rows, features)
-    _, lost = lanes.batch(5, 0, 0, 3000, *scene)
+    scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
+    _, lost = lanes.batch(5, np.array([[0, 0, 3000]]), *scene)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
     directions = rows[:, 2:5]

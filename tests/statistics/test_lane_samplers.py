@@ -352,13 +352,8 @@ DEPTH = 1e4
 def deep_scene(medium, variant):
     """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
     grains, rules = medium.grains(), medium.readings.rules()
-    into, out = (
-        rows.Step(*map(single, (1.31, 0.31, 0.0))),
-        rows.Step(*map(single, (0.76, -0.24, 0.0))),
-    )
     scene = rows.Scene(
-        single(1.0 / grains.attenuation), single(DEPTH), single(0.0), single(1.0), single(1.33),
-        single(0.0), into, into, out, out, single(0.0), single(0.0), rules.entry, rules.facets,
+        single(1.0 / grains.attenuation), single(DEPTH), single(0.0), rules.entry, rules.facets,
         False, False, False,
     )  # fmt: skip
     tables = (

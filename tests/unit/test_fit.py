@@ -22,7 +22,7 @@ LITTLE = Effort(
     points=32,
     starts=(2, 1),
     evaluations=(20, 20),
-    rays=(128, 512, 8192),
+    rays=(512, 512, 8192),
     max_stderr=0.002,
 )
 LEAST = Effort(points=8, starts=(1,), evaluations=(10,), rays=(128, 128), max_stderr=0.02)

@@ -7,9 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT
 
 from splits import Sand, Snow, spectrophotometer
-from splits.instruments.ensemble import BATCH
 from splits.instruments.fixed import fixed_spectrum, spread_rows
 from splits.instruments.nodes import contrasts, nodes_at
+from splits.instruments.runner import BATCH
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 ROWS = spread_rows(len(WAVELENGTHS))
@@ -47,7 +47,7 @@ def test_it_agrees_with_the_spectrophotometer(medium):
 
 @NEEDS_JIT
 def test_more_rays_mean_smaller_errors():
-    few, many = (fixed(Sand(**SAND), rays, 1)[1][0] for rays in (1, 16 * BATCH["lanes"]))
+    few, many = (fixed(Sand(**SAND), rays, 1)[1][0] for rays in (1, 64 * BATCH))
     np.testing.assert_allclose(few / many, 4.0, rtol=0.3)
 
 

@@ -1,6 +1,6 @@
 """A batch of rays on lanes: launches, boundaries and ends between the passes.
 
-Counterpart of `splits.transport.granular.batch`: the same arguments, the same exits.
+Counterpart of `splits.transport.granular.batch`, for several ensembles at a time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ from splits.transport.lanes.numbers import double, word
 from splits.transport.lanes.rows import (
     A_CORE,
     A_OUTER,
+    A_WET,
     AT_BOUNDARY,
+    C_IN_DRY,
+    C_IN_WET,
+    C_OUT_DRY,
+    C_OUT_WET,
     COAT_PATH,
     CORE_PATH,
     COUNT,
@@ -33,7 +38,11 @@ from splits.transport.lanes.rows import (
     GZ,
     IDLE,
     K_CORE,
+    K_IN_DRY,
+    K_IN_WET,
+    K_OUT_WET,
     K_OUTER,
+    K_WET,
     KEEP,
     KEY_HIGH,
     KEY_LOW,
@@ -42,14 +51,21 @@ from splits.transport.lanes.rows import (
     LAST,
     LAYER,
     LAYERS,
+    LEGS,
     LIMIT,
     LOST,
     LX,
     LY,
     LZ,
+    M_IN_DRY,
+    M_IN_WET,
+    M_OUT_DRY,
+    M_OUT_WET,
     MINOR,
     N_CORE,
+    N_DRY,
     N_OUTER,
+    N_WET,
     PORE_PATH,
     STATE,
     STATUS,
@@ -61,7 +77,6 @@ from splits.transport.lanes.rows import (
     WET,
     WORDS,
     Scene,
-    Step,
     X,
     Y,
     Z,
@@ -101,28 +116,20 @@ def boundary(words, lane, dx, dy, dz, n1, n2, k2):
 
 
 @kernel
-def step(optics, near, far):
-    """Return the `Step` from one material into another; none between equal ones."""
-    n1, k1, n2, k2 = optics.n[near], optics.k[near], optics.n[far], optics.k[far]
-    k = 0.0 if n1 == n2 and k1 == k2 else k2 / n1
-    return Step(single(n2 / n1), single((n2 - n1) / n1), single(k))
-
-
-@kernel
-def launch(state, words, lane, seed, ensemble, ray, slab, rules, optics, stream):
-    """Start a ray in a lane; return False if the slab's wet top sends it back at once."""
-    start_stream(stream, seed, ensemble, ray)
+def launch(state, words, lane, seed, work, item, number, slab, rules, optics, core, stream):
+    """Start a ray of an item in a lane; False if the slab's wet top sends it back at once."""
+    start_stream(stream, seed, work[item, 0], work[item, 1] + number)
     words[KEY_HIGH + lane] = np.uint32(stream[0] >> np.uint64(32))
     words[KEY_LOW + lane] = np.uint32(stream[0] & _LOW32)
     words[COUNT + lane] = np.uint32(1)
+    words[LEGS + lane] = np.uint32(0)
     mu = math.sqrt(draw(words, lane)) if slab.diffuse else slab.cos_incidence
     dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
     wet = slab.saturation > 0.0 and draw(words, lane) < slab.saturation
     passed = True
     if wet and rules.boundary_fresnel:
-        passed, dx, dy, dz = boundary(
-            words, lane, dx, dy, dz, optics.n[DRY_PORE], optics.n[WET_PORE], optics.k[WET_PORE]
-        )
+        n1, n2 = optics.n[item, DRY_PORE], optics.n[item, WET_PORE]
+        passed, dx, dy, dz = boundary(words, lane, dx, dy, dz, n1, n2, optics.k[item, WET_PORE])
     for row in (X, Y, Z, GX, GY, GZ, LX, LY, PORE_PATH, COAT_PATH, CORE_PATH, DEPTH, TRIES, KEEP):
         state[row + lane] = ZERO
     state[LZ + lane] = -ONE
@@ -134,7 +141,34 @@ def launch(state, words, lane, seed, ensemble, ray, slab, rules, optics, stream)
     state[LIMIT + lane] = single(FIRST_ROULETTE)
     state[WEIGHT + lane] = ONE
     state[STATUS + lane] = FLYING
+    illuminate(state, lane, optics, item, core)
     return passed
+
+
+@kernel
+def illuminate(state, lane, optics, item, core):
+    """Give a lane the optics of its light; all grains have the core's unless dressed otherwise."""
+    n, k = optics.n, optics.k
+    state[N_DRY + lane] = single(n[item, DRY_PORE])
+    state[N_WET + lane] = single(n[item, WET_PORE])
+    state[K_WET + lane] = single(k[item, WET_PORE])
+    state[A_WET + lane] = single(optics.absorption[item, WET_PORE])
+    state[A_CORE + lane] = single(optics.absorption[item, core])
+    m, c, x = step(n[item, DRY_PORE], 0.0, n[item, core], k[item, core])
+    state[M_IN_DRY + lane], state[C_IN_DRY + lane], state[K_IN_DRY + lane] = m, c, x
+    m, c, x = step(n[item, WET_PORE], k[item, WET_PORE], n[item, core], k[item, core])
+    state[M_IN_WET + lane], state[C_IN_WET + lane], state[K_IN_WET + lane] = m, c, x
+    m, c, x = step(n[item, core], k[item, core], n[item, DRY_PORE], 0.0)
+    state[M_OUT_DRY + lane], state[C_OUT_DRY + lane] = m, c
+    m, c, x = step(n[item, core], k[item, core], n[item, WET_PORE], k[item, WET_PORE])
+    state[M_OUT_WET + lane], state[C_OUT_WET + lane], state[K_OUT_WET + lane] = m, c, x
+
+
+@kernel
+def step(n1, k1, n2, k2):
+    """Return real part, real part less 1, and imaginary part of the index seen from medium 1."""
+    k = 0.0 if n1 == n2 and k1 == k2 else k2 / n1
+    return single(n2 / n1), single((n2 - n1) / n1), single(k)
 
 
 @kernel
@@ -151,25 +185,25 @@ def put_down(state, lane, grains, length):
 
 
 @kernel
-def dress(state, lane, grains, optics):
+def dress(state, lane, grains, optics, item):
     """Give a lane the materials of the grain that it has just met."""
     kind = int(state[KIND + lane])
     layers = grains.layers[kind]
     outer = grains.material[kind, 0]
     core = grains.material[kind, layers - 1]
     state[LAYERS + lane] = single(layers)
-    state[N_OUTER + lane] = single(optics.n[outer])
-    state[K_OUTER + lane] = single(optics.k[outer])
-    state[N_CORE + lane] = single(optics.n[core])
-    state[K_CORE + lane] = single(optics.k[core])
-    state[A_OUTER + lane] = single(optics.absorption[outer])
-    state[A_CORE + lane] = single(optics.absorption[core])
+    state[N_OUTER + lane] = single(optics.n[item, outer])
+    state[K_OUTER + lane] = single(optics.k[item, outer])
+    state[N_CORE + lane] = single(optics.n[item, core])
+    state[K_CORE + lane] = single(optics.k[item, core])
+    state[A_OUTER + lane] = single(optics.absorption[item, outer])
+    state[A_CORE + lane] = single(optics.absorption[item, core])
     major = state[MINOR + lane] / (ONE - state[FLATTENING + lane])
     state[THICKNESS + lane] = single(2.0 * grains.thickness[kind, 0]) * major
 
 
 @kernel
-def at_boundary(state, words, lane, slab, rules, optics):
+def at_boundary(state, words, lane, slab, rules, optics, item):
     """Bring a ray to the boundary ahead; return whether it leaves there."""
     for row, way in ((X, GX), (Y, GY), (Z, GZ)):
         state[row + lane] += state[way + lane]
@@ -185,12 +219,11 @@ def at_boundary(state, words, lane, slab, rules, optics):
     if state[WET + lane] == ZERO:
         return True
     state[PORE_PATH + lane] += leg
-    state[DEPTH + lane] += leg * single(optics.absorption[WET_PORE])
+    state[DEPTH + lane] += leg * state[A_WET + lane]
     if not rules.boundary_fresnel:
         return True
-    passed, ex, ey, ez = boundary(
-        words, lane, float(dx), float(dy), float(dz), optics.n[WET_PORE], optics.n[DRY_PORE], 0.0
-    )
+    n1, n2 = optics.n[item, WET_PORE], optics.n[item, DRY_PORE]
+    passed, ex, ey, ez = boundary(words, lane, float(dx), float(dy), float(dz), n1, n2, 0.0)
     state[LX + lane], state[LY + lane], state[LZ + lane] = dx, dy, dz
     state[LAST + lane] = leg
     state[DX + lane], state[DY + lane], state[DZ + lane] = single(ex), single(ey), single(ez)
@@ -214,7 +247,7 @@ def record(row, state, lane, length, features):
 
 
 @kernel
-def close_ranks(state, words, length, ray, width, busy):
+def close_ranks(state, words, length, ray, items, width, busy):
     """Move the last rays of a batch together, and return how many lanes are then in use.
 
     A ray carries its random stream along, so its path does not depend on its lane.
@@ -232,28 +265,35 @@ def close_ranks(state, words, length, ray, width, busy):
             words[row + free] = words[row + lane]
         length[free] = length[lane]
         ray[free] = ray[lane]
+        items[free] = items[lane]
         state[STATUS + lane] = IDLE
     return smaller
 
 
 @entry
-def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, features):
-    """Trace `rays` rays and record how they leave.
+def batch(seed, work, grains, slab, rules, optics, exits, features):
+    """Trace rays of several ensembles and record how they leave.
+
+    Rays of all of them share the lanes: only once the last of all has started do lanes stand idle.
 
     Parameters
     ----------
-    seed, ensemble, first_ray : int
-        Name the random streams: ray i of an ensemble is the same in whatever lane and batch.
-    rays : int
-    grains, slab, rules, optics
+    seed : int
+    work : int64[items, 3]
+        Ensemble, first ray, and number of rays: these name the random streams.  A ray is the
+        same in whatever lane and batch, and in whatever company.
+    grains, slab, rules
         See `splits.transport.scene`; at most one coating.
+    optics : Optics
+        With a row for each item.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.transport.tally`; must come from `exit_rows`.
+        A row for each ray, item after item, see `splits.transport.tally`; must come from
+        `exit_rows`.
     features : Features
 
     Returns
     -------
-    legs : int
+    legs : int64[items]
         Grains drawn: what the rays cost.
     lost : bool
         Whether a ray found no grain that fits; the batch then ends early.
@@ -263,15 +303,6 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
         single(1.0 / grains.attenuation),
         single(slab.depth),
         single(slab.saturation),
-        single(optics.n[DRY_PORE]),
-        single(optics.n[WET_PORE]),
-        single(optics.k[WET_PORE]),
-        step(optics, DRY_PORE, core),
-        step(optics, WET_PORE, core),
-        step(optics, core, DRY_PORE),
-        step(optics, core, WET_PORE),
-        single(optics.absorption[WET_PORE]),
-        single(optics.absorption[core]),
         rules.entry,
         rules.facets,
         rules.wrong_side != 0,
@@ -285,11 +316,14 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
     )
     state = np.zeros(STATE, dtype=np.float32)
     words = np.zeros(WORDS, dtype=np.uint32)
-    length = np.zeros((LANES, optics.n.size))
+    length = np.zeros((LANES, optics.n.shape[1]))
     ray = np.zeros(LANES, dtype=np.int64)
+    items = np.zeros(LANES, dtype=np.int64)
+    legs = np.zeros(len(work), dtype=np.int64)
     stream = np.zeros(1, dtype=np.uint64)
     state[STATUS : STATUS + LANES] = IDLE
-    next_ray, busy, legs = 0, 0, 0
+    rays = work[:, 2].sum()
+    next_ray, item, number, busy = 0, 0, 0, 0
     width = min(LANES, max(1, -(-rays // STRIDE)) * STRIDE)
     flying, ended = 0, width
     while True:
@@ -301,24 +335,30 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
                         return legs, True
                     leaves = False
                     if status == AT_BOUNDARY:
-                        leaves = at_boundary(state, words, lane, slab, rules, optics)
+                        leaves = at_boundary(state, words, lane, slab, rules, optics, items[lane])
                         if not leaves:
                             break
                     if status != IDLE:
                         busy -= 1
+                        legs[items[lane]] += words[LEGS + lane]
                     if leaves:
                         put_down(state, lane, grains, length)
                         record(exits[ray[lane]], state, lane, length, features)
                     if next_ray == rays:
                         state[STATUS + lane] = IDLE
                         break
+                    while number == work[item, 2]:
+                        item += 1
+                        number = 0
                     length[lane] = 0.0
                     ray[lane] = next_ray
+                    items[lane] = item
                     passed = launch(
-                        state, words, lane, seed, ensemble, first_ray + next_ray,
-                        slab, rules, optics, stream,
+                        state, words, lane, seed, work, item, number,
+                        slab, rules, optics, core, stream,
                     )  # fmt: skip
                     next_ray += 1
+                    number += 1
                     busy += 1
                     if not passed:
                         busy -= 1
@@ -327,14 +367,13 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
             if busy == 0:
                 return legs, False
             if busy <= width - STRIDE:
-                width = close_ranks(state, words, length, ray, width, busy)
+                width = close_ranks(state, words, length, ray, items, width, busy)
             flying = 0
             for lane in range(width):
                 if state[STATUS + lane] == FLYING:
                     flying += 1
         # Whichever pass serves more lanes.
         if 2 * flying >= busy:
-            legs += flying
             draw_types(state, words, width, features, tables, grains.share)
             if features.mixed is not None:
                 for lane in range(width):
@@ -344,7 +383,7 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits, f
             if features.mixed is not None:
                 for lane in range(width):
                     if state[STATUS + lane] == TRIAL and state[LAYER + lane] == ZERO:
-                        dress(state, lane, grains, optics)
+                        dress(state, lane, grains, optics, items[lane])
         else:
             flying = surface(state, words, width, features, scene)
             ended = 0

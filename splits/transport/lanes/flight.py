@@ -15,6 +15,7 @@ from splits.transport.granular import MAX_REJECTIONS
 from splits.transport.jit import HALF, ONE, TWO, ZERO, entry, kernel
 from splits.transport.lanes.numbers import fine, three, word
 from splits.transport.lanes.rows import (
+    A_WET,
     ABSORBED,
     AT_BOUNDARY,
     AT_CURVATURE,
@@ -36,6 +37,7 @@ from splits.transport.lanes.rows import (
     LANES,
     LAST,
     LAYER,
+    LEGS,
     LIMIT,
     LOST,
     LX,
@@ -179,6 +181,8 @@ def flights(state, words, first, features, scene):
         u_leg = fine(word(words, i, 2))
         count = words[COUNT + i]
         words[COUNT + i] = np.uint32(count + _NUMBERS) if active else count
+        legs = words[LEGS + i]
+        words[LEGS + i] = np.uint32(legs + np.uint32(1)) if active else legs
 
         limit, weight = state[LIMIT + i], state[WEIGHT + i]
         played = active & (state[DEPTH + i] > limit)
@@ -243,7 +247,7 @@ def flights(state, words, first, features, scene):
             path = leg * state[WET + i]
             path = path if fits else ZERO
             state[PORE_PATH + i] += path
-            state[DEPTH + i] += path * scene.a_wet
+            state[DEPTH + i] += path * state[A_WET + i]
         old = state[QX + i]
         state[QX + i] = qx if fits else old
         old = state[QY + i]

@@ -41,12 +41,19 @@ STRIDE = 2 * VECTOR
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
     # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
     KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,
-) = (LANES * row for row in range(52))  # fmt: skip
-STATE = 52 * LANES
+    # Indices of the pores, absorption in wet ones.
+    N_DRY, N_WET, K_WET, A_WET,
+    # Where all grains are alike, into grains and out of them: index beyond, in units of the real
+    # index on this side, real part less 1, and imaginary part.
+    M_IN_DRY, M_IN_WET, M_OUT_DRY, M_OUT_WET,
+    C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
+    K_IN_DRY, K_IN_WET, K_OUT_WET,
+) = (LANES * row for row in range(67))  # fmt: skip
+STATE = 67 * LANES
 
-KEY_HIGH, KEY_LOW, COUNT = (LANES * row for row in range(3))
-"""Rows of the random streams, uint32: key, and numbers drawn so far."""
-WORDS = 3 * LANES
+KEY_HIGH, KEY_LOW, COUNT, LEGS = (LANES * row for row in range(4))
+"""Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far."""
+WORDS = 4 * LANES
 
 FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_BOUNDARY, ABSORBED, LOST, IDLE = (
     exact(float(status)) for status in range(8)
@@ -82,49 +89,18 @@ class Features(NamedTuple):
     positions: bool | None
 
 
-class Step(NamedTuple):
-    """What light meets that steps from one medium into another, all float32.
-
-    Attributes
-    ----------
-    m, k : float32
-        Real and imaginary part of the index beyond, in units of the real index on this side.
-    contrast : float32
-        m − 1, with all its digits.
-    """
-
-    m: np.float32
-    contrast: np.float32
-    k: np.float32
-
-
 class Scene(NamedTuple):
-    """Scalars that the passes need, all float32 (m, 1/m) but the rules.
+    """Scalars that the passes need, float32 (m) but for the rules.
 
     Attributes
     ----------
     mean_leg, depth : float32
     saturation : float32
-    n_dry, n_wet, k_wet : float32
-        Indices of the pores.
-    into_dry, into_wet, out_to_dry, out_to_wet : Step
-        From pores into grains and back, where all grains are alike.
-    a_wet, a_core : float32
-        Absorption coefficients for roulette.
     """
 
     mean_leg: np.float32
     depth: np.float32
     saturation: np.float32
-    n_dry: np.float32
-    n_wet: np.float32
-    k_wet: np.float32
-    into_dry: Step
-    into_wet: Step
-    out_to_dry: Step
-    out_to_wet: Step
-    a_wet: np.float32
-    a_core: np.float32
     entry: np.int32
     facets: np.int32
     mirrored: np.bool_

@@ -19,6 +19,10 @@ from splits.transport.lanes.numbers import three, word
 from splits.transport.lanes.rows import (
     A_CORE,
     A_OUTER,
+    C_IN_DRY,
+    C_IN_WET,
+    C_OUT_DRY,
+    C_OUT_WET,
     COAT_PATH,
     CORE_PATH,
     COUNT,
@@ -32,15 +36,25 @@ from splits.transport.lanes.rows import (
     GY,
     GZ,
     K_CORE,
+    K_IN_DRY,
+    K_IN_WET,
+    K_OUT_WET,
     K_OUTER,
+    K_WET,
     LANES,
     LAYER,
     LAYERS,
     LOBE_BACK,
     LOBE_THROUGH,
+    M_IN_DRY,
+    M_IN_WET,
+    M_OUT_DRY,
+    M_OUT_WET,
     MINOR,
     N_CORE,
+    N_DRY,
     N_OUTER,
+    N_WET,
     QX,
     QY,
     QZ,
@@ -150,8 +164,9 @@ def trials(state, words, first, features, scene):
         sin2 = max((ONE - cos_facet) * (ONE + cos_facet), ZERO)
         layer = state[LAYER + i]
         if features.mixed is not None:
-            n_pore = scene.n_wet if pore_wet else scene.n_dry
-            k_pore = scene.k_wet if pore_wet else ZERO
+            n_dry, n_wet, k_wet = state[N_DRY + i], state[N_WET + i], state[K_WET + i]
+            n_pore = n_wet if pore_wet else n_dry
+            k_pore = k_wet if pore_wet else ZERO
             n_outer, k_outer = state[N_OUTER + i], state[K_OUTER + i]
             n_core, k_core = state[N_CORE + i], state[K_CORE + i]
             below = layer > ONE
@@ -175,23 +190,24 @@ def trials(state, words, first, features, scene):
             b2 = ZERO if same else b2
             ratio = ONE if same else reciprocal_root(fused(a, a, sin2))
         else:
-            into, out_of = scene.into_dry, scene.out_to_dry
-            m_in, contrast_in = into.m, into.contrast
-            m_out, contrast_out = out_of.m, out_of.contrast
+            m_in, contrast_in = state[M_IN_DRY + i], state[C_IN_DRY + i]
+            m_out, contrast_out = state[M_OUT_DRY + i], state[C_OUT_DRY + i]
             if features.wet is not None:
-                into, out_of = scene.into_wet, scene.out_to_wet
-                m_in = into.m if pore_wet else m_in
-                contrast_in = into.contrast if pore_wet else contrast_in
-                m_out = out_of.m if pore_wet else m_out
-                contrast_out = out_of.contrast if pore_wet else contrast_out
+                m_in_wet, contrast_in_wet = state[M_IN_WET + i], state[C_IN_WET + i]
+                m_out_wet, contrast_out_wet = state[M_OUT_WET + i], state[C_OUT_WET + i]
+                m_in = m_in_wet if pore_wet else m_in
+                contrast_in = contrast_in_wet if pore_wet else contrast_in
+                m_out = m_out_wet if pore_wet else m_out
+                contrast_out = contrast_out_wet if pore_wet else contrast_out
             m = m_out if outward else m_in
             contrast = contrast_out if outward else contrast_in
             k = ZERO
             if features.absorbing is not None:
-                k_in, k_out = scene.into_dry.k, ZERO
+                k_in, k_out = state[K_IN_DRY + i], ZERO
                 if features.wet is not None:
-                    k_in = scene.into_wet.k if pore_wet else k_in
-                    k_out = scene.out_to_wet.k if pore_wet else ZERO
+                    k_in_wet, k_out_wet = state[K_IN_WET + i], state[K_OUT_WET + i]
+                    k_in = k_in_wet if pore_wet else k_in
+                    k_out = k_out_wet if pore_wet else ZERO
                 k = k_out if outward else k_in
                 a, b2 = normal_component(m, contrast, k, cos_facet, True)
                 ratio = reciprocal_root(fused(a, a, sin2))
@@ -249,13 +265,12 @@ def trials(state, words, first, features, scene):
             film = film if done & (not exited) & (not in_core) else ZERO
             state[COAT_PATH + i] += film
             through = done & in_core
-            core_depth = state[A_CORE + i]
             film_depth = film * state[A_OUTER + i]
         else:
             new_side = -ONE
             through = done & (not exited)
-            core_depth = scene.a_core
             film_depth = ZERO
+        core_depth = state[A_CORE + i]
         leg = leg if through else ZERO
         wx_ = leg * ex if through else ZERO
         wy_ = leg * ey if through else ZERO

@@ -1,0 +1,262 @@
+"""Tracing rays: batches, in jobs, on threads, and the same numbers whoever traces which."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments.ensemble import LEVELS, Ensemble, Level, Tally
+from splits.media.granular import GranularMedium
+from splits.transport import granular, lanes
+from splits.transport.lanes.choice import features_for
+from splits.transport.lanes.rows import Features
+from splits.transport.scene import Grains, Optics, Rules, Slab
+from splits.transport.tally import exit_rows, tally
+
+BATCH = 128
+"""Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
+
+JOB = 1024
+LEGS = 2e7
+"""Largest number of batches that a thread traces at a time, for their memory, and of legs, for
+signs of life every few seconds.  Otherwise the more the better: lanes stand idle while the last
+rays of a job end."""
+
+KERNELS = ("auto", "lanes", "scalar")
+"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
+
+Piece = tuple[Ensemble, Level, int, int]
+"""Some batches of a level: ensemble, level, first ray, number of batches."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a running simulation has reached."""
+
+    rays: int
+    stderr: float
+    target: float
+    seconds: float
+    seconds_left: float
+
+
+class Runner:
+    """Traces rays of a medium on several threads, the same whatever their number.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    incidence_deg : float or "diffuse"
+    seed : int
+    threads : int or None
+        None takes every CPU this process may use.
+    analog : bool
+        Absorption by coin toss.
+    kernel : {"auto", "lanes", "scalar"}
+    report : callable, optional
+        Receives a `Progress` a few times per second at most.
+    """
+
+    def __init__(
+        self,
+        medium: GranularMedium,
+        incidence_deg: float | str,
+        seed: int,
+        threads: int | None,
+        analog: bool,
+        kernel: str = "auto",
+        report: Callable[[Progress], None] | None = None,
+    ) -> None:
+        diffuse = incidence_deg == "diffuse"
+        cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
+        self.seed = seed
+        self.grains: Grains = medium.grains()
+        self.slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
+        self.rules: Rules = medium.readings.rules(analog)
+        self.threads = threads or len(os.sched_getaffinity(0))
+        self.kernel = kernel
+        self.report = report
+        self.started = time.perf_counter()
+        self._reported = 0.0
+        self._absorbing = False
+
+    def trace(
+        self,
+        work: Sequence[tuple[Ensemble, Level, int]],
+        stderr: float,
+        target: float,
+        left: float = 0.0,
+    ) -> None:
+        """Trace so many more rays of each level and add them up in a fixed order.
+
+        Parameters
+        ----------
+        work : sequence of (Ensemble, Level, int)
+            Rays to add, rounded up to whole batches.
+        stderr, target, left : float
+            What to report as reached, wanted, and still to do after this (in rays).
+
+        Raises
+        ------
+        RuntimeError
+            If a ray found no grain that fits where it was.
+        """
+        jobs = self.jobs(work)
+        begun = time.perf_counter()
+        total = BATCH * sum(count for job in jobs for *_, count in job)
+        done = 0
+        pool = ThreadPoolExecutor(self.threads)
+        try:
+            for job, tallied in zip(jobs, pool.map(self.tallies, jobs), strict=True):
+                for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
+                    for tally in tallies:
+                        ensemble.add(level, tally)
+                        done += tally[2]
+                    level.legs += legs
+                pace = (time.perf_counter() - begun) / done
+                self._tell(done, stderr, target, pace * (total - done + left))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def jobs(self, work: Sequence[tuple[Ensemble, Level, int]]) -> list[list[Piece]]:
+        """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
+        kinds: dict[Features | None, list[Piece]] = {}
+        for ensemble, level, rays in work:
+            piece = ensemble, level, level.rays, -(-rays // BATCH)
+            kinds.setdefault(self.features(level.optics), []).append(piece)
+        jobs = []
+        for pieces in kinds.values():
+            # Short paths last, so that few lanes wait for the last long one.
+            pieces.sort(key=lambda piece: piece[1].number % len(LEVELS))
+            batches = sum(count for *_, count in pieces)
+            cost = sum(self.cost(level) * count for _, level, _, count in pieces)
+            # A multiple of the threads, so that all have as much to do.
+            number = int(np.ceil(max(cost / LEGS, batches / JOB) / self.threads)) * self.threads
+            number = min(number, batches)
+            jobs += self.cut(pieces, cost / number)
+        return jobs
+
+    def cut(self, pieces: Sequence[Piece], share: float) -> list[list[Piece]]:
+        """Return pieces in jobs of about a share of the cost each, in order."""
+        jobs: list[list[Piece]] = [[]]
+        room = share
+        for ensemble, level, first, count in pieces:
+            cost = self.cost(level)
+            while count > 0:
+                if room < 0.5 * cost and jobs[-1]:
+                    jobs.append([])
+                    room += share
+                now = min(count, max(1, round(room / cost)), JOB)
+                jobs[-1].append((ensemble, level, first, now))
+                first += now * BATCH
+                count -= now
+                room -= now * cost
+        return jobs
+
+    def cost(self, level: Level) -> float:
+        """Return the legs to expect of a batch; before the first ray, all levels count alike."""
+        return BATCH * (level.legs / level.rays if level.rays else 1.0)
+
+    def prepare(self, ensembles: Sequence[Ensemble]) -> None:
+        """Let all levels of these ensembles share a kernel, if that is all that parts them.
+
+        Reflection with extinction also serves where extinction does not show, and rays of all
+        levels then share the lanes.
+        """
+        found = [self.features(level.optics) for e in ensembles for level in e.levels]
+        self._absorbing = any(one is not None and one.absorbing for one in found)
+
+    def features(self, optics: Optics) -> Features | None:
+        """Return the lane kernel's features for a scene, or None for the scalar kernel.
+
+        Raises
+        ------
+        ValueError
+            If lanes are asked for and cannot serve the scene.
+        """
+        if self.kernel == "scalar":
+            return None
+        features = features_for(self.grains, self.slab, self.rules, optics)
+        if features is None and self.kernel == "lanes":
+            raise refuse(
+                "kernel",
+                "lanes",
+                "'auto' or 'scalar' for this sample",
+                "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
+            )
+        if features is None or features.mixed or not self._absorbing:
+            return features
+        return features._replace(absorbing=True)
+
+    def kernels(self, ensembles: Sequence[Ensemble]) -> str:
+        """Return which kernels trace these ensembles, joined by a comma."""
+        used = {
+            "scalar" if self.features(level.optics) is None else "lanes"
+            for ensemble in ensembles
+            for level in ensemble.levels
+        }
+        return ", ".join(sorted(used))
+
+    def tallies(self, job: Sequence[Piece]) -> list[tuple[list[Tally], int]]:
+        """Trace pieces that share a kernel; the same numbers whoever does, and in whatever job.
+
+        Returns
+        -------
+        list of (list of Tally, int)
+            For each piece: a tally for each batch, in order, and the legs traced.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray found no grain that fits where it was.
+        """
+        features = self.features(job[0][1].optics)
+        work = np.array([(level.number, first, count * BATCH) for _, level, first, count in job])
+        optics = Optics(*map(np.stack, zip(*(level.optics for _, level, *_ in job), strict=True)))
+        exits = exit_rows(int(work[:, 2].sum()), job[0][1].optics.n.size)
+        ends = np.cumsum(work[:, 2])
+        parts = np.split(exits, ends[:-1])
+        if features is None:
+            results = [
+                granular.batch(
+                    self.seed,
+                    level.number,
+                    first,
+                    len(part),
+                    self.grains,
+                    self.slab,
+                    self.rules,
+                    level.optics,
+                    part,
+                )
+                for part, (_, level, first, _) in zip(parts, job, strict=True)
+            ]
+            legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
+        else:
+            legs, lost = lanes.batch(
+                self.seed, work, self.grains, self.slab, self.rules, optics, exits, features
+            )
+        if lost:
+            raise RuntimeError(
+                "a ray found no grain that fits between the boundaries: the sample is "
+                "barely thicker than its grains, or the incidence too close to 90 degrees"
+            )
+        weighted = not self.rules.analog
+        tallied = []
+        for (ensemble, level, _, count), part, cost in zip(job, parts, legs, strict=True):
+            absorption = ensemble.absorption[level.served]
+            batches = part.reshape(count, BATCH, -1)
+            tallied.append(([(*tally(b, absorption, weighted), BATCH) for b in batches], int(cost)))
+        return tallied
+
+    def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
+        now = time.perf_counter()
+        if self.report and now - self._reported > 0.5:
+            self._reported = now
+            self.report(Progress(rays, stderr, target, now - self.started, left))

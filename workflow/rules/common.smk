@@ -111,6 +111,18 @@ def fitted_files(name):
     return [f"config/measured/{fit.measured}"] if fit else []
 
 
+def threads_of(name):
+    """Return the threads of a simulation.
+
+    Up to four run side by side, which hides their starts behind each other's work; a single one
+    that was asked for by its name, and a fit, which is long, have all cores.
+    """
+    asked = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
+    together = min(4, len(asked or EXPERIMENTS))
+    cores = workflow.cores or 1
+    return cores if EXPERIMENTS[name].fit else max(1, cores // together)
+
+
 def physics_of(name):
     """Return the sources that an experiment's numbers depend on."""
     return PHYSICS + FITTING if EXPERIMENTS[name].fit else PHYSICS

@@ -12,9 +12,8 @@ rule simulate:
     priority: 1
     conda:
         "../../environment.yml"
-    # Capped at --cores, so one after the other on all cores: none is left running alone at the
-    # end, and a single experiment is as fast as can be.  The numbers do not depend on it.
-    threads: 64
+    # The numbers do not depend on it.
+    threads: lambda wildcards: threads_of(wildcards.experiment)
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),

@@ -97,16 +97,17 @@ class Ensemble:
             optics = Optics(index.real.copy(), index.imag.copy(), absorption[part].min(axis=0))
             self.levels.append(Level(number * len(LEVELS) + step, optics, part))
 
-    def add(self, level: Level, tally: Tally) -> None:
-        """Add the tally of a batch."""
-        moments, least, rays = tally
-        level.rays += rays
-        self.count[level.served] += rays
-        self.moments[:, :2, level.served] += moments[:, :2]
-        self.moments[:, 2, level.served] = np.maximum(
-            self.moments[:, 2, level.served], moments[:, 2]
-        )
-        self.least[level.served] = np.minimum(self.least[level.served], least)
+    def add(self, level: Level, tallies: Sequence[Tally]) -> None:
+        """Add the tallies of batches one by one: sums do not depend on who traced them."""
+        served = level.served
+        moments, least = self.moments[:, :, served], self.least[served]
+        for more, lightest, rays in tallies:
+            level.rays += rays
+            self.count[served] += rays
+            moments[:, :2] += more[:, :2]
+            np.maximum(moments[:, 2], more[:, 2], out=moments[:, 2])
+            np.minimum(least, lightest, out=least)
+        self.moments[:, :, served], self.least[served] = moments, least
 
     def means(self) -> np.ndarray:
         """Return the mean weight, shape (2, wavelengths): reflected, transmitted."""

@@ -84,7 +84,7 @@ class Runner:
         self.report = report
         self.started = time.perf_counter()
         self._reported = 0.0
-        self._absorbing = False
+        self._features: dict[int, Features | None] = {}
 
     def trace(
         self,
@@ -115,10 +115,9 @@ class Runner:
         try:
             for job, tallied in zip(jobs, pool.map(self.tallies, jobs), strict=True):
                 for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
-                    for tally in tallies:
-                        ensemble.add(level, tally)
-                        done += tally[2]
+                    ensemble.add(level, tallies)
                     level.legs += legs
+                    done += BATCH * len(tallies)
                 pace = (time.perf_counter() - begun) / done
                 self._tell(done, stderr, target, pace * (total - done + left))
         finally:
@@ -129,7 +128,7 @@ class Runner:
         kinds: dict[Features | None, list[Piece]] = {}
         for ensemble, level, rays in work:
             piece = ensemble, level, level.rays, -(-rays // BATCH)
-            kinds.setdefault(self.features(level.optics), []).append(piece)
+            kinds.setdefault(self.features(level), []).append(piece)
         jobs = []
         for pieces in kinds.values():
             # Short paths last, so that few lanes wait for the last long one.
@@ -169,11 +168,15 @@ class Runner:
         Reflection with extinction also serves where extinction does not show, and rays of all
         levels then share the lanes.
         """
-        found = [self.features(level.optics) for e in ensembles for level in e.levels]
-        self._absorbing = any(one is not None and one.absorbing for one in found)
+        levels = [level for ensemble in ensembles for level in ensemble.levels]
+        found = [self.features(level) for level in levels]
+        if any(one is not None and one.absorbing for one in found):
+            for level, one in zip(levels, found, strict=True):
+                if one is not None and not one.mixed:
+                    self._features[level.number] = one._replace(absorbing=True)
 
-    def features(self, optics: Optics) -> Features | None:
-        """Return the lane kernel's features for a scene, or None for the scalar kernel.
+    def features(self, level: Level) -> Features | None:
+        """Return the lane kernel's features for a level, or None for the scalar kernel.
 
         Raises
         ------
@@ -182,7 +185,11 @@ class Runner:
         """
         if self.kernel == "scalar":
             return None
-        features = features_for(self.grains, self.slab, self.rules, optics)
+        if level.number not in self._features:
+            self._features[level.number] = features_for(
+                self.grains, self.slab, self.rules, level.optics
+            )
+        features = self._features[level.number]
         if features is None and self.kernel == "lanes":
             raise refuse(
                 "kernel",
@@ -190,14 +197,12 @@ class Runner:
                 "'auto' or 'scalar' for this sample",
                 "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
             )
-        if features is None or features.mixed or not self._absorbing:
-            return features
-        return features._replace(absorbing=True)
+        return features
 
     def kernels(self, ensembles: Sequence[Ensemble]) -> str:
         """Return which kernels trace these ensembles, joined by a comma."""
         used = {
-            "scalar" if self.features(level.optics) is None else "lanes"
+            "scalar" if self.features(level) is None else "lanes"
             for ensemble in ensembles
             for level in ensemble.levels
         }
@@ -216,7 +221,7 @@ class Runner:
         RuntimeError
             If a ray found no grain that fits where it was.
         """
-        features = self.features(job[0][1].optics)
+        features = self.features(job[0][1])
         work = np.array([(level.number, first, count * BATCH) for _, level, first, count in job])
         optics = Optics(*map(np.stack, zip(*(level.optics for _, level, *_ in job), strict=True)))
         exits = exit_rows(int(work[:, 2].sum()), job[0][1].optics.n.size)

@@ -85,7 +85,7 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
     work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.grains.attenuation)
     each = [e.levels[0].optics for e in work]
-    features = runner.features(each[0])
+    features = runner.features(work[0].levels[0])
     scene = runner.grains, runner.slab, runner.rules
 
     def exits(items, optics):
@@ -107,7 +107,7 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     runner = Runner(medium, 30.0, 3, 1, False, "lanes")
     (ensemble,) = ensembles(medium, np.array([900.0]), runner.grains.attenuation)
     optics = ensemble.levels[0].optics
-    features = runner.features(optics)
+    features = runner.features(ensemble.levels[0])
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
@@ -149,7 +149,7 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
                     parts[number, batch] = tally
         work = ensembles(medium, wavelengths, runner.grains.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
-            work[number].add(work[number].levels[0], tally)
+            work[number].add(work[number].levels[0], [tally])
         return np.stack([e.moments for e in work])
 
     expected = moments(1)
@@ -165,7 +165,7 @@ def test_light_is_neither_lost_nor_made(positions):
     runner = Runner(medium, 60.0, 5, 1, False, "lanes")
     (ensemble,) = ensembles(medium, np.array([600.0]), runner.grains.attenuation)
     optics = ensemble.levels[0].optics
-    features = runner.features(optics)._replace(positions=True if positions else None)
+    features = runner.features(ensemble.levels[0])._replace(positions=True if positions else None)
     rows = exit_rows(3000, 3)
     scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
     _, lost = lanes.batch(5, np.array([[0, 0, 3000]]), *scene)

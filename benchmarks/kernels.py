@@ -7,7 +7,7 @@ lanes_against_scalar  Time per ray through the same medium with the same optics,
                       rays at a time as the instruments trace in a long run.  Paths are long at
                       500 nm and short in the near infrared; lanes suffer from stragglers.
                       `events_per_ray` are legs through the pore space.
-two_cores             A spectrum of 211 wavelengths on two cores and on one; the smaller the error asked
+two_cores             211 wavelengths on two cores and on one; the smaller the error asked
                       for, the less the ends of rounds matter, where one core waits for the other.
 features              Time per grain drawn at 500 nm, in dry snow of smooth grains as 1.  "unused"
                       has the feature compiled in but nothing to do in the scene: the price of its

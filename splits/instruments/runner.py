@@ -144,18 +144,19 @@ class Runner:
     def cut(self, pieces: Sequence[Piece], share: float) -> list[list[Piece]]:
         """Return pieces in jobs of about a share of the cost each, in order."""
         jobs: list[list[Piece]] = [[]]
-        room = share
+        room, held = share, 0
         for ensemble, level, first, count in pieces:
             cost = self.cost(level)
             while count > 0:
-                if room < 0.5 * cost and jobs[-1]:
+                if jobs[-1] and (room < 0.5 * cost or held == JOB):
                     jobs.append([])
-                    room += share
-                now = min(count, max(1, round(room / cost)), JOB)
+                    room, held = share + min(room, 0.0), 0
+                now = min(count, max(1, round(room / cost)), JOB - held)
                 jobs[-1].append((ensemble, level, first, now))
                 first += now * BATCH
                 count -= now
                 room -= now * cost
+                held += now
         return jobs
 
     def cost(self, level: Level) -> float:

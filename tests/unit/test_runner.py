@@ -1,0 +1,71 @@
+"""How rays are shared out: over jobs of equal cost, and when few are left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.instruments.ensemble import Ensemble
+from splits.instruments.runner import BATCH, JOB, LEGS, Runner
+
+WAVELENGTHS = [500.0, 1000.0, 1500.0]
+SNOW = splits.Snow(depth_m=0.02)
+
+
+def a_runner(threads, legs_per_ray=None):
+    """Return a runner and work for it: three levels, of rays that were so long so far."""
+    runner = Runner(SNOW, 0.0, 1, threads, False, "scalar")
+    ensemble = Ensemble(
+        0, np.ones(3) + 0j, np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0], [99.0, 99.0, 99.0]]),
+        np.ones(3, dtype=bool), 1e3,
+    )  # fmt: skip
+    assert len(ensemble.levels) == 3
+    for level, legs in zip(ensemble.levels, legs_per_ray or (), strict=False):
+        level.rays, level.legs = BATCH, BATCH * legs
+    return runner, ensemble
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 7])
+@pytest.mark.parametrize("batches", [(1, 1, 1), (40, 30, 1000), (5, 3 * JOB, 0)])
+def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
+    runner, ensemble = a_runner(threads, (1000, 100, 10))
+    work = [
+        (ensemble, level, count * BATCH)
+        for level, count in zip(ensemble.levels, batches, strict=True)
+        if count
+    ]
+    jobs = runner.jobs(work)
+    for _, level, rays in work:
+        firsts = [
+            first + BATCH * batch
+            for job in jobs
+            for _, its, first, count in job
+            for batch in range(count)
+            if its is level
+        ]
+        assert firsts == list(range(level.rays, level.rays + rays, BATCH))
+    assert all(sum(count for *_, count in job) <= JOB for job in jobs)
+
+
+def test_jobs_cost_about_the_same():
+    runner, ensemble = a_runner(4, (1000, 100, 10))
+    counts = (100, 500, 4000)
+    work = zip(ensemble.levels, counts, strict=True)
+    jobs = runner.jobs([(ensemble, level, count * BATCH) for level, count in work])
+    costs = [sum(count * runner.cost(level) for _, level, _, count in job) for job in jobs]
+    assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * LEGS
+    assert len(jobs) % 4 == 0
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("more", [1, 2 * BATCH, 11 * BATCH])
+def test_a_run_with_few_rays_left_ends(more):
+    first_round = splits.spectrophotometer(SNOW, WAVELENGTHS, max_rays=1).attrs["rays"]
+    asked = first_round + more
+    run = splits.spectrophotometer(SNOW, WAVELENGTHS, max_stderr=1e-5, max_rays=asked)
+    assert run.attrs["stopped_by"] == "rays"
+    # Whole batches at every level: at most one more than asked for each of them.
+    assert asked <= run.attrs["rays"] < asked + first_round
+    assert np.isfinite(run.reflectance).all()

@@ -35,6 +35,8 @@ lint: $(VENV)/ready
 benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
+	$(BIN)/python benchmarks/deep_transmittance.py
+	$(BIN)/python benchmarks/stopping.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

@@ -17,7 +17,7 @@ Tally = tuple[np.ndarray, np.ndarray, int]
 """What a batch yields: moments, least weight, rays."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Level:
     """Rays of an ensemble that serve the wavelengths of at least some absorption.
 

@@ -84,7 +84,7 @@ class Runner:
         self.report = report
         self.started = time.perf_counter()
         self._reported = 0.0
-        self._features: dict[int, Features | None] = {}
+        self._features: dict[Level, Features | None] = {}
 
     def trace(
         self,
@@ -174,7 +174,7 @@ class Runner:
         if any(one is not None and one.absorbing for one in found):
             for level, one in zip(levels, found, strict=True):
                 if one is not None and not one.mixed:
-                    self._features[level.number] = one._replace(absorbing=True)
+                    self._features[level] = one._replace(absorbing=True)
 
     def features(self, level: Level) -> Features | None:
         """Return the lane kernel's features for a level, or None for the scalar kernel.
@@ -186,11 +186,9 @@ class Runner:
         """
         if self.kernel == "scalar":
             return None
-        if level.number not in self._features:
-            self._features[level.number] = features_for(
-                self.grains, self.slab, self.rules, level.optics
-            )
-        features = self._features[level.number]
+        if level not in self._features:
+            self._features[level] = features_for(self.grains, self.slab, self.rules, level.optics)
+        features = self._features[level]
         if features is None and self.kernel == "lanes":
             raise refuse(
                 "kernel",

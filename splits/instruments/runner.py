@@ -24,9 +24,9 @@ BATCH = 128
 
 JOB = 1024
 LEGS = 2e7
-"""Largest number of batches that a thread traces at a time, for their memory, and of legs, for
-signs of life every few seconds.  Otherwise the more the better: lanes stand idle while the last
-rays of a job end."""
+"""Largest number of batches that a thread traces at a time, for their memory, and of legs on lanes,
+for signs of life every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
+better: lanes stand idle while the last rays of a job end."""
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
@@ -130,13 +130,14 @@ class Runner:
             piece = ensemble, level, level.rays, -(-rays // BATCH)
             kinds.setdefault(self.features(level), []).append(piece)
         jobs = []
-        for pieces in kinds.values():
+        for features, pieces in kinds.items():
             # Short paths last, so that few lanes wait for the last long one.
             pieces.sort(key=lambda piece: piece[1].number % len(LEVELS))
             batches = sum(count for *_, count in pieces)
             cost = sum(self.cost(level) * count for _, level, _, count in pieces)
+            most = LEGS if features else LEGS / 8
             # A multiple of the threads, so that all have as much to do.
-            number = int(np.ceil(max(cost / LEGS, batches / JOB) / self.threads)) * self.threads
+            number = int(np.ceil(max(cost / most, batches / JOB) / self.threads)) * self.threads
             number = min(number, batches)
             jobs += self.cut(pieces, cost / number)
         return jobs
@@ -160,8 +161,8 @@ class Runner:
         return jobs
 
     def cost(self, level: Level) -> float:
-        """Return the legs to expect of a batch; before the first ray, all levels count alike."""
-        return BATCH * (level.legs / level.rays if level.rays else 1.0)
+        """Return the legs to expect of a batch, and one to launch each ray, as far as is known."""
+        return BATCH * (1.0 + level.legs / max(level.rays, 1))
 
     def prepare(self, ensembles: Sequence[Ensemble]) -> None:
         """Let all levels of these ensembles share a kernel, if that is all that parts them.

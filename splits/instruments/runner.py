@@ -139,20 +139,25 @@ class Runner:
             # A multiple of the threads, so that all have as much to do.
             number = int(np.ceil(max(cost / most, batches / JOB) / self.threads)) * self.threads
             number = min(number, batches)
-            jobs += self.cut(pieces, cost / number)
+            jobs += self.cut(pieces, number, cost / number)
         return jobs
 
-    def cut(self, pieces: Sequence[Piece], share: float) -> list[list[Piece]]:
-        """Return pieces in jobs of about a share of the cost each, in order."""
+    def cut(self, pieces: Sequence[Piece], number: int, share: float) -> list[list[Piece]]:
+        """Return pieces in a number of jobs that cost about a share each, in order.
+
+        There are more of them where one would hold more than `JOB` batches.
+        """
         jobs: list[list[Piece]] = [[]]
         room, held = share, 0
         for ensemble, level, first, count in pieces:
             cost = self.cost(level)
             while count > 0:
-                if jobs[-1] and (room < 0.5 * cost or held == JOB):
+                if held == JOB or (jobs[-1] and room < 0.5 * cost and len(jobs) < number):
                     jobs.append([])
                     room, held = share + min(room, 0.0), 0
-                now = min(count, max(1, round(room / cost)), JOB - held)
+                now = min(count, JOB - held)
+                if len(jobs) < number:
+                    now = min(now, max(1, round(room / cost)))
                 jobs[-1].append((ensemble, level, first, now))
                 first += now * BATCH
                 count -= now

@@ -80,7 +80,6 @@ def fixed_spectrum(
         if w.any()
     ]
     weights = nodes.weights[nodes.weights.any(axis=1)]
-    runner.prepare(ensembles)
     runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.levels], 1.0, 0.0)
     mean = np.einsum("jw,jqw->qw", weights, np.stack([e.means() for e in ensembles]))
     variance = np.zeros((3, len(wavelengths)))

@@ -22,11 +22,14 @@ from splits.transport.tally import exit_rows, tally
 BATCH = 128
 """Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
 
-JOB = 1024
+MEMORY = 2**26
 LEGS = 2e7
-"""Largest number of batches that a thread traces at a time, for their memory, and of legs on lanes,
-for signs of life every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
+"""Largest memory (bytes) that a thread's job takes, and number of legs on lanes, for signs of life
+every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
 better: lanes stand idle while the last rays of a job end."""
+
+_FIRST_LEGS = 400.0
+"""Legs per ray to expect at first at the level of least absorption; half as many at the next."""
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
@@ -109,17 +112,20 @@ class Runner:
         """
         jobs = self.jobs(work)
         begun = time.perf_counter()
-        total = BATCH * sum(count for job in jobs for *_, count in job)
-        done = 0
+        costs = [sum(self.cost(level) * count for _, level, _, count in job) for job in jobs]
+        rays = BATCH * sum(count for job in jobs for *_, count in job)
+        total = sum(costs) * (1.0 + left / rays)
+        done = 0.0
         pool = ThreadPoolExecutor(self.threads)
         try:
-            for job, tallied in zip(jobs, pool.map(self.tallies, jobs), strict=True):
+            found = pool.map(self.tallies, jobs)
+            for job, cost, tallied in zip(jobs, costs, found, strict=True):
                 for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
                     ensemble.add(level, tallies)
                     level.legs += legs
-                    done += BATCH * len(tallies)
+                done += cost
                 pace = (time.perf_counter() - begun) / done
-                self._tell(done, stderr, target, pace * (total - done + left))
+                self._tell(rays, stderr, target, pace * (total - done))
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -136,26 +142,35 @@ class Runner:
             batches = sum(count for *_, count in pieces)
             cost = sum(self.cost(level) * count for _, level, _, count in pieces)
             most = LEGS if features else LEGS / 8
+            held = self.held(pieces[0][0])
             # A multiple of the threads, so that all have as much to do.
-            number = int(np.ceil(max(cost / most, batches / JOB) / self.threads)) * self.threads
+            number = int(np.ceil(max(cost / most, batches / held) / self.threads)) * self.threads
             number = min(number, batches)
-            jobs += self.cut(pieces, number, cost / number)
+            jobs += self.cut(pieces, number, cost / number, held)
         return jobs
 
-    def cut(self, pieces: Sequence[Piece], number: int, share: float) -> list[list[Piece]]:
+    def held(self, ensemble: Ensemble) -> int:
+        """Return how many batches a job may hold: exits of their rays, and tallies."""
+        wavelengths, materials = ensemble.absorption.shape
+        numbers = BATCH * exit_rows(1, materials).shape[1] + 7 * wavelengths
+        return max(1, MEMORY // (8 * numbers))
+
+    def cut(
+        self, pieces: Sequence[Piece], number: int, share: float, most: int
+    ) -> list[list[Piece]]:
         """Return pieces in a number of jobs that cost about a share each, in order.
 
-        There are more of them where one would hold more than `JOB` batches.
+        There are more of them where one would hold more than `most` batches.
         """
         jobs: list[list[Piece]] = [[]]
         room, held = share, 0
         for ensemble, level, first, count in pieces:
             cost = self.cost(level)
             while count > 0:
-                if held == JOB or (jobs[-1] and room < 0.5 * cost and len(jobs) < number):
+                if held == most or (jobs[-1] and room < 0.5 * cost and len(jobs) < number):
                     jobs.append([])
-                    room, held = share + min(room, 0.0), 0
-                now = min(count, JOB - held)
+                    room, held = share + min(room, 0.5 * cost), 0
+                now = min(count, most - held)
                 if len(jobs) < number:
                     now = min(now, max(1, round(room / cost)))
                 jobs[-1].append((ensemble, level, first, now))
@@ -166,8 +181,10 @@ class Runner:
         return jobs
 
     def cost(self, level: Level) -> float:
-        """Return the legs to expect of a batch, and one to launch each ray, as far as is known."""
-        return BATCH * (1.0 + level.legs / max(level.rays, 1))
+        """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
+        if level.rays == 0:
+            return BATCH * (1.0 + _FIRST_LEGS / 2 ** (level.number % len(LEVELS)))
+        return BATCH * (1.0 + level.legs / level.rays)
 
     def prepare(self, ensembles: Sequence[Ensemble]) -> None:
         """Let all levels of these ensembles share a kernel, if that is all that parts them.

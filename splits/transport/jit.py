@@ -34,4 +34,4 @@ def exact(value: float) -> float | np.float32:
 ZERO, HALF, ONE, TWO, THREE, FOUR = (exact(x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
 ONE_AND_HALF = exact(1.5)
 TINY = exact(1e-30)
-"""Keeps a quotient of zeros finite; its own value never matters."""
+"""Floor under a square whose reciprocal root is multiplied by zero; its value never matters."""

@@ -15,7 +15,9 @@ from splits.instruments.fixed import EVERY_RAY
 from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import lanes
+from splits.transport.lanes import rows
 from splits.transport.lanes.rows import LANES
+from splits.transport.lanes.surface import surface
 from splits.transport.scene import Optics
 from splits.transport.tally import exit_rows
 
@@ -176,3 +178,43 @@ def test_light_is_neither_lost_nor_made(positions):
     assert ((directions[:, 2] > 0.0) == (rows[:, 0] == 0.0)).all()
     assert (rows[:, 1] == 1.0).all()
     assert np.isfinite(rows[:, 5:7]).all() == positions
+
+
+def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
+    # Just within total reflection, where every ray stays: its angle may only lead out.
+    passes, cosine = 20_000, 0.64
+    state = np.zeros(rows.STATE, dtype=np.float32)
+    words = np.zeros(rows.WORDS, dtype=np.uint32)
+    table = state.reshape(-1, LANES)
+    random = np.random.default_rng(1)
+    q = random.normal(size=(3, LANES))
+    q /= np.linalg.norm(q, axis=0)
+    t = np.cross(q.T, random.normal(size=(LANES, 3))).T
+    t /= np.linalg.norm(t, axis=0)
+    d = cosine * q + np.sqrt(1.0 - cosine**2) * t
+
+    def put(**values):
+        for name, value in values.items():
+            table[getattr(rows, name) // LANES] = value
+
+    put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
+    put(LAYER=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
+    put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
+    scene = rows.Scene(np.float32(1e-3), np.float32(1.0), np.float32(0.0), 0, 0, False, True, True)
+
+    def cosines():
+        q, d = (table[np.array(which) // LANES].astype(float) for which in (AT, ALONG))
+        return (q * d).sum(axis=0) / np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)
+
+    before = cosines()
+    for _ in range(passes):
+        surface(state, words, LANES, rows.Features(*[None] * 6), scene)
+    assert (table[rows.LAYER // LANES] == 1.0).all()
+    creep = (cosines() - before) / passes
+    error = creep.std(ddof=1) / np.sqrt(LANES)
+    print(f"creep of the cosine per reflection {creep.mean():.1e} ± {error:.0e}")
+    assert -3.0 * error < creep.mean() < 1e-7
+
+
+AT = (rows.QX, rows.QY, rows.QZ)
+ALONG = (rows.DX, rows.DY, rows.DZ)

@@ -8,7 +8,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits.instruments.ensemble import Ensemble
-from splits.instruments.runner import BATCH, JOB, LEGS, Runner
+from splits.instruments.runner import BATCH, LEGS, Runner
 
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
 SNOW = splits.Snow(depth_m=0.02)
@@ -28,7 +28,7 @@ def a_runner(threads, legs_per_ray=None):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 7])
-@pytest.mark.parametrize("batches", [(1, 1, 1), (40, 30, 1000), (5, 3 * JOB, 0)])
+@pytest.mark.parametrize("batches", [(1, 1, 1), (40, 30, 1000), (5, 30_000, 0)])
 def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
     runner, ensemble = a_runner(threads, (1000, 100, 10))
     work = [
@@ -46,17 +46,26 @@ def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
             if its is level
         ]
         assert firsts == list(range(level.rays, level.rays + rays, BATCH))
-    assert all(sum(count for *_, count in job) <= JOB for job in jobs)
+    most = runner.held(ensemble)
+    assert all(sum(count for *_, count in job) <= most for job in jobs)
 
 
 def test_jobs_cost_about_the_same():
     runner, ensemble = a_runner(4, (1000, 100, 10))
-    counts = (100, 500, 400)
+    counts = (100, 500, 2000)
     work = zip(ensemble.levels, counts, strict=True)
     jobs = runner.jobs([(ensemble, level, count * BATCH) for level, count in work])
     costs = [sum(count * runner.cost(level) for _, level, _, count in job) for job in jobs]
     assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * LEGS
     assert len(jobs) % 4 == 0
+
+
+@pytest.mark.parametrize("threads, batches", [(2, 3), (8, 11), (16, 38), (64, 80), (64, 95)])
+def test_no_job_takes_much_more_than_its_part(threads, batches):
+    runner, ensemble = a_runner(threads, (10, 10, 10))
+    jobs = runner.jobs([(ensemble, ensemble.levels[0], batches * BATCH)])
+    sizes = [sum(count for *_, count in job) for job in jobs]
+    assert sum(sizes) == batches and max(sizes) <= -(-batches // threads) + 1
 
 
 @NEEDS_JIT

@@ -7,7 +7,7 @@ two passes over all lanes alternate, each a loop without branches, whose ``if`` 
 `surface`   is one trial at a grain's surface (facet, Fresnel, direction, chord), for lanes at one.
 
 A trial that is rejected, or a grain that does not fit, just waits for the next pass.  What is
-rare (boundaries, launches) and what cannot be vectorised (tables) are plain loops in between.
+rare (boundaries, launches) is a plain loop in between.
 The formulas are those of the scalar kernel: `facets`, `fresnel`, `spheroid` serve both.
 """
 

@@ -37,7 +37,8 @@ STRIDE = 2 * VECTOR
     PORE_PATH, COAT_PATH, CORE_PATH,
     # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept.
     NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP,
-    # What decides these: positions in their tables; a number for the type, and its choice.
+    # What decides these: positions in their tables, and the number read at the second; a number for
+    # the type, and its choice.
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
     # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
     KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,

@@ -237,6 +237,10 @@ def trials(state, words, first, features, scene):
             )
         else:
             mx, my, mz = nx, ny, nz
+        # Normals come out shorter than 1 by 1e-8 on average.  Left so, rays in smooth spheres, in
+        # which all reflections are alike, would creep into total reflection and stay for ever;
+        # what creep remains leads out.
+        h = fused(h, ONE - dot(mx, my, mz, mx, my, mz), h)
         ex, ey, ez = normalized(fused(g, dx, h * mx), fused(g, dy, h * my), fused(g, dz, h * mz))
         out = dot(ex, ey, ez, nx, ny, nz)
         right = True

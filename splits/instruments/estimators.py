@@ -97,8 +97,8 @@ def spectral(
         step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
         step *= min(1.0, (max_rays - rays.sum()) / step.sum())
         left = float((wanted - rays - step).clip(0).sum())
-        # Small wishes wait, but however few rays are left, the level that wants most gets some.
-        least = min(0.5 * BATCH, step.max())
+        # However few rays are left, at least the level that wants most gets some.
+        least = min(1.0, step.max())
         work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
         runner.trace(work, float(stderr.max()), max_stderr, left)
     return Estimate(
@@ -145,9 +145,11 @@ def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble
         rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
         rays *= excess(rays).max()
     rays = np.maximum(rays, floor)
-    # What the floor gives away can be saved elsewhere; a little is added against falling short.
-    wanted = np.maximum(np.ceil(1.03 * rays * max(excess(rays).max(), 0.1)), floor)
-    return wanted if (wanted > floor).any() else floor + BATCH
+    # What the floor gives away can be saved elsewhere; a little is added against falling short,
+    # but only where more is wanted, or levels that have enough would grow with every round.
+    wanted = rays * max(excess(rays).max(), 0.1)
+    more = wanted > floor * (1.0 + 1e-6)
+    return np.where(more, np.ceil(1.03 * wanted), floor) if more.any() else floor + BATCH
 
 
 def analog(

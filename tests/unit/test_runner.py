@@ -78,3 +78,15 @@ def test_a_run_with_few_rays_left_ends(more):
     # Whole batches at every level: at most one more than asked for each of them.
     assert asked <= run.attrs["rays"] < asked + first_round
     assert np.isfinite(run.reflectance).all()
+
+
+@NEEDS_JIT
+def test_rays_go_where_they_are_needed():
+    # Close to the end, a level that has enough must not grow while another lacks a few rays.
+    rays = [
+        splits.spectrophotometer(SNOW, [450.0, 1030.0, 1600.0], max_stderr=0.01, seed=seed).attrs[
+            "rays"
+        ]
+        for seed in range(60)
+    ]
+    assert max(rays) < 3.0 * np.median(rays)

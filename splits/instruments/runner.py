@@ -245,30 +245,22 @@ class Runner:
         """
         features = self.features(job[0][1])
         work = np.array([(level.number, first, count * BATCH) for _, level, first, count in job])
-        optics = Optics(*map(np.stack, zip(*(level.optics for _, level, *_ in job), strict=True)))
+        scene = (self.grains, self.slab, self.rules)
         exits = exit_rows(int(work[:, 2].sum()), job[0][1].optics.n.size)
         ends = np.cumsum(work[:, 2])
         parts = np.split(exits, ends[:-1])
         if features is None:
             results = [
                 granular.batch(
-                    self.seed,
-                    level.number,
-                    first,
-                    len(part),
-                    self.grains,
-                    self.slab,
-                    self.rules,
-                    level.optics,
-                    part,
+                    self.seed, level.number, first, len(part), *scene, level.optics, part
                 )
                 for part, (_, level, first, _) in zip(parts, job, strict=True)
             ]
             legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
         else:
-            legs, lost = lanes.batch(
-                self.seed, work, self.grains, self.slab, self.rules, optics, exits, features
-            )
+            each = zip(*(level.optics for _, level, *_ in job), strict=True)
+            optics = Optics(*map(np.stack, each))
+            legs, lost = lanes.batch(self.seed, work, *scene, optics, exits, features)
         if lost:
             raise RuntimeError(
                 "a ray found no grain that fits between the boundaries: the sample is "

@@ -19,40 +19,23 @@ pytestmark = NEEDS_JIT
 single = np.float32
 
 
-@njit
-def _logarithms(x, out):
-    for i in range(x.size):
-        out[i] = elementary.logarithm(x[i])
+def looped(function):
+    """Return a compiled loop that writes the function's values of x into an array."""
+
+    @njit
+    def loop(x, out):
+        for i in range(x.size):
+            out[i] = function(x[i])
+
+    return loop
 
 
-@njit
-def _exponentials(x, out):
-    for i in range(x.size):
-        out[i] = elementary.exponential(x[i])
-
-
-@njit
-def _half_circles(x, out):
-    for i in range(x.size):
-        out[i] = elementary.half_circle(x[i])
-
-
-@njit
-def _circles(x, out):
-    for i in range(x.size):
-        out[i] = elementary.circle(x[i])
-
-
-@njit
-def _reciprocal_roots(x, out):
-    for i in range(x.size):
-        out[i] = arithmetic.reciprocal_root(x[i])
-
-
-@njit
-def _roots(x, out):
-    for i in range(x.size):
-        out[i] = arithmetic.root(x[i])
+_logarithms = looped(elementary.logarithm)
+_exponentials = looped(elementary.exponential)
+_half_circles = looped(elementary.half_circle)
+_circles = looped(elementary.circle)
+_reciprocal_roots = looped(arithmetic.reciprocal_root)
+_roots = looped(arithmetic.root)
 
 
 def evaluated(loop, x, width=1):

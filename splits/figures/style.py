@@ -13,7 +13,6 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-import seaborn as sns
 from matplotlib.figure import Figure
 
 BAND = 2.0
@@ -49,11 +48,7 @@ SUFFIXES = (".png", ".svg")
 @contextmanager
 def style() -> Iterator[None]:
     """Draw in the project's style."""
-    with (
-        sns.axes_style("ticks"),
-        sns.plotting_context("paper", font_scale=1.15),
-        plt.rc_context({"svg.hashsalt": "splits", "svg.fonttype": "none"}),
-    ):
+    with plt.style.context(Path(__file__).with_name("paper.mplstyle")):
         yield
 
 
@@ -70,11 +65,12 @@ NOMINAL = ("medium", "refractive_index", "readings", "sample")
 
 def colours(count: int, parameter: str | None = None) -> list[tuple[float, float, float]]:
     """Return colours that can be told apart; a scale of them for few values that have an order."""
-    if parameter in NOMINAL:
-        return list(sns.color_palette("colorblind" if count <= 10 else "husl", count))
-    if count <= 6:
-        return list(sns.color_palette("viridis", count + 1))[:count]
-    return list(sns.color_palette("husl", count))
+    if parameter not in NOMINAL and count <= 6:
+        shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 1.0, count + 3)[1:-2])
+        return [(r, g, b) for r, g, b, _ in shades.tolist()]
+    import seaborn  # takes as long to import as all the rest
+
+    return list(seaborn.color_palette("colorblind" if count <= 10 else "husl", count))
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:

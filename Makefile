@@ -1,7 +1,8 @@
 # make run     set up .venv, run every experiment of config/ and write the report
 # make test    set up .venv and run the tests
-# make draft   the same, quickly and roughly, into results/draft
-# make resume  go on after a crash (ACCURACY=draft if it was a draft)
+# make setup   set up .venv and nothing else
+# make draft   what make run does, quickly and roughly, into results/draft
+# make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
 CORES ?= 2
 ACCURACY ?= standard
@@ -9,11 +10,13 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test resume draft lint benchmarks lock clean
+.PHONY: run setup test resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
 	$(BIN)/snakemake --report $(REPORT) --config accuracy=$(ACCURACY)
+
+setup: $(VENV)/ready
 
 draft:
 	$(MAKE) run ACCURACY=draft

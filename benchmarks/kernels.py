@@ -43,7 +43,7 @@ from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, lanes
 from splits.transport.lanes.choice import features_for
 from splits.transport.lanes.rows import Features
-from splits.transport.scene import Optics, Slab
+from splits.transport.scene import UNLIMITED, Optics, Slab
 from splits.transport.tally import exit_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,10 +142,10 @@ class Bench:
     def run(self, seed: int, first: int) -> int:
         """Trace rays from one of that number on and return their legs."""
         *scene, optics = self.scene
+        work = np.array([[0, first, self.rays, UNLIMITED]])
         if self.features is None:
-            legs, lost = granular.batch(seed, 0, first, self.rays, *scene, optics, self.exits)
+            legs, lost = granular.batch(seed, work[0], *scene, optics, self.exits)
         else:
-            work = np.array([[0, first, self.rays]])
             optics = Optics(*(values[np.newaxis] for values in optics))
             (legs,), lost = lanes.batch(seed, work, *scene, optics, self.exits, self.features)
         if lost:

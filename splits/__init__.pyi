@@ -1,6 +1,8 @@
 from .dataset import load as load
 from .dataset import save as save
+from .instruments import bssrdf as bssrdf
 from .instruments import deep_transmittance as deep_transmittance
+from .instruments import goniophotometer as goniophotometer
 from .instruments import single_scattering as single_scattering
 from .instruments import spectrophotometer as spectrophotometer
 from .media import Readings as Readings

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from splits.checks import in_range, one_of, refuse, suggestion
 from splits.experiments.parameters import checked_ranges
+from splits.instruments.goniophotometer import check_angles, check_beam, check_cells
 from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.media import GranularMedium, Sand, Snow
 
@@ -25,11 +26,35 @@ SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
 MERGED = ("readings", "refractive_index")
 """Keywords that are mappings: a grid's values add to those of the medium."""
+ESTIMATORS = {
+    "spectrophotometer": ("spectral", "analog"),
+    "goniophotometer": ("expansion", "cells"),
+}
+ONLY_FOR = {
+    "rays": ("goniophotometer", "bssrdf"),
+    "target": ("goniophotometer",),
+    "polar_deg": ("goniophotometer",),
+    "azimuth_deg": ("goniophotometer",),
+    "cells": ("goniophotometer",),
+    "half_width_m": ("bssrdf",),
+}
+"""Settings that only some instruments know."""
+FIGURES = {
+    "spectrophotometer": ("spectra", "points", "swatches", "fit"),
+    "goniophotometer": ("principal_plane", "lobes", "cells"),
+    "bssrdf": ("spread",),
+    "refractive_index": ("refractive_index",),
+}
+"""Kinds of figures that show what an instrument measures, the usual one first."""
+Quantity = Literal[
+    "reflectance", "transmittance", "absorptance",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
+]  # fmt: skip
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
-    "all", "agreement", "archive", "benchmark_kernels", "benchmarks", "figure", "figure_letcher",
-    "figure_sensitivity", "figure_speed_against_error", "fitted_parameters", "sand_compositions",
-    "sand_tables", "sensitivity", "simulate", "speed_against_error",
+    "all", "agreement", "angular_trends", "archive", "benchmark_kernels", "benchmarks", "figure",
+    "figure_letcher", "figure_sensitivity", "figure_speed_against_error", "fitted_parameters",
+    "sand_compositions", "sand_tables", "sensitivity", "simulate", "speed_against_error",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 
@@ -65,14 +90,22 @@ class WavelengthGrid(Section):
 class Instrument(Section):
     """A virtual instrument and its settings."""
 
-    kind: Literal["spectrophotometer", "refractive_index"] = "spectrophotometer"
+    kind: Literal["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"] = (
+        "spectrophotometer"
+    )
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=400, stop=2500, step=10
     )
     incidence_deg: float | str = 0.0
-    estimator: Literal["spectral", "analog"] = "spectral"
+    estimator: Literal["spectral", "analog", "expansion", "cells"] | None = None
     error_factor: float = 1.0
     seed: int | None = Field(default=None, ge=0)
+    rays: int | None = Field(default=None, ge=1)
+    target: Literal["brdf", "btdf"] | None = None
+    polar_deg: tuple[float, ...] | None = None
+    azimuth_deg: tuple[float, ...] | None = None
+    cells: tuple[int, int] | None = None
+    half_width_m: float | None = Field(default=None, gt=0)
 
     @field_validator("incidence_deg", mode="before")
     @classmethod
@@ -84,6 +117,25 @@ class Instrument(Section):
     def _error_factor(cls, value: float) -> float:
         return in_range("instrument.error_factor", value, 0.01, 100.0)
 
+    @model_validator(mode="after")
+    def _fitting(self) -> Instrument:
+        known = ESTIMATORS.get(self.kind, ())
+        if self.estimator is not None and self.estimator not in known:
+            allowed = "one of " + ", ".join(known) if known else "left out"
+            raise refuse("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
+        for key, kinds in ONLY_FOR.items():
+            if getattr(self, key) is not None and self.kind not in kinds:
+                raise refuse(
+                    f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
+                    "it belongs to " + " and ".join(kinds),
+                )  # fmt: skip
+        for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
+            if getattr(self, key) is not None:
+                check_angles(f"instrument.{key}", getattr(self, key), end)
+        if self.cells is not None:
+            check_cells(self.cells)
+        return self
+
     def wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""
         grid = self.wavelength_nm
@@ -93,8 +145,11 @@ class Instrument(Section):
 class FigureSection(Section):
     """How an experiment's figure shows its dataset."""
 
-    quantity: tuple[Literal["reflectance", "transmittance", "absorptance"], ...] = ("reflectance",)
-    kind: Literal["spectra", "points", "refractive_index", "swatches", "fit"] = "spectra"
+    quantity: tuple[Quantity, ...] = ("reflectance",)
+    kind: Literal[
+        "spectra", "points", "refractive_index", "swatches", "fit",
+        "principal_plane", "lobes", "cells", "spread",
+    ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}
     measured: str | None = None
@@ -187,6 +242,7 @@ class Experiment(Section):
             if parameter not in parameters:
                 raise ValueError(_unknown(f"grid.{parameter}", parameters))
         self._check_fit(kind)
+        self._check_figure()
         for dimension, label in self.figure.at.items():
             one_of("figure.at", dimension, self.grid)
             labels = self.grid[dimension]
@@ -222,6 +278,34 @@ class Experiment(Section):
                 raise refuse(
                     "grid", list(self.grid), "one or two parameters for figure.kind = 'swatches'"
                 )
+
+    def _check_figure(self) -> None:
+        """Refuse a figure that does not show what the instrument measures."""
+        instrument = self.instrument
+        known = FIGURES[instrument.kind]
+        if self.figure.kind is not None and self.figure.kind not in known:
+            raise refuse(
+                "figure.kind",
+                self.figure.kind,
+                f"one of {', '.join(known)} for instrument.kind = {instrument.kind!r}",
+            )
+        if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
+            raise refuse(
+                "instrument.half_width_m", None, "given where there is a grid",
+                "all maps of one dataset have the same axes",
+            )  # fmt: skip
+        if self.figure.kind == "cells" and instrument.estimator != "cells":
+            raise refuse(
+                "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
+            )
+        if instrument.kind in ("goniophotometer", "bssrdf"):
+            for _, _, incidence in self.settings():
+                check_beam(incidence)
+
+    def drawing(self) -> dict[str, Any]:
+        """Return the section `figure` for `splits.figures.draw`, with a kind that fits."""
+        usual = FIGURES[self.instrument.kind][0]
+        return {**self.figure.model_dump(mode="json"), "kind": self.figure.kind or usual}
 
     def tables(self) -> list[str]:
         """Return the files of users' own refractive indices, on which the numbers depend."""
@@ -269,7 +353,8 @@ class Accuracy(Section):
     """How far simulations run."""
 
     max_stderr: float = Field(ge=1e-6, le=0.5)
-    max_rays: int = Field(default=20_000_000, ge=1)
+    relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
+    max_rays: int | None = Field(default=None, ge=1)
 
 
 class SensitivityPair(Section):

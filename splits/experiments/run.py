@@ -11,16 +11,21 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
-from splits.experiments.model import Accuracy, Experiment
-from splits.instruments import Progress, spectrophotometer
+from splits.experiments.model import Accuracy, Experiment, Instrument
+from splits.instruments import Progress, bssrdf, goniophotometer, spectrophotometer
+from splits.media.granular import GranularMedium
 from splits.transport import sources_digest
 
 POINT_FACTS = {
     "rays": ("number of rays traced", "1"),
     "max_stderr_reached": ("largest standard error reached", "1"),
+    "relative_stderr_reached": ("largest relative standard error reached", "1"),
     "mean_grain_distance": ("mean distance between grains along a ray", "m"),
     "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
 }
+REACHED = ("max_stderr_reached", "relative_stderr_reached")
+BEAM_RAYS = 200_000
+"""Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
 _PER_MEDIUM = {
     "mean_grain_distance": "mean_grain_distance_m",
     "specific_surface_area": "specific_surface_area_m2_kg",
@@ -72,25 +77,50 @@ def run(
                 f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
             )
 
-        result = spectrophotometer(
+        result = measure(
+            instrument,
             medium,
-            instrument.wavelengths(),
             incidence,
-            min(instrument.error_factor * accuracy.max_stderr, 0.5),
+            accuracy,
             seed if instrument.seed is None else instrument.seed,
-            estimator=instrument.estimator,
-            max_rays=accuracy.max_rays,
-            threads=threads,
-            progress=show,
+            threads,
+            show,
         )
         results.append(result)
-        say(
-            f"{head}: done, {result.attrs['rays']} rays, error "
-            f"{result.attrs['max_stderr_reached']:.4f}, {result.attrs['wall_time_s']:.1f} s"
-        )
-        if result.attrs["stopped_by"] == "rays":
-            say(f"{head}: stopped by max_rays = {accuracy.max_rays} before the error was reached")
+        facts = result.attrs
+        reached = [f", error {facts[key]:.4f}" for key in REACHED if key in facts]
+        say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
+        if facts.get("stopped_by") == "rays" and not instrument.rays:
+            say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
     return _stack(experiment, results, time.perf_counter() - begun)
+
+
+def measure(
+    instrument: Instrument,
+    medium: GranularMedium,
+    incidence_deg: float | str,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    progress: Callable[[Progress], None],
+) -> xr.Dataset:
+    """Put a medium under an instrument; see `run`."""
+    scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
+    common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
+    keys = ("estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m")
+    given = {key: getattr(instrument, key) for key in keys}
+    common |= {key: value for key, value in given.items() if value is not None}
+    if instrument.kind == "bssrdf":
+        effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
+        common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
+        return bssrdf(*scene, **common)
+    if accuracy.max_rays is not None:
+        common["max_rays"] = accuracy.max_rays
+    if instrument.kind == "goniophotometer":
+        common["relative_stderr"] = min(instrument.error_factor * accuracy.relative_stderr, 0.5)
+        return goniophotometer(*scene, **common)
+    common["max_stderr"] = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    return spectrophotometer(*scene, **common)
 
 
 def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
@@ -100,13 +130,15 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     first = results[0]
     variables: dict[str, Any] = {}
     for name, variable in first.data_vars.items():
-        stacked = np.stack([r[name].values for r in results]).reshape(*shape, -1)
-        variables[str(name)] = ((*dims, "wavelength"), stacked, variable.attrs)
+        stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
+        variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
     for name, (long_name, units) in POINT_FACTS.items():
+        if name in REACHED and name not in first.attrs:
+            continue
         key = f"{first.attrs['medium']}_{_PER_MEDIUM[name]}" if name in _PER_MEDIUM else name
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
-    coordinates: dict[str, Any] = {"wavelength": first.wavelength}
+    coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}
     for parameter, choices in experiment.grid.items():
         coordinates[parameter] = (parameter, coordinate_values(choices), {"long_name": parameter})
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
@@ -121,11 +153,13 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
         "experiment": experiment.name,
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         "rays": int(sum(r.attrs["rays"] for r in results)),
-        "max_stderr_reached": max(float(r.attrs["max_stderr_reached"]) for r in results),
-        "stopped_by": "rays" if any(r.attrs["stopped_by"] == "rays" for r in results) else "error",
+        **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
         "wall_time_s": round(seconds, 3),
         **provenance(),
     }
+    if "stopped_by" in first.attrs:
+        early = any(r.attrs["stopped_by"] == "rays" for r in results)
+        facts["stopped_by"] = "rays" if early else "error"
     return xr.Dataset(variables, coordinates, attributes(facts))
 
 

@@ -11,24 +11,34 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
+from splits.figures.directions import NAMES, collectors, lobes, principal_planes
 from splits.figures.fits import fits
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
 from splits.figures.spectra import refractive_indices, spectra
+from splits.figures.spread import spread
 from splits.figures.style import save_figure
 from splits.figures.swatches import swatches
 
 __all__ = [
+    "collectors",
     "draw",
     "fits",
+    "lobes",
     "measured_albedo",
     "points",
+    "principal_planes",
     "refractive_indices",
     "save_figure",
     "sensitivity_bars",
     "spectra",
+    "spread",
     "swatches",
 ]
+
+
+OF_DATASET = {"lobes": lobes, "cells": collectors, "spread": spread}
+"""Kinds of figures that only need to know which point of a grid to show."""
 
 
 def draw(
@@ -52,6 +62,14 @@ def draw(
         return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":
         return swatches(at_points(dataset, section["at"]))
+    if section["kind"] == "principal_plane":
+        quantity = section["quantity"][0]
+        quantity = quantity if quantity in NAMES else "brdf"
+        return principal_planes(
+            dataset, quantity, section["at"], section["legend"], section["ylim"]
+        )
+    if section["kind"] in OF_DATASET:
+        return OF_DATASET[section["kind"]](dataset, section["at"])
     return spectra(
         dataset,
         section["quantity"],

@@ -9,13 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.efficiency import METHODS, SCALED, THEORIES
-from splits.figures.style import colours, style
+from splits.figures.style import Colour, colours, style
 
 MARKERS = ("s", "D", "v", "^", "o", "P", "X")
 GREYS = ("0.15", "0.5")
 """Shades of the theories, which are other models."""
 COLUMNS = 2
-Colour = tuple[float, float, float] | str
 
 
 def speed_against_error(table: pd.DataFrame) -> Figure:

@@ -15,6 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+Colour = tuple[float, float, float] | str
+
 BAND = 2.0
 """Error bands and bars reach this many standard errors to either side."""
 

@@ -1,8 +1,17 @@
 """Virtual instruments: run the kernels until the error asked for, estimate, label."""
 
+from splits.instruments.bssrdf import bssrdf
 from splits.instruments.deep import deep_transmittance
+from splits.instruments.goniophotometer import goniophotometer
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.spectrophotometer import spectrophotometer
 
-__all__ = ["Progress", "deep_transmittance", "single_scattering", "spectrophotometer"]
+__all__ = [
+    "Progress",
+    "bssrdf",
+    "deep_transmittance",
+    "goniophotometer",
+    "single_scattering",
+    "spectrophotometer",
+]

@@ -1,28 +1,33 @@
-"""Ensembles of paths: sums of weights, means and their variances."""
+"""Ensembles of paths, and those of a spectrophotometer: sums of weights, means, variances."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from splits.transport.scene import Optics
+from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.tally import tally
 
 LEVELS = (-1.0, 0.002, 0.01, 0.06)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
 Visible light needs few rays and long paths, the near infrared many rays and short paths."""
 
+_FIRST_LEGS = 400.0
+"""Legs per ray to expect at first at the level of least absorption; half as many at the next."""
+
 Tally = tuple[np.ndarray, np.ndarray, int]
-"""What a batch yields: moments, least weight, rays."""
+"""What a batch yields here: moments, least weight, rays."""
 
 
 @dataclass(eq=False)
 class Level:
-    """Rays of an ensemble that serve the wavelengths of at least some absorption.
+    """Rays of an ensemble that serve only some wavelengths, or only some orders of scattering.
 
-    The first level serves all and must follow every path to its end; the others may end paths
-    early, by roulette, because the wavelengths that need long paths do not listen.
+    They may end paths early where nobody listens: by roulette, because the wavelengths that need
+    long paths do not, or once they have met as many grains as somebody listens to.
 
     Attributes
     ----------
@@ -30,6 +35,10 @@ class Level:
         Names the random streams.
     optics : Optics
     served : bool, shape (wavelengths,)
+    guess : float
+        Legs per ray to expect before any was traced.
+    most : int
+        Grains that a ray may meet.
     rays, legs : int
         Traced so far.
     """
@@ -37,8 +46,29 @@ class Level:
     number: int
     optics: Optics
     served: np.ndarray
+    guess: float
+    most: int = UNLIMITED
     rays: int = 0
     legs: int = 0
+
+
+class Paths(Protocol):
+    """What a `splits.instruments.runner.Runner` asks of an ensemble."""
+
+    absorption: np.ndarray
+    levels: list[Level]
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        ...
+
+    def tally(self, level: Level, first: int, exits: np.ndarray) -> Any:
+        """Return what a batch of a level's exits, from that ray on, adds up to."""
+        ...
+
+    def add(self, level: Level, tallies: Sequence[Any]) -> None:
+        """Add the tallies of successive batches."""
+        ...
 
 
 class Ensemble:
@@ -95,7 +125,16 @@ class Ensemble:
                 continue
             # Roulette may only use what holds for every wavelength that listens.
             optics = Optics(index.real.copy(), index.imag.copy(), absorption[part].min(axis=0))
-            self.levels.append(Level(number * len(LEVELS) + step, optics, part))
+            guess = _FIRST_LEGS / 2**step
+            self.levels.append(Level(number * len(LEVELS) + step, optics, part, guess))
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        return 7 * len(self.absorption)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray) -> Tally:
+        """Return the sums of a batch of exits of a level, for the wavelengths it serves."""
+        return *tally(exits, self.absorption[level.served], not self.analog), len(exits)
 
     def add(self, level: Level, tallies: Sequence[Tally]) -> None:
         """Add the tallies of batches one by one: sums do not depend on who traced them."""

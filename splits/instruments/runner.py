@@ -7,17 +7,18 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.ensemble import LEVELS, Ensemble, Level, Tally
+from splits.instruments.ensemble import Level, Paths
 from splits.media.granular import GranularMedium
 from splits.transport import granular, lanes
 from splits.transport.lanes.choice import features_for
 from splits.transport.lanes.rows import Features
 from splits.transport.scene import Grains, Optics, Rules, Slab
-from splits.transport.tally import exit_rows, tally
+from splits.transport.tally import exit_rows
 
 BATCH = 128
 """Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
@@ -28,13 +29,10 @@ LEGS = 2e7
 every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
 better: lanes stand idle while the last rays of a job end."""
 
-_FIRST_LEGS = 400.0
-"""Legs per ray to expect at first at the level of least absorption; half as many at the next."""
-
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
-Piece = tuple[Ensemble, Level, int, int]
+Piece = tuple[Paths, Level, int, int]
 """Some batches of a level: ensemble, level, first ray, number of batches."""
 
 
@@ -64,6 +62,8 @@ class Runner:
     kernel : {"auto", "lanes", "scalar"}
     report : callable, optional
         Receives a `Progress` a few times per second at most.
+    positions, orders : bool
+        Whether exits are to tell where a ray left and how many grains it had met.
     """
 
     def __init__(
@@ -75,6 +75,9 @@ class Runner:
         analog: bool,
         kernel: str = "auto",
         report: Callable[[Progress], None] | None = None,
+        *,
+        positions: bool = False,
+        orders: bool = False,
     ) -> None:
         diffuse = incidence_deg == "diffuse"
         cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
@@ -85,13 +88,15 @@ class Runner:
         self.threads = threads or len(os.sched_getaffinity(0))
         self.kernel = kernel
         self.report = report
+        self.positions = positions
+        self.orders = orders
         self.started = time.perf_counter()
         self._reported = 0.0
         self._features: dict[Level, Features | None] = {}
 
     def trace(
         self,
-        work: Sequence[tuple[Ensemble, Level, int]],
+        work: Sequence[tuple[Paths, Level, int]],
         stderr: float,
         target: float,
         left: float = 0.0,
@@ -129,7 +134,7 @@ class Runner:
         finally:
             pool.shutdown(cancel_futures=True)
 
-    def jobs(self, work: Sequence[tuple[Ensemble, Level, int]]) -> list[list[Piece]]:
+    def jobs(self, work: Sequence[tuple[Paths, Level, int]]) -> list[list[Piece]]:
         """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
         kinds: dict[Features | None, list[Piece]] = {}
         for ensemble, level, rays in work:
@@ -138,7 +143,7 @@ class Runner:
         jobs = []
         for features, pieces in kinds.items():
             # Short paths last, so that few lanes wait for the last long one.
-            pieces.sort(key=lambda piece: piece[1].number % len(LEVELS))
+            pieces.sort(key=lambda piece: -piece[1].guess)
             batches = sum(count for *_, count in pieces)
             cost = sum(self.cost(level) * count for _, level, _, count in pieces)
             most = LEGS if features else LEGS / 8
@@ -149,10 +154,10 @@ class Runner:
             jobs += self.cut(pieces, number, cost / number, held)
         return jobs
 
-    def held(self, ensemble: Ensemble) -> int:
+    def held(self, ensemble: Paths) -> int:
         """Return how many batches a job may hold: exits of their rays, and tallies."""
-        wavelengths, materials = ensemble.absorption.shape
-        numbers = BATCH * exit_rows(1, materials).shape[1] + 7 * wavelengths
+        materials = ensemble.absorption.shape[1]
+        numbers = BATCH * exit_rows(1, materials).shape[1] + ensemble.size()
         return max(1, MEMORY // (8 * numbers))
 
     def cut(
@@ -183,10 +188,10 @@ class Runner:
     def cost(self, level: Level) -> float:
         """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
         if level.rays == 0:
-            return BATCH * (1.0 + _FIRST_LEGS / 2 ** (level.number % len(LEVELS)))
+            return BATCH * (1.0 + level.guess)
         return BATCH * (1.0 + level.legs / level.rays)
 
-    def prepare(self, ensembles: Sequence[Ensemble]) -> None:
+    def prepare(self, ensembles: Sequence[Paths]) -> None:
         """Let all levels of these ensembles share a kernel, if that is all that parts them.
 
         Reflection with extinction also serves where extinction does not show, and rays of all
@@ -210,7 +215,9 @@ class Runner:
         if self.kernel == "scalar":
             return None
         if level not in self._features:
-            self._features[level] = features_for(self.grains, self.slab, self.rules, level.optics)
+            self._features[level] = features_for(
+                self.grains, self.slab, self.rules, level.optics, self.positions, self.orders
+            )
         features = self._features[level]
         if features is None and self.kernel == "lanes":
             raise refuse(
@@ -221,7 +228,7 @@ class Runner:
             )
         return features
 
-    def kernels(self, ensembles: Sequence[Ensemble]) -> str:
+    def kernels(self, ensembles: Sequence[Paths]) -> str:
         """Return which kernels trace these ensembles, joined by a comma."""
         used = {
             "scalar" if self.features(level) is None else "lanes"
@@ -230,13 +237,13 @@ class Runner:
         }
         return ", ".join(sorted(used))
 
-    def tallies(self, job: Sequence[Piece]) -> list[tuple[list[Tally], int]]:
+    def tallies(self, job: Sequence[Piece]) -> list[tuple[list[Any], int]]:
         """Trace pieces that share a kernel; the same numbers whoever does, and in whatever job.
 
         Returns
         -------
-        list of (list of Tally, int)
-            For each piece: a tally for each batch, in order, and the legs traced.
+        list of (list of tallies, int)
+            For each piece: what its ensemble makes of each batch, in order, and the legs traced.
 
         Raises
         ------
@@ -244,17 +251,17 @@ class Runner:
             If a ray found no grain that fits where it was.
         """
         features = self.features(job[0][1])
-        work = np.array([(level.number, first, count * BATCH) for _, level, first, count in job])
+        work = np.array(
+            [(level.number, first, count * BATCH, level.most) for _, level, first, count in job]
+        )
         scene = (self.grains, self.slab, self.rules)
         exits = exit_rows(int(work[:, 2].sum()), job[0][1].optics.n.size)
         ends = np.cumsum(work[:, 2])
         parts = np.split(exits, ends[:-1])
         if features is None:
             results = [
-                granular.batch(
-                    self.seed, level.number, first, len(part), *scene, level.optics, part
-                )
-                for part, (_, level, first, _) in zip(parts, job, strict=True)
+                granular.batch(self.seed, item, *scene, level.optics, part)
+                for item, part, (_, level, _, _) in zip(work, parts, job, strict=True)
             ]
             legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
         else:
@@ -266,12 +273,14 @@ class Runner:
                 "a ray found no grain that fits between the boundaries: the sample is "
                 "barely thicker than its grains, or the incidence too close to 90 degrees"
             )
-        weighted = not self.rules.analog
         tallied = []
-        for (ensemble, level, _, count), part, cost in zip(job, parts, legs, strict=True):
-            absorption = ensemble.absorption[level.served]
+        for (ensemble, level, first, count), part, cost in zip(job, parts, legs, strict=True):
             batches = part.reshape(count, BATCH, -1)
-            tallied.append(([(*tally(b, absorption, weighted), BATCH) for b in batches], int(cost)))
+            sums = [
+                ensemble.tally(level, first + number * BATCH, batch)
+                for number, batch in enumerate(batches)
+            ]
+            tallied.append((sums, int(cost)))
         return tallied
 
     def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:

@@ -27,6 +27,7 @@ from splits.transport.granular import (
 )
 from splits.transport.jit import entry
 from splits.transport.rng import mix64, start_stream, uniform
+from splits.transport.scene import UNLIMITED
 
 CAPACITY = 4096
 """Rays that may wait to be followed; none is split while so many do."""
@@ -82,9 +83,9 @@ def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa
         while True:
             while fate == TRAVELS:
                 window = Window(weight, kappa, LOWER, UPPER, slab.depth, profile)
-                fate, x, y, z, dx, dy, dz, last_leg, pore, spent = follow(
+                fate, x, y, z, dx, dy, dz, last_leg, pore, spent, _ = follow(
                     state, x, y, z, dx, dy, dz, last_leg, pore,
-                    grains, slab, rules, optics, length, purse, window,
+                    grains, slab, rules, optics, length, purse, window, UNLIMITED,
                 )  # fmt: skip
                 legs += spent
                 if fate != TRAVELS:

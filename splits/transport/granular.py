@@ -29,6 +29,7 @@ from splits.transport.spheroid import (
 from splits.transport.tally import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
+    EXIT_ORDER,
     EXIT_POSITION,
     EXIT_SIDE,
     EXIT_WEIGHT,
@@ -200,7 +201,8 @@ def launch(state, slab, rules, optics):
 
 @kernel
 def follow(
-    state, x, y, z, dx, dy, dz, last_leg, pore, grains, slab, rules, optics, length, purse, window
+    state, x, y, z, dx, dy, dz, last_leg, pore,
+    grains, slab, rules, optics, length, purse, window, most,
 ):  # fmt: skip
     """Follow a ray until it leaves the slab or is absorbed, or until its worth wants a decision.
 
@@ -218,6 +220,8 @@ def follow(
         Advanced in place.
     window : Window or None
         None asks for no decisions, at no cost.
+    most : int
+        Grains met after which a ray counts as absorbed.
 
     Returns
     -------
@@ -225,10 +229,12 @@ def follow(
         `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is left.
     x, y, z, dx, dy, dz, last_leg, pore
         Where the ray then is.
-    legs : int
+    legs, order : int
+        Legs through the pore space and grains met.
     """
     g1, g2, g3, lx, ly, lz, last = last_leg
     legs = 0
+    order = 0
     while True:
         legs += 1
         to_boundary = math.inf
@@ -241,12 +247,12 @@ def follow(
             state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
         )
         if leg < 0.0:
-            return LOST, x, y, z, dx, dy, dz, last_leg, pore, legs
+            return LOST, x, y, z, dx, dy, dz, last_leg, pore, legs, order
         met_boundary = leg >= to_boundary
         if met_boundary:
             leg = to_boundary
         if not survives(state, leg, pore, optics, rules, length, purse):
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs
+            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
         lx, ly, lz, last = dx, dy, dz, leg
         x += leg * dx
         y += leg * dy
@@ -261,8 +267,11 @@ def follow(
                 )
             if passed:
                 fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, x, y, z, dx, dy, dz, last_leg, pore, legs
+                return fate, x, y, z, dx, dy, dz, last_leg, pore, legs, order
             continue
+        if order == most:
+            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+        order += 1
         facetness = from_table(grains.facetness, kind, uniform(state))
         alive, g1, g2, g3, dx, dy, dz, pore = grain_walk(
             state, q1, q2, q3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
@@ -270,7 +279,7 @@ def follow(
             grains, optics, rules, length, purse,
         )  # fmt: skip
         if not alive:
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs
+            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
         # Only a grain kept across a boundary, or rounding, ends a walk out there: the ray counts
         # as standing on that boundary.
         z = min(max(z + g3, -slab.depth), 0.0)
@@ -278,11 +287,11 @@ def follow(
         y += g2
         if window is not None and left_window(window, z, purse):
             last_leg = (g1, g2, g3, lx, ly, lz, last)
-            return TRAVELS, x, y, z, dx, dy, dz, last_leg, pore, legs
+            return TRAVELS, x, y, z, dx, dy, dz, last_leg, pore, legs, order
 
 
 @kernel
-def trace(state, grains, slab, rules, optics, length, purse):
+def trace(state, grains, slab, rules, optics, length, purse, most):
     """Follow one ray from the light source until it leaves the slab or is absorbed.
 
     Parameters
@@ -295,6 +304,8 @@ def trace(state, grains, slab, rules, optics, length, purse):
         Set to the path length in each material (m).
     purse : float64[3]
         Set to the roulette's account, see `splits.transport.absorption`.
+    most : int
+        Grains met after which the ray counts as absorbed, or `UNLIMITED`.
 
     Returns
     -------
@@ -304,28 +315,31 @@ def trace(state, grains, slab, rules, optics, length, purse):
         Point and direction of exit, the latter outside the slab.
     legs : int
         Legs through the pore space: what the ray cost.
+    order : int
+        Grains met.
     """
     length[:] = 0.0
     start_purse(purse)
     fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
     if fate != TRAVELS:
-        return fate, 0.0, 0.0, 0.0, dx, dy, dz, 0
-    fate, x, y, z, dx, dy, dz, _, _, legs = follow(
+        return fate, 0.0, 0.0, 0.0, dx, dy, dz, 0, 0
+    fate, x, y, z, dx, dy, dz, _, _, legs, order = follow(
         state, 0.0, 0.0, 0.0, dx, dy, dz, NO_LEG, pore,
-        grains, slab, rules, optics, length, purse, None,
+        grains, slab, rules, optics, length, purse, None, most,
     )  # fmt: skip
-    return fate, x, y, z, dx, dy, dz, legs
+    return fate, x, y, z, dx, dy, dz, legs, order
 
 
 @entry
-def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits):
-    """Trace `rays` rays and record how they leave.
+def batch(seed, work, grains, slab, rules, optics, exits):
+    """Trace rays and record how they leave.
 
     Parameters
     ----------
-    seed, ensemble, first_ray : int
-        Name the random streams: ray i of an ensemble is the same whoever traces it.
-    rays : int
+    seed : int
+    work : int64[4]
+        Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
+        Seed, ensemble and number name a ray's random stream: it is the same whoever traces it.
     grains, slab, rules, optics
         See `splits.transport.scene`.
     exits : float64[rays, columns]
@@ -343,17 +357,20 @@ def batch(seed, ensemble, first_ray, rays, grains, slab, rules, optics, exits):
     length = np.zeros(materials)
     purse = np.zeros(3)
     state = np.zeros(1, dtype=np.uint64)
-    for ray in range(first_ray, first_ray + rays):
-        start_stream(state, seed, ensemble, ray)
-        fate, x, y, _, dx, dy, dz, spent = trace(state, grains, slab, rules, optics, length, purse)
+    for ray in range(work[2]):
+        start_stream(state, seed, work[0], work[1] + ray)
+        fate, x, y, _, dx, dy, dz, spent, order = trace(
+            state, grains, slab, rules, optics, length, purse, work[3]
+        )
         legs += spent
         if fate == LOST:
             return legs, True
         if fate == ABSORBED:
             continue
-        row = exits[ray - first_ray]
+        row = exits[ray]
         row[EXIT_SIDE] = 0.0 if fate == REFLECTED else 1.0
         row[EXIT_WEIGHT] = purse[WEIGHT]
+        row[EXIT_ORDER] = order
         row[EXIT_DIRECTION] = dx
         row[EXIT_DIRECTION + 1] = dy
         row[EXIT_DIRECTION + 2] = dz

@@ -15,6 +15,9 @@ from splits.transport import facets, spheroid
 DRY_PORE = 0
 WET_PORE = 1
 
+UNLIMITED = 2**31 - 1
+"""Grains met after which a ray is given up, where it may meet any number."""
+
 LOBE = 0
 """A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
 MIRRORED = 1

@@ -16,11 +16,13 @@ EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
 EXIT_WEIGHT = 1
 """Column of the inverse probability of having survived roulette."""
-EXIT_DIRECTION = 2
+EXIT_ORDER = 2
+"""Column of the order of scattering: grains met; NaN where a kernel does not count them."""
+EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
-EXIT_POSITION = 5
+EXIT_POSITION = 6
 """First of two columns: horizontal position (m); NaN where a kernel does not track it."""
-EXIT_LENGTH = 7
+EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 
 

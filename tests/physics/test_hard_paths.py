@@ -13,7 +13,7 @@ from scipy import integrate
 import splits
 from splits.transport import facets, frames, grain, granular, spheroid
 from splits.transport.fresnel import interface, refracted
-from splits.transport.scene import Optics, Slab
+from splits.transport.scene import UNLIMITED, Optics, Slab
 
 MANY = 10_000_000
 DRIFT = 1e-9
@@ -94,11 +94,12 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     depth, mu = 9e3, math.cos(math.radians(30.0))
     snow = splits.Snow(saturation=0.0, depth_m=depth)
     length, purse = np.zeros(3), np.zeros(3)
-    fate, x, y, z, dx, dy, dz, legs = granular.trace(
+    fate, x, y, z, dx, dy, dz, legs, order = granular.trace(
         stream(), snow.grains(), Slab(depth, 0.0, mu, False), RULES,
-        Optics(np.ones(3), np.zeros(3), np.zeros(3)), length, purse,
+        Optics(np.ones(3), np.zeros(3), np.zeros(3)), length, purse, UNLIMITED,
     )  # fmt: skip
     assert legs >= MANY
+    assert order == legs - 1
     assert (fate, z) == (granular.TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
     assert np.abs(np.subtract((dx, dy, dz), (sine, 0.0, -mu))).max() < DRIFT
@@ -119,8 +120,8 @@ def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
     length, purse = np.zeros(3), np.zeros(3)
     # The first of these rays is long enough today; with other random numbers a later one is.
     for ray in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
-        fate, x, y, z, dx, dy, dz, legs = granular.trace(
-            stream(ray), snow.grains(), slab, RULES, optics, length, purse
+        fate, x, y, z, dx, dy, dz, legs, _ = granular.trace(
+            stream(ray), snow.grains(), slab, RULES, optics, length, purse, UNLIMITED
         )
         if legs >= MANY:
             break

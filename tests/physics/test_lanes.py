@@ -18,8 +18,8 @@ from splits.transport import lanes
 from splits.transport.lanes import rows
 from splits.transport.lanes.rows import LANES
 from splits.transport.lanes.surface import surface
-from splits.transport.scene import Optics
-from splits.transport.tally import exit_rows
+from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.tally import EXIT_DIRECTION, EXIT_POSITION, exit_rows
 
 pytestmark = NEEDS_JIT
 
@@ -91,12 +91,17 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     scene = runner.grains, runner.slab, runner.rules
 
     def exits(items, optics):
-        rows = exit_rows(sum(rays for *_, rays in items), 3)
+        rows = exit_rows(sum(rays for *_, rays, _ in items), 3)
         legs, lost = lanes.batch(3, np.array(items), *scene, optics, rows, features)
         assert not lost and legs.min() > 0
         return rows, legs
 
-    items = [(0, 0, 101), (4, 50, 1), (4, 7, 300), (0, 200, 33)]
+    items = [
+        (0, 0, 101, UNLIMITED),
+        (4, 50, 1, UNLIMITED),
+        (4, 7, 300, UNLIMITED),
+        (0, 200, 33, UNLIMITED),
+    ]
     optics = [each[0], each[1], each[1], each[0]]
     together, legs = exits(items, Optics(*map(np.stack, zip(*optics, strict=True))))
     apart = [exits([item], alone(one)) for item, one in zip(items, optics, strict=True)]
@@ -113,7 +118,7 @@ def test_a_path_does_not_depend_on_lane_or_batch():
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
-        work = np.array([[0, first, rays]])
+        work = np.array([[0, first, rays, UNLIMITED]])
         scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
         _, lost = lanes.batch(3, work, *scene)
         assert not lost
@@ -170,14 +175,14 @@ def test_light_is_neither_lost_nor_made(positions):
     features = runner.features(ensemble.levels[0])._replace(positions=True if positions else None)
     rows = exit_rows(3000, 3)
     scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
-    _, lost = lanes.batch(5, np.array([[0, 0, 3000]]), *scene)
+    _, lost = lanes.batch(5, np.array([[0, 0, 3000, UNLIMITED]]), *scene)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
-    directions = rows[:, 2:5]
+    directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]
     assert np.abs((directions**2).sum(axis=1) - 1.0).max() < 1e-6
     assert ((directions[:, 2] > 0.0) == (rows[:, 0] == 0.0)).all()
     assert (rows[:, 1] == 1.0).all()
-    assert np.isfinite(rows[:, 5:7]).all() == positions
+    assert np.isfinite(rows[:, EXIT_POSITION : EXIT_POSITION + 2]).all() == positions
 
 
 def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
@@ -208,7 +213,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
 
     before = cosines()
     for _ in range(passes):
-        surface(state, words, LANES, rows.Features(*[None] * 6), scene)
+        surface(state, words, LANES, rows.Features(*[None] * 7), scene)
     assert (table[rows.LAYER // LANES] == 1.0).all()
     creep = (cosines() - before) / passes
     error = creep.std(ddof=1) / np.sqrt(LANES)

@@ -13,7 +13,7 @@ import splits
 from splits.transport import granular
 from splits.transport.absorption import WEIGHT
 from splits.transport.fresnel import interface
-from splits.transport.scene import Optics, Slab
+from splits.transport.scene import UNLIMITED, Optics, Slab
 from splits.transport.tally import exit_rows, tally
 
 pytestmark = NEEDS_JIT
@@ -81,8 +81,8 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
         for analog in (False, True):
             exits = exit_rows(rays, 3)
             _, lost = granular.batch(
-                seed + 10 * analog, ensemble, 0, rays, snow.grains(), Slab(depth, 0.0, mu, False),
-                snow.readings.rules(analog), optics, exits,
+                seed + 10 * analog, np.array([ensemble, 0, rays, UNLIMITED]), snow.grains(),
+                Slab(depth, 0.0, mu, False), snow.readings.rules(analog), optics, exits,
             )  # fmt: skip
             assert not lost
             moments, least = tally(exits, absorption[np.newaxis], not analog)
@@ -124,12 +124,13 @@ def test_a_ray_that_meets_no_grain_goes_straight(mu):
     length = np.ones(3)
     rules = snow.readings.rules()
     purse = np.zeros(3)
-    fate, x, y, z, dx, dy, dz, _ = granular.trace(
-        stream(), snow.grains(), slab, rules, optics, length, purse
+    fate, x, y, z, dx, dy, dz, legs, order = granular.trace(
+        stream(), snow.grains(), slab, rules, optics, length, purse, UNLIMITED
     )
     sine = math.sqrt(1.0 - mu * mu)
     assert (fate, purse[WEIGHT], y, dy) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (dx, dz, z) == (sine, -mu, -0.12)
+    assert (legs, order) == (1, 0)
     assert x == pytest.approx(0.12 * sine / mu, rel=1e-14)
     assert length == pytest.approx([0.12 / mu, 0.0, 0.0], rel=1e-14)
 

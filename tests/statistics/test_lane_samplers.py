@@ -362,7 +362,7 @@ def deep_scene(medium, variant):
         (0.5 * grains.facetness).astype(single),
     )
     mixed = True if grains.share.size > 1 else None
-    features = rows.Features(None, True, None, mixed, True if variant else None, True)
+    features = rows.Features(None, True, None, mixed, True if variant else None, True, None)
     return scene, features, tables, grains.share
 
 

@@ -48,8 +48,9 @@ def test_an_experiment_needs_no_more_than_a_name():
     assert (labels, incidence) == ({}, 0.0)
     assert medium.describe() == Snow().describe()
     np.testing.assert_array_equal(experiment.instrument.wavelengths(), np.arange(400.0, 2501, 10))
-    assert experiment.instrument.estimator == "spectral"
+    assert experiment.instrument.kind == "spectrophotometer"
     assert experiment.figure.quantity == ("reflectance",)
+    assert experiment.drawing()["kind"] == "spectra"
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     rows = fitted_parameters(again)
     assert len(rows) == ds.value.size
     assert set(rows.determined) <= {"yes", "no"} and set(rows.verdict) <= {"good", "not good"}
-    figure = draw(again, settings.figure.model_dump(mode="json"))
+    figure = draw(again, settings.drawing())
     assert len(figure.axes) == 4
 
 

@@ -102,6 +102,28 @@ rule sand_tables:
         "../scripts/sand_tables.py"
 
 
+rule angular_trends:
+    input:
+        data=data(ANGULAR_EXPERIMENTS),
+    output:
+        report(
+            f"{RESULTS}/tables/angular_trends.csv",
+            caption="../report/angular_trends.rst",
+            category="Angles",
+        ),
+    log:
+        f"{RESULTS}/logs/angular_trends.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/angular_trends.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Holding BRDFs against the trends of the papers"
+    script:
+        "../scripts/angular_trends.py"
+
+
 rule sand_compositions:
     input:
         physics=PHYSICS,
@@ -119,7 +141,11 @@ rule sand_compositions:
         "../../environment.yml"
     threads: 1
     params:
-        experiments={name: e.simulation() for name, e in EXPERIMENTS.items()},
+        experiments={
+            name: e.simulation()
+            for name, e in EXPERIMENTS.items()
+            if e.medium.get("kind") == "sand"
+        },
     message:
         "Listing the compositions of all sands"
     script:

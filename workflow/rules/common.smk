@@ -48,6 +48,16 @@ SAND_TABLES = [
     "sand_colours",
     "sand_compositions",
 ]
+# Experiments whose BRDFs the papers describe in words.
+ANGULAR_EXPERIMENTS = [
+    "fig16_incidence",
+    "fig18_wavelength",
+    "fig19_incidence",
+    "fig20_grain_size",
+    "fig21_grain_size",
+    "fig22_facetness",
+    "sand_fig11_brdf",
+]
 SENSITIVITY_EXPERIMENTS = sorted(
     {
         name
@@ -96,6 +106,8 @@ def paper_products():
             ]
     if set(SAND_EXPERIMENTS) <= set(EXPERIMENTS):
         made += [f"{RESULTS}/tables/{table}.csv" for table in SAND_TABLES]
+    if set(ANGULAR_EXPERIMENTS) <= set(EXPERIMENTS):
+        made.append(f"{RESULTS}/tables/angular_trends.csv")
     return made
 
 

@@ -18,9 +18,7 @@ rule figure:
         "../../environment.yml"
     threads: 1
     params:
-        figure=lambda wildcards: EXPERIMENTS[wildcards.experiment].figure.model_dump(
-            mode="json"
-        ),
+        figure=lambda wildcards: EXPERIMENTS[wildcards.experiment].drawing(),
         title=lambda wildcards: EXPERIMENTS[wildcards.experiment].title,
         caption=lambda wildcards: EXPERIMENTS[wildcards.experiment].caption,
     message:

@@ -62,10 +62,12 @@ from splits.transport.lanes.rows import (
     M_OUT_DRY,
     M_OUT_WET,
     MINOR,
+    MOST,
     N_CORE,
     N_DRY,
     N_OUTER,
     N_WET,
+    ORDER,
     PORE_PATH,
     STATE,
     STATUS,
@@ -87,6 +89,7 @@ from splits.transport.scene import DRY_PORE, WET_PORE
 from splits.transport.tally import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
+    EXIT_ORDER,
     EXIT_POSITION,
     EXIT_SIDE,
     EXIT_WEIGHT,
@@ -123,6 +126,8 @@ def launch(state, words, lane, seed, work, item, number, slab, rules, optics, co
     words[KEY_LOW + lane] = np.uint32(stream[0] & _LOW32)
     words[COUNT + lane] = np.uint32(1)
     words[LEGS + lane] = np.uint32(0)
+    words[ORDER + lane] = np.uint32(0)
+    words[MOST + lane] = np.uint32(work[item, 3])
     mu = math.sqrt(draw(words, lane)) if slab.diffuse else slab.cos_incidence
     dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
     wet = slab.saturation > 0.0 and draw(words, lane) < slab.saturation
@@ -233,13 +238,15 @@ def at_boundary(state, words, lane, slab, rules, optics, item):
 
 
 @kernel
-def record(row, state, lane, length, features):
+def record(row, state, words, lane, length, features):
     """Write a ray that left into a row of the exits."""
     row[EXIT_SIDE] = 0.0 if state[DZ + lane] > ZERO else 1.0
     row[EXIT_WEIGHT] = state[WEIGHT + lane]
     row[EXIT_DIRECTION] = state[DX + lane]
     row[EXIT_DIRECTION + 1] = state[DY + lane]
     row[EXIT_DIRECTION + 2] = state[DZ + lane]
+    if features.orders is not None:
+        row[EXIT_ORDER] = words[ORDER + lane]
     if features.positions is not None:
         row[EXIT_POSITION] = state[X + lane]
         row[EXIT_POSITION + 1] = state[Y + lane]
@@ -279,9 +286,10 @@ def batch(seed, work, grains, slab, rules, optics, exits, features):
     Parameters
     ----------
     seed : int
-    work : int64[items, 3]
-        Ensemble, first ray, and number of rays: these name the random streams.  A ray is the
-        same in whatever lane and batch, and in whatever company.
+    work : int64[items, 4]
+        Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed,
+        which takes ``features.orders``.  Seed, ensemble and number name a ray's random stream: it
+        is the same in whatever lane and batch, and in whatever company.
     grains, slab, rules
         See `splits.transport.scene`; at most one coating.
     optics : Optics
@@ -343,7 +351,7 @@ def batch(seed, work, grains, slab, rules, optics, exits, features):
                         legs[items[lane]] += words[LEGS + lane]
                     if leaves:
                         put_down(state, lane, grains, length)
-                        record(exits[ray[lane]], state, lane, length, features)
+                        record(exits[ray[lane]], state, words, lane, length, features)
                     if next_ray == rays:
                         state[STATUS + lane] = IDLE
                         break
@@ -362,7 +370,7 @@ def batch(seed, work, grains, slab, rules, optics, exits, features):
                     busy += 1
                     if not passed:
                         busy -= 1
-                        record(exits[ray[lane]], state, lane, length, features)
+                        record(exits[ray[lane]], state, words, lane, length, features)
                         state[STATUS + lane] = IDLE
             if busy == 0:
                 return legs, False

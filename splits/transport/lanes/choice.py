@@ -32,7 +32,12 @@ steps are then below 1 % of that distance."""
 
 
 def features_for(
-    grains: Grains, slab: Slab, rules: Rules, optics: Optics, positions: bool = False
+    grains: Grains,
+    slab: Slab,
+    rules: Rules,
+    optics: Optics,
+    positions: bool = False,
+    orders: bool = False,
 ) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
@@ -45,6 +50,8 @@ def features_for(
         See `splits.transport.scene`.
     positions : bool
         Whether horizontal positions of exit are wanted.
+    orders : bool
+        Whether the number of grains met is wanted, or limited.
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
@@ -73,6 +80,7 @@ def features_for(
         mixed=_feature(bool(mixed)),
         variant=_feature(not default),
         positions=_feature(positions),
+        orders=_feature(orders),
     )
 
 

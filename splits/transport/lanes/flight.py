@@ -44,10 +44,12 @@ from splits.transport.lanes.rows import (
     LY,
     LZ,
     MINOR,
+    MOST,
     NEW_CURVATURE,
     NEW_FLATTENING,
     NEW_KIND,
     NEW_SIGMA,
+    ORDER,
     PICKED,
     PORE_PATH,
     QX,
@@ -279,6 +281,11 @@ def flights(state, words, first, features, scene):
         after = AT_BOUNDARY if going & outside else after
         after = LOST if tries > _MOST_TRIES else after
         after = ABSORBED if absorbed else after
+        if features.orders is not None:
+            order = words[ORDER + i]
+            over = fits & (order >= words[MOST + i])
+            words[ORDER + i] = np.uint32(order + np.uint32(1)) if fits else order
+            after = ABSORBED if over else after
         after = after if active else status
         state[STATUS + i] = after
         flying = np.int32(flying + 1) if after == FLYING else flying

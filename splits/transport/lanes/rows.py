@@ -52,9 +52,10 @@ STRIDE = 2 * VECTOR
 ) = (LANES * row for row in range(67))  # fmt: skip
 STATE = 67 * LANES
 
-KEY_HIGH, KEY_LOW, COUNT, LEGS = (LANES * row for row in range(4))
-"""Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far."""
-WORDS = 4 * LANES
+KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
+"""Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far;
+grains met so far, and how many a ray may meet."""
+WORDS = 6 * LANES
 
 FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_BOUNDARY, ABSORBED, LOST, IDLE = (
     exact(float(status)) for status in range(8)
@@ -80,6 +81,8 @@ class Features(NamedTuple):
         Readings of the papers other than the default in entry point, facets or wrong side.
     positions : True or None
         Horizontal positions are tracked.
+    orders : True or None
+        Grains met are counted, and limited.
     """
 
     wet: bool | None
@@ -88,6 +91,7 @@ class Features(NamedTuple):
     mixed: bool | None
     variant: bool | None
     positions: bool | None
+    orders: bool | None
 
 
 class Scene(NamedTuple):

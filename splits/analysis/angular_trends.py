@@ -1,0 +1,182 @@
+"""Trends of BRDFs that the papers state in words, as differences with their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from splits.analysis.directions import principal_plane
+from splits.analysis.trends import beyond
+
+FORWARD = (45.0, 82.5)
+"""Viewing angles (degrees) among which a forward peak is looked for."""
+
+LAMBERTIAN = 0.2
+"""Relative range within 60° of the normal up to which a BRDF is called nearly Lambertian; set after
+a first look at the figures."""
+
+
+def peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the height of the forward peak over the nadir, in units of the nadir, and its error.
+
+    Parameters
+    ----------
+    plane : xarray.Dataset
+        From `splits.analysis.directions.principal_plane`, of one wavelength.
+    """
+    forward = plane.sel(angle=slice(*FORWARD))
+    top = forward.isel(angle=forward.brdf.argmax("angle"))
+    nadir = plane.sel(angle=0.0)
+    ratio = top.brdf / nadir.brdf
+    error = ratio * np.hypot(top.brdf_stderr / top.brdf, nadir.brdf_stderr / nadir.brdf)
+    return np.asarray(ratio.values - 1.0), np.asarray(error.values)
+
+
+def spread(plane: xr.Dataset, steepest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the range of the BRDF up to an angle, relative to its mean, and its error."""
+    part = plane.sel(angle=slice(-steepest, steepest))
+    high, low = part.brdf.argmax("angle"), part.brdf.argmin("angle")
+    mean = part.brdf.mean("angle")
+    value = (part.brdf.isel(angle=high) - part.brdf.isel(angle=low)) / mean
+    error = np.hypot(part.brdf_stderr.isel(angle=high), part.brdf_stderr.isel(angle=low)) / mean
+    return np.asarray(value.values), np.asarray(error.values)
+
+
+def angular_trends(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return one row per goniometric trend of SPLITSnow section 5.3 and SPLITS Fig 11."""
+    planes = {name: principal_plane(d) for name, d in datasets.items() if "brdf" in d}
+    return [
+        *_incidence(planes["fig19_incidence"].isel(wavelength=0)),
+        *_grazing(planes["fig16_incidence"].isel(wavelength=0)),
+        *_wavelength(planes["fig18_wavelength"]),
+        *_grain_size(planes),
+        _facetness(planes["fig22_facetness"].isel(wavelength=0)),
+        *_sand(planes["sand_fig11_brdf"].isel(wavelength=0)),
+    ]
+
+
+def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
+    value, error = spread(plane.sel(incidence_deg=0.0), 60.0)
+    height, height_error = peak(plane)
+    rows = [
+        beyond(
+            f"nearly Lambertian at 0°, 600 nm: {LAMBERTIAN:g} less the relative range within 60°",
+            "Fig 19",
+            LAMBERTIAN - np.atleast_1d(value),
+            np.atleast_1d(error),
+        )
+    ]
+    for i, angle in enumerate(plane.incidence_deg.values[1:], start=1):
+        rows.append(
+            beyond(
+                f"forward peak above the nadir at {angle:g}°, 600 nm",
+                "Fig 19",
+                np.atleast_1d(height[i]),
+                np.atleast_1d(height_error[i]),
+            )
+        )
+    rows.append(
+        beyond(
+            "forward of the beam brighter at each larger incidence, 600 nm: smallest step at 75°",
+            "Fig 19",
+            *_steps(plane.sel(angle=75.0)),
+        )
+    )
+    return rows
+
+
+def _steps(part: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    value, error = part.brdf.values, part.brdf_stderr.values
+    return np.diff(value), np.hypot(error[1:], error[:-1])
+
+
+def _grazing(plane: xr.Dataset) -> list[dict[str, object]]:
+    """Compare the brightest of both limbs with the nadir."""
+    limb = plane.where(np.abs(plane.angle) >= FORWARD[0], drop=True)
+    top = limb.isel(angle=limb.brdf.argmax("angle"))
+    nadir = plane.sel(angle=0.0)
+    ratio = (top.brdf / nadir.brdf).values
+    error = ratio * np.hypot(top.brdf_stderr / top.brdf, nadir.brdf_stderr / nadir.brdf).values
+    return [
+        beyond(
+            "nadir darker than the limb at 52.8, 69.3 and 84.8°, 600 nm: smallest",
+            "Fig 16",
+            ratio - 1.0,
+            error,
+        ),
+        beyond(
+            "the more so the larger the incidence: smallest step",
+            "Fig 16",
+            np.diff(ratio),
+            np.hypot(error[1:], error[:-1]),
+        ),
+    ]
+
+
+def _wavelength(plane: xr.Dataset) -> list[dict[str, object]]:
+    dark = plane.sel(wavelength=1800.0)
+    nadir = dark.sel(angle=0.0)
+    sides = [dark.sel(angle=angle) for angle in (-60.0, 60.0)]
+    above = np.array([float(s.brdf - nadir.brdf) for s in sides])
+    errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
+    value, error = spread(plane, 82.5)
+    return [
+        beyond("nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors),
+        beyond(
+            "relative range larger at 1800 nm than at 600 nm",
+            "Fig 18",
+            np.atleast_1d(value[1] - value[0]),
+            np.atleast_1d(np.hypot(*error)),
+        ),
+    ]
+
+
+def _grain_size(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Compare the forward peaks of fine grains with those of the others."""
+    rows = []
+    for name, sign, word, place in (
+        ("fig20_grain_size", -1.0, "smallest", "Fig 20"),
+        ("fig21_grain_size", +1.0, "largest", "Fig 21"),
+    ):
+        plane = planes[name].isel(wavelength=0).sel(angle=slice(*FORWARD))
+        top = plane.isel(angle=plane.brdf.argmax("angle"))
+        value, error = top.brdf.values, top.brdf_stderr.values
+        rows.append(
+            beyond(
+                f"fine grains have the {word} forward peak at {float(plane.wavelength):g} nm",
+                place,
+                sign * (value[-1] - value[:-1]),
+                np.hypot(error[-1], error[:-1]),
+            )
+        )
+    return rows
+
+
+def _facetness(plane: xr.Dataset) -> dict[str, object]:
+    value, error = spread(plane, 75.0)
+    return beyond(
+        "low facetness varies most with the angle, 60°, 600 nm",
+        "Fig 22",
+        value[0] - value[1:],
+        np.hypot(error[0], error[1:]),
+    )
+
+
+def _sand(plane: xr.Dataset) -> list[dict[str, object]]:
+    """Forward scattering and retro-reflection of sand at 60 degrees."""
+    part = plane.sel(incidence_deg=60.0)
+    nadir = part.sel(angle=0.0)
+    rows = []
+    for statement, angle in (("forward scattering", 75.0), ("retro-reflection", -60.0)):
+        side = part.sel(angle=angle)
+        rows.append(
+            beyond(
+                f"sand, {statement} at 60° incidence, 600 nm: {angle:g}° above the nadir",
+                "SPLITS Fig 11",
+                np.atleast_1d(float(side.brdf - nadir.brdf)),
+                np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),
+            )
+        )
+    return rows

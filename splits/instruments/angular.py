@@ -1,0 +1,226 @@
+"""From coefficients by groups of rays to a BRDF, its errors, and the rays that are still wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from splits.instruments.directional import GROUPS, ROUND, Directional
+from splits.transport.directions import Basis, evaluate_all
+
+PENALTY = 4.0
+"""Variances by which coefficients' squares must on average exceed 0 to be kept.  From 1 on, what
+one adds in noise is less than what it takes away in bias; 1 more because its square holds its
+noise; the rest because the best of many choices is taken."""
+
+BIAS = 8.0
+"""What interpolation between refractive indices misses of a BRDF, relative, in units of its bound
+for a reflectance near 1/2; see `splits.instruments.estimators`."""
+
+
+LEAST = 0.05
+"""Part of an even spread of light below which relative errors are not asked for."""
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Directions in which results are wanted, azimuth running fastest.
+
+    Attributes
+    ----------
+    basis : Basis
+    values : float, shape (directions, polynomials)
+        The polynomials there.
+    """
+
+    basis: Basis
+    values: np.ndarray
+
+
+def angles_of(polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: Basis) -> Angles:
+    """Return a grid of directions with the polynomials there."""
+    polar, azimuth = np.radians(np.meshgrid(polar_deg, azimuth_deg, indexing="ij")).reshape(2, -1)
+    sine = np.sin(polar)
+    directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar)], axis=1)
+    return Angles(basis, evaluate_all(basis, directions))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A BRDF and a BTDF so far.
+
+    Attributes
+    ----------
+    mean, stderr : float, shape (2, wavelengths, directions)
+        Reflected and transmitted (1/sr), of light that met a grain.
+    sums : float, shape (4, 2, wavelengths)
+        Directional-hemispherical reflectance and transmittance, their standard errors, and the
+        same of the part of these that met no grain.
+    degree : int, shape (2, wavelengths)
+        Largest degree of a polynomial that was kept.
+    """
+
+    mean: np.ndarray
+    stderr: np.ndarray
+    sums: np.ndarray
+    degree: np.ndarray
+
+    def scattered(self) -> np.ndarray:
+        """Return the reflectance and the transmittance of light that met a grain."""
+        return self.sums[0] - self.sums[2]
+
+
+def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.ndarray:
+    """Tell which polynomials the data support, bool[…, polynomials].
+
+    Of each coefficient, the square it really has is lost if it is dropped, and its variance is
+    gained if it is kept.  For each m those up to some l are kept, and never more for a higher m:
+    the choice of largest gain, and its neighbours: what has only just been out of sight is what
+    errors should cover.  The constant one always stays: it is the hemispherical reflectance.
+
+    Parameters
+    ----------
+    coefficients : float, shape (groups, …, polynomials)
+    basis : Basis
+    symmetric : bool
+        The beam is normal to the surface, so that only m = 0 can be.
+    """
+    mean = coefficients.mean(axis=0)
+    variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
+    gain = mean**2 - PENALTY * variance
+    tallest = basis.per_m[0]
+    orders = basis.per_m[:1] if symmetric else basis.per_m
+    # Best total gain of m and all higher ones, if m keeps at most so many.
+    best = np.zeros((len(orders) + 1, *mean.shape[:-1], tallest + 1))
+    choice = np.zeros(best.shape, dtype=int)
+    heights = np.arange(tallest + 1)
+    ends = np.cumsum(basis.per_m)
+    for m in reversed(range(len(orders))):
+        part = slice(ends[m] - orders[m], ends[m])
+        gained = np.full(best.shape[1:], -np.inf)
+        gained[..., 0] = 0.0
+        gained[..., 1 : orders[m] + 1] = np.cumsum(gain[..., part], axis=-1)
+        gained += best[m + 1]
+        best[m] = np.maximum.accumulate(gained, axis=-1)
+        choice[m] = np.maximum.accumulate(np.where(gained == best[m], heights, 0), axis=-1)
+    keep = np.zeros(mean.shape, dtype=bool)
+    height = np.full(mean.shape[:-1], tallest)
+    above = np.zeros_like(height)
+    for m in range(len(orders)):
+        part = slice(ends[m] - orders[m], ends[m])
+        height = np.take_along_axis(choice[m], height[..., np.newaxis], axis=-1)[..., 0]
+        height = np.maximum(height, m == 0)
+        # One more where some are kept, and two of the rotationally symmetric ones.
+        kept = np.maximum(height + (height > 0) + (m == 0), above)
+        keep[..., part] = np.arange(orders[m]) < kept[..., np.newaxis]
+        above = height
+    return keep
+
+
+def estimate(
+    ensembles: Sequence[Directional], bias: np.ndarray, angles: Angles, symmetric: bool
+) -> tuple[Estimate, np.ndarray]:
+    """Estimate BRDF and BTDF, and how much each class adds to their variance.
+
+    Parameters
+    ----------
+    ensembles : sequence of Directional
+    bias : float, shape (wavelengths,)
+        See `splits.instruments.nodes.Nodes`.
+    angles : Angles
+    symmetric : bool
+        See `supported`.
+
+    Returns
+    -------
+    Estimate
+    variance : float, shape (ensembles, classes, 2, wavelengths, directions)
+    """
+    basis = ensembles[0].basis
+    classes, wavelengths, directions = len(ensembles[0].edges), len(bias), len(angles.values)
+    mean, stderr = np.zeros((2, 2, wavelengths, directions))
+    sums = np.zeros((4, 2, wavelengths))
+    degree = np.zeros((2, wavelengths), dtype=int)
+    variance = np.zeros((len(ensembles), classes, 2, wavelengths, directions))
+    for column in range(wavelengths):
+        drawn = [i for i, e in enumerate(ensembles) if column in e.place]
+        parts = [ensembles[i].coefficients(column) for i in drawn]
+        together = np.sum(parts, axis=0)
+        straight = np.sum([ensembles[i].unscattered(column) for i in drawn], axis=0)
+        keep = supported(together, basis, symmetric)
+        values = np.where(keep, together, 0.0).sum(axis=1) @ angles.values.T
+        for i, part in zip(drawn, parts, strict=True):
+            one = np.where(keep, part, 0.0) @ angles.values.T
+            variance[i, :, :, column] = one.var(axis=0, ddof=1) / GROUPS
+        whole = together[..., 0].sum(axis=1) / basis.scale[0] + straight
+        dropped = _detail(np.where(keep, 0.0, together), symmetric, basis).sum(axis=0)
+        mean[:, column] = values.mean(axis=0)
+        stderr[:, column] = np.hypot(_stderr(values), np.sqrt(dropped)[:, np.newaxis])
+        sums[:, :, column] = (
+            whole.mean(axis=0), _stderr(whole), straight.mean(axis=0), _stderr(straight),
+        )  # fmt: skip
+        # Nothing seen is not certainty: as if one more ray had come, from no matter where.
+        unseen = 1.0 / min(ensembles[i].counts()[-1] for i in drawn)
+        dark = ~together[..., 0].any(axis=(0, 1))
+        stderr[dark, column] = unseen / np.pi
+        sums[1, dark, column] = np.hypot(sums[1, dark, column], unseen)
+        degree[:, column] = np.where(keep, basis.degree, 0).max(axis=(0, -1))
+    missed = BIAS * bias[:, np.newaxis] * mean
+    return Estimate(mean, np.hypot(stderr, missed), sums, degree), variance
+
+
+def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
+    """Return the mean square, over the hemisphere, of the detail that dropped coefficients hold.
+
+    Their squares less their variances, as far as the sum is positive: what is too weak to be told
+    from noise one by one may show in its sum.
+    """
+    if symmetric:
+        dropped = dropped[..., : basis.per_m[0]]
+    variance = dropped.var(axis=0, ddof=1) / len(dropped)
+    return np.maximum((dropped.mean(axis=0) ** 2 - variance).sum(axis=-1), 0.0) / np.pi
+
+
+def _stderr(groups: np.ndarray) -> np.ndarray:
+    return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))
+
+
+def reference(result: Estimate) -> np.ndarray:
+    """Return what relative errors refer to, shape (2, wavelengths, directions).
+
+    The value, or a twentieth of what it would be if the light were spread evenly, where it is less.
+    """
+    even = result.scattered()[..., np.newaxis] / np.pi
+    return np.maximum(result.mean, LEAST * even)
+
+
+def rays_wanted(
+    ensembles: Sequence[Directional], variance: np.ndarray, target: np.ndarray
+) -> np.ndarray:
+    """Return the rays that every level should have for the least cost, ensemble by ensemble.
+
+    With V the variance per ray and c the legs that a ray spends in a class, Σ V/M reaches a target
+    at the least Σ c·M for M = √(V/c)·Σ √(V·c)/target (Neyman's allocation), M being the rays that
+    a class listens to; every direction has its say.  Rays serve all classes up to that of their
+    level, so M may only fall from class to class.
+
+    Parameters
+    ----------
+    ensembles : sequence of Directional
+    variance : float, shape (ensembles, classes, wavelengths, directions)
+        As `estimate` returns it, for one side.
+    target : float, shape (wavelengths, directions)
+        Variances to reach.
+    """
+    counts = np.array([e.counts() for e in ensembles])[:, :, np.newaxis, np.newaxis]
+    costs = np.array([e.costs() for e in ensembles])[:, :, np.newaxis, np.newaxis]
+    per_ray = variance * counts
+    need = np.sqrt(per_ray * costs).sum(axis=(0, 1))
+    # Where no light goes no rays are asked for.
+    factor = np.divide(need, target, out=np.zeros_like(need), where=target > 0.0)
+    listened = (np.sqrt(per_ray / costs) * factor).max(axis=(-2, -1))
+    listened = np.maximum.accumulate(listened[:, ::-1], axis=1)[:, ::-1]
+    own = -np.diff(listened, axis=1, append=0.0)
+    return np.maximum(np.ceil(1.1 * own.ravel() / ROUND), 1.0) * ROUND

@@ -1,0 +1,305 @@
+"""Where light leaves: the spread of a thin beam, by which a BSSRDF differs from a BRDF."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, one_of
+from splits.dataset import attributes, provenance
+from splits.instruments.directional import GROUPS, ROUND
+from splits.instruments.ensemble import Level
+from splits.instruments.fixed import check_whole
+from splits.instruments.goniophotometer import check_beam
+from splits.instruments.nodes import choose_nodes
+from splits.instruments.runner import BATCH, KERNELS, Progress, Runner
+from splits.instruments.single_scattering import WAVELENGTH
+from splits.instruments.spectrophotometer import check_wavelengths
+from splits.materials.refractive_index import absorption_coefficient
+from splits.media.granular import GranularMedium
+from splits.transport import sources_digest
+from splits.transport.positions import spread
+from splits.transport.scene import Optics
+
+QUANTILES = (0.25, 0.5, 0.75, 0.9)
+"""Parts of the light that leave within the quantile radii."""
+
+CELLS = 41
+"""Of the map along each edge: odd, so that the point of entry lies in the middle of one."""
+
+SHORTEST_M = 1e-6
+PER_DECADE, DECADES = 40, 9
+_BINS = PER_DECADE * DECADES + 2
+"""Fine bins of distance, from a micrometre to a kilometre, and one beyond each end."""
+
+_COARSE = 5
+"""Fine bins that a bin of the profile takes."""
+
+_TOLERANCE = 0.001
+"""Bound on what interpolation between refractive indices may miss of a reflectance."""
+
+_STREAMS = 6_000_000
+"""First stream number: one seed gives other numbers here than in the other instruments."""
+
+SIDES = {"reflected": 0, "transmitted": 1}
+
+Sums = tuple[int, np.ndarray, np.ndarray, np.ndarray]
+"""What a batch yields: group, weights by distance, first moment, map."""
+
+
+def bssrdf(
+    medium: GranularMedium,
+    wavelength_nm: Any,
+    incidence_deg: float = 0.0,
+    rays: int = 200_000,
+    seed: int = 1,
+    *,
+    half_width_m: float | None = None,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure how far from its point of entry the light of an infinitely thin beam leaves.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+        For example `splits.Snow`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float
+        Polar angle of the beam, 0 to 89.9999 degrees.
+    rays : int
+        Rounded up.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    half_width_m : float, optional
+        Half the edge of the maps; by default the largest of the radii within which 75 % of the
+        reflected light leaves, as a first round of rays sees it.
+    threads : int, optional
+        Default: every CPU this process may use.
+    kernel : {"auto", "lanes", "scalar"}
+        See `splits.spectrophotometer`.
+    progress : callable, optional
+        Called now and then with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of light that met a grain, over ``side`` ("reflected", "transmitted") and ``wavelength``:
+        ``profile`` (m⁻²) over ``radius``, the BSSRDF integrated over directions of exit weighted
+        with their cosine and averaged around the point of entry; ``profile_map`` (m⁻²), the same
+        over ``x``, along the beam's direction of travel, and ``y``, across; ``mean_radius`` and
+        ``quantile_radius`` (m), the latter over ``quantile``, 0 where no light leaves;
+        ``share``, the light there is.  All with their standard errors ``…_stderr``.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    References
+    ----------
+    Nicodemus et al. (1977), section III; SPLITSnow section 4.1.
+    """
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_beam(incidence_deg)
+    one_of("kernel", kernel, KERNELS)
+    check_whole("rays", rays, 1)
+    check_whole("seed", seed, 0)
+    if threads is not None:
+        check_whole("threads", threads, 1)
+    if half_width_m is not None:
+        in_range("half_width_m", half_width_m, 1e-9, 1e6, "m")
+    begun = time.perf_counter()
+    index = medium.indices(wavelengths)
+    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
+    runner = Runner(
+        medium, incidence, int(seed), threads, False, kernel, progress, positions=True, orders=True
+    )
+
+    def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
+        each = enumerate(zip(nodes.index, nodes.weights, strict=True), start=start)
+        return [_Spread(n, m, absorption, w, half_width, cells) for n, (m, w) in each]
+
+    def trace(ensembles: list[_Spread], rays: int) -> None:
+        runner.trace([(e, level, rays) for e in ensembles for level in e.levels], 1.0, 0.0)
+
+    if half_width_m is None:
+        pilot = spreads(len(nodes.index), 0.0, 0)
+        trace(pilot, ROUND)
+        radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
+        half_width_m = float(radii[0].max()) or 1.0 / runner.grains.attenuation
+    half_width_m = float(half_width_m)
+    ensembles = spreads(0, half_width_m, CELLS)
+    trace(ensembles, ROUND * -(-rays // (ROUND * len(ensembles))))
+    facts = {
+        "title": f"Spread of a beam: {medium.kind}",
+        "instrument": "bssrdf",
+        "medium": medium.kind,
+        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        "incidence_deg": incidence,
+        "half_width_m": half_width_m,
+        "rays": sum(level.rays for e in ensembles for level in e.levels),
+        "ensembles": len(ensembles),
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "seed": int(seed),
+        "threads": runner.threads,
+        "kernel": runner.kernels(ensembles),
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "physics_sources_sha256": sources_digest(),
+        **provenance(),
+    }
+    return _dataset(ensembles, wavelengths, half_width_m, facts)
+
+
+class _Spread:
+    """Paths traced with one set of refractive indices, and where they leave."""
+
+    def __init__(
+        self,
+        number: int,
+        index: np.ndarray,
+        absorption: np.ndarray,
+        weights: np.ndarray,
+        half_width: float,
+        cells: int,
+    ) -> None:
+        self.absorption = absorption
+        self.weights = weights
+        self.half_width = half_width
+        self.cells = cells
+        served = weights > 0.0
+        lightest = absorption[served].min(axis=0)
+        optics = Optics(index.real.copy(), index.imag.copy(), lightest)
+        self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
+        self.radial = np.zeros((GROUPS, 2, len(absorption), _BINS))
+        self.moment = np.zeros((GROUPS, 2, len(absorption)))
+        self.place = np.zeros((2, 2, len(absorption), cells, cells))
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        return int(self.radial[0].size + self.moment[0].size + self.place.size)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
+        """Return the sums of a batch of exits."""
+        sums = spread(
+            exits, self.absorption, SHORTEST_M, PER_DECADE, _BINS, self.half_width, self.cells
+        )
+        return (first // BATCH) % GROUPS, *sums
+
+    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+        """Add the sums of batches one by one: they do not depend on who traced them."""
+        level.rays += BATCH * len(tallies)
+        for group, radial, moment, place in tallies:
+            self.radial[group] += radial
+            self.moment[group] += moment
+            self.place += place
+
+
+def _radial(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+    """Return the share of light by distance, by groups of rays."""
+    total = np.zeros((GROUPS, 2, wavelengths, _BINS))
+    for e in ensembles:
+        total += e.weights[:, np.newaxis] * e.radial / (e.levels[0].rays / GROUPS)
+    return total
+
+
+def _quantiles(radial: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
+    """Return the radii (m) within which parts of the light leave, shape (…, quantiles).
+
+    Between the edges of fine bins the logarithm is interpolated; 0 where there is no light.
+    """
+    within = np.cumsum(radial, axis=-1)
+    edges = np.log(SHORTEST_M) + np.log(10.0) / PER_DECADE * np.arange(_BINS - 1)
+    found = np.zeros((*radial.shape[:-1], len(quantiles)))
+    for place in np.ndindex(*radial.shape[:-1]):
+        total = within[place][-1]
+        if total > 0.0:
+            found[place] = np.exp(np.interp(quantiles, within[place][:-1] / total, edges))
+    return found
+
+
+def _without_one(groups: np.ndarray) -> np.ndarray:
+    """Return the means over all groups but one, for the jackknife."""
+    return (groups.sum(axis=0) - groups) / (len(groups) - 1)
+
+
+def _jackknife(left_out: np.ndarray) -> np.ndarray:
+    """Return the standard error of what was computed from all groups but one (Efron 1982)."""
+    n = len(left_out)
+    return np.sqrt((n - 1) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def _dataset(
+    ensembles: Sequence[_Spread],
+    wavelengths: np.ndarray,
+    half_width: float,
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return the sums as a labelled dataset."""
+    radial = _radial(ensembles, len(wavelengths))
+    moment = np.zeros(radial.shape[:-1])
+    place = np.zeros(ensembles[0].place.shape)
+    for e in ensembles:
+        rays = e.levels[0].rays
+        moment += e.weights * e.moment / (rays / GROUPS)
+        w = e.weights[:, np.newaxis, np.newaxis]
+        place[0] += w * e.place[0] / rays
+        place[1] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+    inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _COARSE).sum(axis=-1)
+    edges = SHORTEST_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _COARSE / PER_DECADE)
+    profile = inner / (np.pi * np.diff(edges**2))
+    radius = np.sqrt(edges[1:] * edges[:-1])
+    share = radial.sum(axis=-1)
+    left_out, less = _without_one(radial), _without_one(share)
+    mean = _ratio(moment.mean(axis=0), share.mean(axis=0))
+    quantile = _quantiles(radial.mean(axis=0), QUANTILES)
+    cell = (2.0 * half_width / CELLS) ** 2
+    results = {
+        "share": ("share of light", "1", (), share.mean(axis=0), _stderr(share)),
+        "mean_radius": (
+            "mean distance between entry and exit", "m", (),
+            mean, _jackknife(_ratio(_without_one(moment), less)),
+        ),
+        "quantile_radius": (
+            "radius within which a part of the light leaves", "m", ("quantile",),
+            quantile, _jackknife(_quantiles(left_out, QUANTILES)),
+        ),
+        "profile": (
+            "light leaving per area", "m-2", ("radius",), profile.mean(axis=0), _stderr(profile),
+        ),
+        "profile_map": (
+            "light leaving per area", "m-2", ("x", "y"),
+            place[0] / cell, np.sqrt(np.maximum(place[1], 0.0)) / cell,
+        ),
+    }  # fmt: skip
+    variables: dict[str, Any] = {}
+    for name, (long_name, units, dims, values, stderr) in results.items():
+        about = {"long_name": long_name, "units": units, "ancillary_variables": f"{name}_stderr"}
+        error = {"long_name": f"standard error of {long_name}", "units": units}
+        variables[name] = (("side", "wavelength", *dims), values, about)
+        variables[f"{name}_stderr"] = (("side", "wavelength", *dims), stderr, error)
+    across = half_width * ((2.0 * np.arange(CELLS) + 1.0) / CELLS - 1.0)
+    coordinates = {
+        "side": list(SIDES),
+        "wavelength": ("wavelength", wavelengths, WAVELENGTH),
+        "quantile": ("quantile", list(QUANTILES), {"long_name": "part of the light", "units": "1"}),
+        "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
+        "x": ("x", across, {"long_name": "distance along the beam's travel", "units": "m"}),
+        "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))
+
+
+def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+
+
+def _stderr(groups: np.ndarray) -> np.ndarray:
+    return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))

@@ -1,0 +1,116 @@
+"""A goniophotometer's collectors: cells of equal solid angle, the papers' estimator.
+
+SPLITSnow Eq 7: the BRDF of a cell is the share of rays that it collects over its projected solid
+angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from splits.instruments.angular import BIAS, Estimate
+from splits.instruments.ensemble import Level
+from splits.instruments.runner import BATCH
+from splits.transport.directions import count_cells
+from splits.transport.scene import Optics
+
+_STREAMS = 5_000_000
+"""First stream number: one seed gives other numbers here than in the other instruments."""
+
+Sums = tuple[np.ndarray, np.ndarray]
+"""What a batch yields: sums by cells, sums of weights that met no grain."""
+
+
+class Cells:
+    """Paths traced with one set of refractive indices, collected by cells.
+
+    Parameters
+    ----------
+    number : int
+        Names the random streams.
+    index : complex, shape (materials,)
+    absorption : float, shape (wavelengths, materials)
+        Absorption coefficients (1/m) of all wavelengths.
+    weights : float, shape (wavelengths,)
+        How much each wavelength draws on this ensemble.
+    shape : (int, int)
+        Cells between horizon and zenith, and around.
+
+    Attributes
+    ----------
+    levels : list of Level
+        One: every ray is followed to its end.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        index: np.ndarray,
+        absorption: np.ndarray,
+        weights: np.ndarray,
+        shape: tuple[int, int],
+    ) -> None:
+        self.absorption = absorption
+        self.weights = weights
+        self.shape = shape
+        self.sums = np.zeros((2, 2, len(absorption), *shape))
+        self.straight = np.zeros((2, 2, len(absorption)))
+        served = weights > 0.0
+        lightest = absorption[served].min(axis=0)
+        optics = Optics(index.real.copy(), index.imag.copy(), lightest)
+        self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        return int(self.sums.size + self.straight.size)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
+        """Return the sums of a batch of exits."""
+        return count_cells(exits, self.absorption, *self.shape)
+
+    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+        """Add the sums of batches one by one: they do not depend on who traced them."""
+        level.rays += BATCH * len(tallies)
+        for sums, straight in tallies:
+            self.sums += sums
+            self.straight += straight
+
+
+def centres(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the polar and azimuth angles (degrees) of the middle of cells, from the zenith on."""
+    polar, azimuth = shape
+    cosine = (np.arange(polar)[::-1] + 0.5) / polar
+    return np.degrees(np.arccos(cosine)), np.arange(azimuth) * (360.0 / azimuth)
+
+
+def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
+    """Estimate BRDF and BTDF of every cell, from the zenith on.
+
+    Parameters
+    ----------
+    ensembles : sequence of Cells
+    bias : float, shape (wavelengths,)
+        See `splits.instruments.nodes.Nodes`.
+    """
+    polar, azimuth = ensembles[0].shape
+    edges = np.arange(polar + 1) / polar
+    projected = np.pi / azimuth * np.diff(edges**2)[:, np.newaxis]
+    mean, variance = np.zeros((2, *ensembles[0].sums.shape[1:]))
+    sums = np.zeros((4, 2, len(bias)))
+    for e in ensembles:
+        share, weights = 1.0 / e.levels[0].rays, e.weights[:, np.newaxis, np.newaxis]
+        mean += weights * share * e.sums[0]
+        variance += weights**2 * share**2 * (e.sums[1] - share * e.sums[0] ** 2)
+        whole = e.sums.sum(axis=(-2, -1)) + e.straight
+        for row, part in ((0, whole), (2, e.straight)):
+            sums[row] += e.weights * share * part[0]
+            sums[row + 1] += (e.weights * share) ** 2 * (part[1] - share * part[0] ** 2)
+    sums[1::2] = np.sqrt(np.maximum(sums[1::2], 0.0))
+    mean = mean[:, :, ::-1] / projected[::-1]
+    stderr = np.sqrt(np.maximum(variance, 0.0))[:, :, ::-1] / projected[::-1]
+    missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
+    shape = (2, len(bias), polar * azimuth)
+    stderr = np.hypot(stderr, missed).reshape(shape)
+    return Estimate(mean.reshape(shape), stderr, sums, np.zeros((2, len(bias)), dtype=int))

@@ -1,0 +1,184 @@
+"""Polynomials over the hemisphere, sums over exits, and cuts through results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.analysis.directions import merged_cells, principal_plane
+from splits.instruments.angular import PENALTY, supported
+from splits.instruments.cells import centres
+from splits.transport.directions import basis_of, count_cells, evaluate_all, expand
+from splits.transport.tally import (
+    EXIT_DIRECTION,
+    EXIT_LENGTH,
+    EXIT_ORDER,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    exit_rows,
+)
+
+DEGREE = 24
+
+
+def quadrature(polar=40, azimuth=64):
+    """Return directions and weights that integrate over projected solid angle."""
+    x, w = np.polynomial.legendre.leggauss(polar)
+    mu, phi = np.meshgrid(
+        0.5 * (x + 1.0), np.arange(azimuth) * 2.0 * np.pi / azimuth, indexing="ij"
+    )
+    weights = (0.5 * w[:, np.newaxis] * mu * 2.0 * np.pi / azimuth).ravel()
+    sine = np.sqrt(1.0 - mu**2)
+    directions = np.stack([sine * np.cos(phi), sine * np.sin(phi), mu], axis=-1).reshape(-1, 3)
+    return directions, weights
+
+
+def test_polynomials_are_orthonormal_over_projected_solid_angle():
+    directions, weights = quadrature()
+    values = evaluate_all(basis_of(DEGREE), directions)
+    product = (values * weights[:, np.newaxis]).T @ values
+    assert np.abs(product - np.eye(len(product))).max() < 1e-12
+
+
+def test_they_are_those_of_jacobi():
+    from scipy.special import eval_jacobi
+
+    basis = basis_of(DEGREE)
+    directions, _ = quadrature(7, 5)
+    values = evaluate_all(basis, directions)
+    mu, phi = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
+    row = 0
+    for m, count in enumerate(basis.per_m):
+        for i in range(count):
+            expected = (
+                (1.0 - mu) ** (0.5 * m) * np.cos(m * phi) * eval_jacobi(i, m, 1, 2.0 * mu - 1)
+            )
+            assert values[:, row] == pytest.approx(basis.scale[row] * expected, rel=1e-9, abs=1e-9)
+            assert basis.degree[row] == m + 2 * i
+            row += 1
+    assert row == basis.scale.size
+
+
+def test_the_first_one_alone_integrates_to_anything():
+    directions, weights = quadrature()
+    values = evaluate_all(basis_of(DEGREE), directions)
+    integrals = weights @ values
+    assert integrals[0] == pytest.approx(np.sqrt(np.pi), rel=1e-13)
+    assert np.abs(integrals[1:]).max() < 1e-12
+
+
+def rows_of(directions, sides, orders, lengths):
+    rows = exit_rows(len(directions), 3)
+    rows[:, EXIT_SIDE] = sides
+    rows[:, EXIT_ORDER] = orders
+    rows[:, EXIT_WEIGHT] = 1.0
+    rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3] = directions
+    rows[:, EXIT_LENGTH:] = lengths
+    return rows
+
+
+UP = np.array(
+    [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.6, 0.0, -0.8], [0.0, -0.6, 0.8], [0.8, 0.0, 0.6]]
+)
+SIDES = [0, 0, 1, -1, 0]
+ORDERS = [0, 1, 3, 1, 5]
+ABSORPTION = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 100.0]])
+LENGTHS = np.array([0.0, 0.0, 0.01])
+
+
+def test_rays_are_summed_by_side_order_and_wavelength():
+    basis = basis_of(4)
+    rows = rows_of(UP, SIDES, ORDERS, LENGTHS)
+    sums, straight = expand(rows, ABSORPTION, np.array([2, 4, 100]), basis)
+    values = evaluate_all(basis, UP)
+    passed = np.array([1.0, np.exp(-1.0)])
+    assert straight == pytest.approx(np.array([passed, [0.0, 0.0]]))
+    for j, (ray, side) in enumerate(((1, 0), (2, 1), (4, 0))):
+        assert sums[j, side] == pytest.approx(np.outer(passed, values[ray]))
+        assert not sums[j, 1 - side].any()
+
+
+def test_cells_are_of_equal_solid_angle_and_the_first_lies_ahead():
+    rows = rows_of(UP, SIDES, ORDERS, LENGTHS)
+    sums, straight = count_cells(rows, ABSORPTION, 5, 8)
+    passed = np.array([1.0, np.exp(-1.0)])
+    assert straight[0, 0] == pytest.approx(passed)
+    assert straight[1, 0] == pytest.approx(passed**2)
+    # cos 0.8 and 0.6 lie in the fifth and fourth of five equal parts.
+    assert sums[0, 0, :, 4, 0] == pytest.approx(passed)
+    assert sums[0, 0, :, 3, 0] == pytest.approx(passed)
+    assert sums[1, 1, :, 4, 0] == pytest.approx(passed**2)
+    assert sums[0].sum() == pytest.approx(3.0 * passed.sum())
+    polar, azimuth = centres((5, 8))
+    assert np.cos(np.radians(polar)) == pytest.approx([0.9, 0.7, 0.5, 0.3, 0.1])
+    assert azimuth.tolist() == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0]
+
+
+def coefficients(signal, noise, groups=64, seed=1):
+    """Return coefficients of groups whose mean has that noise in each."""
+    random = np.random.default_rng(seed)
+    scatter = random.normal(size=(groups, signal.size)) * noise * np.sqrt(groups)
+    return signal + scatter
+
+
+def test_noise_is_not_taken_for_structure():
+    basis = basis_of(DEGREE)
+    signal = np.zeros(basis.scale.size)
+    signal[0] = 1.0
+    kept = [
+        supported(coefficients(signal, 0.01, seed=seed), basis, False).sum() for seed in range(50)
+    ]
+    # Only the constant one and its neighbours, but for what a fluctuation lets in.
+    assert np.median(kept) == 4
+    assert max(kept) < 40
+
+
+def test_what_stands_out_is_kept_and_a_normal_beam_has_no_azimuth():
+    basis = basis_of(DEGREE)
+    signal = np.zeros(basis.scale.size)
+    rows = {(m, i): row for row, (m, i) in enumerate(pairs(basis))}
+    for m, i in ((0, 0), (0, 3), (1, 1), (4, 0)):
+        signal[rows[m, i]] = 1.0
+    found = coefficients(signal, 0.01)
+    keep = supported(found, basis, False)
+    assert all(keep[rows[pair]] for pair in ((0, 0), (0, 3), (1, 1), (4, 0)))
+    assert keep.sum() < 40
+    alone = supported(found, basis, True)
+    assert all(m == 0 for (m, _), row in rows.items() if alone[row])
+    assert PENALTY > 1.0
+
+
+def pairs(basis):
+    return [(m, i) for m, count in enumerate(basis.per_m) for i in range(count)]
+
+
+def brdf_of(polar, azimuth):
+    values = np.cos(np.radians(polar))[:, np.newaxis] + 0.01 * np.arange(len(azimuth))
+    stderr = np.full(values.shape, 0.1)
+    data = {"brdf": (("polar", "azimuth"), values), "brdf_stderr": (("polar", "azimuth"), stderr)}
+    return xr.Dataset(data, {"polar": polar, "azimuth": azimuth})
+
+
+def test_the_principal_plane_runs_from_back_to_forward():
+    dataset = brdf_of(np.array([0.0, 30.0, 60.0]), np.array([0.0, 90.0, 180.0]))
+    plane = principal_plane(dataset)
+    assert plane.angle.values.tolist() == [-60.0, -30.0, 0.0, 30.0, 60.0]
+    cosine = np.cos(np.radians([60.0, 30.0, 0.0, 30.0, 60.0]))
+    assert plane.brdf.values == pytest.approx(cosine + np.array([0.02, 0.02, 0.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match=r"azimuth_deg = .*with 0 and 180 degrees"):
+        principal_plane(dataset.isel(azimuth=[0, 1]))
+
+
+def test_merged_cells_hold_the_light_of_their_parts():
+    polar, azimuth = centres((6, 12))
+    dataset = brdf_of(polar, azimuth)
+    merged = merged_cells(dataset, 3)
+    weight = np.cos(np.radians(polar))[:, np.newaxis]
+    assert merged.brdf.shape == (2, 4)
+    first = (weight * dataset.brdf.values)[:3][:, [11, 0, 1]].sum() / (3.0 * weight[:3].sum())
+    assert float(merged.brdf[0, 0]) == pytest.approx(first)
+    assert merged.azimuth.values.tolist() == [0.0, 90.0, 180.0, 270.0]
+    assert (merged.brdf_stderr < 0.1).all()
+    with pytest.raises(ValueError, match="factor = 2: must be odd"):
+        merged_cells(dataset, 2)

@@ -1,0 +1,12 @@
+"""Table of goniometric trends (map snakemake to `splits.analysis`)."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from splits import load
+from splits.analysis.angular_trends import angular_trends
+from splits.analysis.tables import write_table
+
+datasets = {Path(path).stem: load(path) for path in snakemake.input.data}
+write_table(pd.DataFrame(angular_trends(datasets)), snakemake.output[0])

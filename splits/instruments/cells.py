@@ -19,6 +19,9 @@ from splits.transport.scene import Optics
 _STREAMS = 5_000_000
 """First stream number: one seed gives other numbers here than in the other instruments."""
 
+CELLS_OF_5_DEG = (18, 72)
+"""Cells between horizon and zenith, and around: as many as 5° by 5° would be."""
+
 Sums = tuple[np.ndarray, np.ndarray]
 """What a batch yields: sums by cells, sums of weights that met no grain."""
 

@@ -13,7 +13,7 @@ import xarray as xr
 from splits.checks import in_range, one_of, refuse
 from splits.dataset import attributes, provenance
 from splits.instruments.angular import BIAS, Estimate, angles_of, estimate, rays_wanted, reference
-from splits.instruments.cells import Cells, centres, estimate_cells
+from splits.instruments.cells import CELLS_OF_5_DEG, Cells, centres, estimate_cells
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
 from splits.instruments.fixed import check_whole
@@ -28,9 +28,6 @@ from splits.transport.directions import basis_of
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
-
-CELLS = (18, 72)
-"""Cells between horizon and zenith, and around, unless others are asked for."""
 
 DEGREE = 24
 """Largest degree of polynomials: details of about 180°/24."""
@@ -59,8 +56,8 @@ def goniophotometer(
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
     estimator: str = "expansion",
-    cells: tuple[int, int] = CELLS,
-    max_rays: int = 100_000_000,
+    cells: tuple[int, int] = CELLS_OF_5_DEG,
+    max_rays: int = 1_000_000_000,
     threads: int | None = None,
     kernel: str = "auto",
     progress: Callable[[Progress], None] | None = None,

@@ -40,6 +40,8 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/interpolation.py
 	$(BIN)/python benchmarks/deep_transmittance.py
 	$(BIN)/python benchmarks/stopping.py
+	$(BIN)/python benchmarks/goniophotometer.py
+	$(BIN)/python benchmarks/reciprocity.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -48,7 +49,7 @@ def principal_planes(
     ylim : (low, high), optional
         Of the second panel, and the outer radius of the first.
     """
-    plane = _plane(at_points(dataset, at or {}))
+    plane = _plane(_part(dataset, at))
     with style():
         figure = plt.figure(figsize=(8.8, 3.9))
         polar = figure.add_subplot(1, 2, 1, projection="polar")
@@ -72,7 +73,11 @@ def principal_planes(
         flat.spines[["top", "right"]].set_visible(False)
         title = legend or " · ".join(parameter_label(d) for d in _dims(plane, quantity))
         if title:
-            flat.legend(title=title, frameon=False, loc="best")
+            many = len(flat.get_legend_handles_labels()[0]) > 4
+            place: dict[str, Any] = (
+                {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if many else {}
+            )
+            flat.legend(title=title, frameon=False, **place)
         figure.tight_layout()
     return figure
 
@@ -90,7 +95,7 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     at : mapping, optional
         Grid labels to hold fixed.
     """
-    dataset = at_points(dataset, at or {})
+    dataset = _part(dataset, at)
     dataset = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
     whole = dataset.pad(azimuth=(0, 1), mode="wrap")
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
@@ -118,7 +123,8 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
             incidence = _incidence(line)
             arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
             axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=1.0, ls="--")
-            axes.set_title(label or "", y=0.92)
+            dims = " · ".join(parameter_label(d) for d in _dims(plane, "brdf"))
+            axes.set_title(f"{dims}: {label}" if dims else "", y=0.92)
             flat = figure.add_subplot(2, len(names), len(names) + column + 1, projection="polar")
             angle = np.radians(line.angle.values)
             value, error = line.brdf.values, BAND * line.brdf_stderr.values
@@ -141,7 +147,7 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
     at : mapping, optional
         Grid labels to hold fixed.
     """
-    dataset = at_points(dataset, at or {}).isel(wavelength=0)
+    dataset = _part(dataset, at).isel(wavelength=0)
     counts = dataset.sizes["polar"], dataset.sizes["azimuth"]
     factors = [f for f in (9, 5, 3, 1) if not (counts[0] % f or counts[1] % (2 * f))]
     with style():
@@ -149,9 +155,10 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
         for factor, colour in zip(factors, colours(len(factors)), strict=True):
             plane = principal_plane(merged_cells(dataset, factor))
             label = f"{counts[0] // factor} × {counts[1] // factor}"
+            # The larger the cells, the less noise: they lie on top.
             axes.errorbar(
                 plane.angle, plane.brdf, BAND * plane.brdf_stderr, color=colour, fmt="o-",
-                ms=3, lw=1.0, capsize=2, label=label,
+                ms=3, lw=0.6 + 0.2 * factor, capsize=2, label=label, zorder=2.0 + 0.1 * factor,
             )  # fmt: skip
         axes.set(xlabel="viewing angle, forward positive (°)", ylabel=NAMES["brdf"])
         axes.set_ylim(0.0, None)
@@ -160,6 +167,13 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
         axes.legend(title="cells, polar × around", frameon=False)
         figure.tight_layout()
     return figure
+
+
+def _part(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
+    """Return the dataset at labels of its grid; its attributes keep the angle of incidence."""
+    at = at or {}
+    known = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
+    return at_points(dataset, at).assign_attrs(known)
 
 
 def _plane(dataset: xr.Dataset) -> xr.Dataset:
@@ -218,5 +232,5 @@ def _half_circle(axes: Axes, top: float | None) -> None:
     axes.set_ylim(0.0, top)
     axes.set_thetagrids(np.arange(-90, 91, 30))  # type: ignore[attr-defined]
     axes.tick_params(labelsize=9)
-    axes.yaxis.set_major_locator(plt.MaxNLocator(4))
+    axes.yaxis.set_major_locator(plt.MaxNLocator(3))
     axes.grid(color=".85", lw=0.6)

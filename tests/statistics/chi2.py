@@ -19,6 +19,17 @@ NEEDS_JIT = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow withou
 SEED = 20_240_611
 
 
+CELLS = np.arange(1, 53) / 53
+TAILS = np.array([1e-4, 5e-4, 2e-3])
+EDGES = np.concatenate([TAILS, CELLS, 1.0 - TAILS[::-1]])
+"""Cells of a probability, finer in both tails."""
+
+
+def evenly(u):
+    """Return the cumulative probability of numbers that are uniform."""
+    return u
+
+
 def scaled(count: int) -> int:
     """Return a sample size: `count`, or a fiftieth of it where kernels run as plain Python."""
     return max(count // 50, 1000) if numba.config.DISABLE_JIT else count

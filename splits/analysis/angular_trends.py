@@ -90,7 +90,8 @@ def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
 
 def _grazing(plane: xr.Dataset) -> list[dict[str, object]]:
     """Compare the brightest of both limbs with the nadir."""
-    limb = plane.where(np.abs(plane.angle) >= FORWARD[0], drop=True)
+    tilt = np.abs(plane.angle)
+    limb = plane.where((tilt >= FORWARD[0]) & (tilt <= FORWARD[1]), drop=True)
     top = limb.isel(angle=limb.brdf.argmax("angle"))
     nadir = plane.sel(angle=0.0)
     ratio = (top.brdf / nadir.brdf).values

@@ -129,6 +129,11 @@ class Instrument(Section):
                     f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
                     "it belongs to " + " and ".join(kinds),
                 )  # fmt: skip
+        for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
+            if getattr(self, key) is not None:
+                raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")
+        if self.cells is not None and self.estimator != "cells":
+            raise refuse("instrument.cells", self.cells, "left out without estimator = cells")
         for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
             if getattr(self, key) is not None:
                 check_angles(f"instrument.{key}", getattr(self, key), end)
@@ -293,6 +298,17 @@ class Experiment(Section):
             raise refuse(
                 "instrument.half_width_m", None, "given where there is a grid",
                 "all maps of one dataset have the same axes",
+            )  # fmt: skip
+        turned = instrument.azimuth_deg
+        if turned is not None and not {0.0, 180.0} <= set(turned):
+            raise refuse(
+                "instrument.azimuth_deg", turned, "with 0 and 180",
+                "figures show the principal plane",
+            )  # fmt: skip
+        if instrument.cells is not None and instrument.cells[1] % 2:
+            raise refuse(
+                "instrument.cells", instrument.cells, "an even number around",
+                "figures show the principal plane",
             )  # fmt: skip
         if self.figure.kind == "cells" and instrument.estimator != "cells":
             raise refuse(

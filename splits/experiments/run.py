@@ -90,7 +90,8 @@ def run(
         facts = result.attrs
         reached = [f", error {facts[key]:.4f}" for key in REACHED if key in facts]
         say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
-        if facts.get("stopped_by") == "rays" and not instrument.rays:
+        asked = instrument.rays or instrument.estimator == "cells"
+        if facts.get("stopped_by") == "rays" and not asked:
             say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
     return _stack(experiment, results, time.perf_counter() - begun)
 

@@ -24,6 +24,10 @@ LEAST = 0.05
 """Part of an even spread of light below which relative errors are not asked for."""
 
 
+Shares = dict[int, np.ndarray]
+"""Variances by number of the ensemble, each of shape (classes, directions)."""
+
+
 @dataclass(frozen=True)
 class Angles:
     """Directions in which results are wanted, azimuth running fastest.
@@ -89,7 +93,8 @@ def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.nda
     """
     mean = coefficients.mean(axis=0)
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
-    gain = mean**2 - PENALTY * variance
+    # Where there is no light, nothing is gained by keeping anything.
+    gain = mean**2 - PENALTY * variance - np.finfo(float).tiny
     tallest = basis.per_m[0]
     orders = basis.per_m[:1] if symmetric else basis.per_m
     # Best total gain of m and all higher ones, if m keeps at most so many.
@@ -120,8 +125,13 @@ def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.nda
 
 
 def estimate(
-    ensembles: Sequence[Directional], bias: np.ndarray, angles: Angles, symmetric: bool
-) -> tuple[Estimate, np.ndarray]:
+    ensembles: Sequence[Directional],
+    bias: np.ndarray,
+    angles: Angles,
+    symmetric: bool,
+    side: int,
+    counted: np.ndarray,
+) -> tuple[Estimate, list[Shares]]:
     """Estimate BRDF and BTDF, and how much each class adds to their variance.
 
     Parameters
@@ -132,18 +142,23 @@ def estimate(
     angles : Angles
     symmetric : bool
         See `supported`.
+    side : int
+        0 reflected, 1 transmitted; for the variances.
+    counted : bool, shape (directions,)
+        Directions whose variances are wanted.
 
     Returns
     -------
     Estimate
-    variance : float, shape (ensembles, classes, 2, wavelengths, directions)
+    variance : list of Shares
+        For each wavelength, what the classes of the ensembles it draws on add to the variance.
     """
     basis = ensembles[0].basis
-    classes, wavelengths, directions = len(ensembles[0].edges), len(bias), len(angles.values)
+    wavelengths, directions = len(bias), len(angles.values)
     mean, stderr = np.zeros((2, 2, wavelengths, directions))
     sums = np.zeros((4, 2, wavelengths))
     degree = np.zeros((2, wavelengths), dtype=int)
-    variance = np.zeros((len(ensembles), classes, 2, wavelengths, directions))
+    variance: list[Shares] = []
     for column in range(wavelengths):
         drawn = [i for i, e in enumerate(ensembles) if column in e.place]
         parts = [ensembles[i].coefficients(column) for i in drawn]
@@ -151,11 +166,16 @@ def estimate(
         straight = np.sum([ensembles[i].unscattered(column) for i in drawn], axis=0)
         keep = supported(together, basis, symmetric)
         values = np.where(keep, together, 0.0).sum(axis=1) @ angles.values.T
+        shares = {}
         for i, part in zip(drawn, parts, strict=True):
-            one = np.where(keep, part, 0.0) @ angles.values.T
-            variance[i, :, :, column] = one.var(axis=0, ddof=1) / GROUPS
+            one = np.where(keep[:, side], part[:, :, side], 0.0) @ angles.values[counted].T
+            shares[i] = one.var(axis=0, ddof=1) / GROUPS
+        variance.append(shares)
         whole = together[..., 0].sum(axis=1) / basis.scale[0] + straight
-        dropped = _detail(np.where(keep, 0.0, together), symmetric, basis).sum(axis=0)
+        rest = np.where(keep, 0.0, together)
+        # Classes may have the same detail, or each its own.
+        apart = _detail(rest, symmetric, basis).sum(axis=0)
+        dropped = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
         mean[:, column] = values.mean(axis=0)
         stderr[:, column] = np.hypot(_stderr(values), np.sqrt(dropped)[:, np.newaxis])
         sums[:, :, column] = (
@@ -168,6 +188,7 @@ def estimate(
         sums[1, dark, column] = np.hypot(sums[1, dark, column], unseen)
         degree[:, column] = np.where(keep, basis.degree, 0).max(axis=(0, -1))
     missed = BIAS * bias[:, np.newaxis] * mean
+    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
     return Estimate(mean, np.hypot(stderr, missed), sums, degree), variance
 
 
@@ -187,6 +208,11 @@ def _stderr(groups: np.ndarray) -> np.ndarray:
     return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))
 
 
+def missed_of_totals(bias: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Return what interpolation may miss of hemispherical quantities, as the spectrophotometer."""
+    return bias * np.clip(8.0 * total * (1.0 - total), 0.0, 1.0)
+
+
 def reference(result: Estimate) -> np.ndarray:
     """Return what relative errors refer to, shape (2, wavelengths, directions).
 
@@ -197,7 +223,7 @@ def reference(result: Estimate) -> np.ndarray:
 
 
 def rays_wanted(
-    ensembles: Sequence[Directional], variance: np.ndarray, target: np.ndarray
+    ensembles: Sequence[Directional], variance: Sequence[Shares], target: np.ndarray
 ) -> np.ndarray:
     """Return the rays that every level should have for the least cost, ensemble by ensemble.
 
@@ -209,18 +235,22 @@ def rays_wanted(
     Parameters
     ----------
     ensembles : sequence of Directional
-    variance : float, shape (ensembles, classes, wavelengths, directions)
-        As `estimate` returns it, for one side.
+    variance : sequence of Shares
+        As `estimate` returns it.
     target : float, shape (wavelengths, directions)
         Variances to reach.
     """
-    counts = np.array([e.counts() for e in ensembles])[:, :, np.newaxis, np.newaxis]
-    costs = np.array([e.costs() for e in ensembles])[:, :, np.newaxis, np.newaxis]
-    per_ray = variance * counts
-    need = np.sqrt(per_ray * costs).sum(axis=(0, 1))
-    # Where no light goes no rays are asked for.
-    factor = np.divide(need, target, out=np.zeros_like(need), where=target > 0.0)
-    listened = (np.sqrt(per_ray / costs) * factor).max(axis=(-2, -1))
+    counts = np.array([e.counts() for e in ensembles])[:, :, np.newaxis]
+    costs = np.array([e.costs() for e in ensembles])[:, :, np.newaxis]
+    listened = np.zeros(counts.shape[:2])
+    for shares, goal in zip(variance, target, strict=True):
+        rows = list(shares)
+        per_ray = np.stack([shares[i] for i in rows]) * counts[rows]
+        need = np.sqrt(per_ray * costs[rows]).sum(axis=(0, 1))
+        # Where no light goes no rays are asked for.
+        factor = np.divide(need, goal, out=np.zeros_like(need), where=goal > 0.0)
+        asked = (np.sqrt(per_ray / costs[rows]) * factor).max(axis=-1)
+        listened[rows] = np.maximum(listened[rows], asked)
     listened = np.maximum.accumulate(listened[:, ::-1], axis=1)[:, ::-1]
     own = -np.diff(listened, axis=1, append=0.0)
     return np.maximum(np.ceil(1.1 * own.ravel() / ROUND), 1.0) * ROUND

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.checks import in_range, one_of
 from splits.dataset import attributes, provenance
+from splits.instruments.angular import missed_of_totals
 from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
 from splits.instruments.fixed import check_whole
@@ -95,7 +96,9 @@ def bssrdf(
         with their cosine and averaged around the point of entry; ``profile_map`` (m⁻²), the same
         over ``x``, along the beam's direction of travel, and ``y``, across; ``mean_radius`` and
         ``quantile_radius`` (m), the latter over ``quantile``, 0 where no light leaves;
-        ``share``, the light there is.  All with their standard errors ``…_stderr``.
+        ``share``, the light there is.  All with their standard errors ``…_stderr``; what
+        interpolation between refractive indices may miss is in that of ``share``, and the
+        attribute ``interpolation_error_bound`` bounds it.
 
     Raises
     ------
@@ -155,7 +158,7 @@ def bssrdf(
         "physics_sources_sha256": sources_digest(),
         **provenance(),
     }
-    return _dataset(ensembles, wavelengths, half_width_m, facts)
+    return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
 
 
 class _Spread:
@@ -170,17 +173,18 @@ class _Spread:
         half_width: float,
         cells: int,
     ) -> None:
-        self.absorption = absorption
-        self.weights = weights
+        served = weights > 0.0
+        self.served = served
+        self.absorption = absorption[served]
+        self.weights = weights[served]
         self.half_width = half_width
         self.cells = cells
-        served = weights > 0.0
-        lightest = absorption[served].min(axis=0)
+        lightest = self.absorption.min(axis=0)
         optics = Optics(index.real.copy(), index.imag.copy(), lightest)
         self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
-        self.radial = np.zeros((GROUPS, 2, len(absorption), _BINS))
-        self.moment = np.zeros((GROUPS, 2, len(absorption)))
-        self.place = np.zeros((2, 2, len(absorption), cells, cells))
+        self.radial = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
+        self.moment = np.zeros((GROUPS, 2, len(self.absorption)))
+        self.place = np.zeros((2, 2, len(self.absorption), cells, cells))
 
     def size(self) -> int:
         """Return how many numbers a tally holds."""
@@ -206,7 +210,8 @@ def _radial(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
     """Return the share of light by distance, by groups of rays."""
     total = np.zeros((GROUPS, 2, wavelengths, _BINS))
     for e in ensembles:
-        total += e.weights[:, np.newaxis] * e.radial / (e.levels[0].rays / GROUPS)
+        share = e.weights[:, np.newaxis] / (e.levels[0].rays / GROUPS)
+        total[:, :, e.served] += share * e.radial
     return total
 
 
@@ -240,18 +245,19 @@ def _dataset(
     ensembles: Sequence[_Spread],
     wavelengths: np.ndarray,
     half_width: float,
+    bias: np.ndarray,
     facts: dict[str, Any],
 ) -> xr.Dataset:
     """Return the sums as a labelled dataset."""
     radial = _radial(ensembles, len(wavelengths))
     moment = np.zeros(radial.shape[:-1])
-    place = np.zeros(ensembles[0].place.shape)
+    place = np.zeros((2, 2, len(wavelengths), CELLS, CELLS))
     for e in ensembles:
         rays = e.levels[0].rays
-        moment += e.weights * e.moment / (rays / GROUPS)
+        moment[:, :, e.served] += e.weights * e.moment / (rays / GROUPS)
         w = e.weights[:, np.newaxis, np.newaxis]
-        place[0] += w * e.place[0] / rays
-        place[1] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+        place[0][:, e.served] += w * e.place[0] / rays
+        place[1][:, e.served] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
     inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _COARSE).sum(axis=-1)
     edges = SHORTEST_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _COARSE / PER_DECADE)
     profile = inner / (np.pi * np.diff(edges**2))
@@ -261,8 +267,12 @@ def _dataset(
     mean = _ratio(moment.mean(axis=0), share.mean(axis=0))
     quantile = _quantiles(radial.mean(axis=0), QUANTILES)
     cell = (2.0 * half_width / CELLS) ** 2
+    # Nothing seen is not certainty: as if one more ray had come.
+    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    certain = np.where(share.mean(axis=0) > 0.0, _stderr(share), unseen)
+    certain = np.hypot(certain, missed_of_totals(bias, share.mean(axis=0)))
     results = {
-        "share": ("share of light", "1", (), share.mean(axis=0), _stderr(share)),
+        "share": ("share of light", "1", (), share.mean(axis=0), certain),
         "mean_radius": (
             "mean distance between entry and exit", "m", (),
             mean, _jackknife(_ratio(_without_one(moment), less)),

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.instruments.angular import BIAS, Estimate
+from splits.instruments.angular import BIAS, Estimate, missed_of_totals
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.directions import count_cells
@@ -114,6 +114,10 @@ def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
     mean = mean[:, :, ::-1] / projected[::-1]
     stderr = np.sqrt(np.maximum(variance, 0.0))[:, :, ::-1] / projected[::-1]
     missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
+    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
+    # An empty cell is not certain: as if a ray had come.
+    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    stderr = np.where(mean > 0.0, stderr, unseen / projected[::-1])
     shape = (2, len(bias), polar * azimuth)
     stderr = np.hypot(stderr, missed).reshape(shape)
     return Estimate(mean.reshape(shape), stderr, sums, np.zeros((2, len(bias)), dtype=int))

@@ -71,7 +71,8 @@ def goniophotometer(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float
-        Polar angle of the beam, 0 to 89.9999 degrees.
+        Polar angle of the beam, 0 to 89.9999 degrees; beyond 89.9 a run takes minutes, because few
+        grains fit below the boundary there.
     rays : int, optional
         How many rays to trace, rounded up; by default as many as `relative_stderr` takes.
     seed : int
@@ -80,7 +81,7 @@ def goniophotometer(
         Largest standard error wanted as a part of the value, 1e-4 to 0.5, for polar angles up to
         `STEEPEST_DEG`.
     target : {"brdf", "btdf"}
-        Which of both is to reach it.
+        Which of both is to reach it; wavelengths without light there do not count.
     polar_deg : array_like
         Angles from the normal, 0 to below 90 degrees, strictly increasing.
     azimuth_deg : array_like
@@ -93,7 +94,8 @@ def goniophotometer(
         Cells between horizon and zenith and around; results stand at their middles, and
         `polar_deg` and `azimuth_deg` do not count.
     max_rays : int
-        The run stops once this many are traced; attribute ``stopped_by`` says what came first.
+        A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
+        first.
     threads : int, optional
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
@@ -106,7 +108,8 @@ def goniophotometer(
     xarray.Dataset
         ``brdf`` and ``btdf`` (1/sr) over ``wavelength``, ``polar`` and ``azimuth``, of light that
         met a grain; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor`` π·BRDF over the
-        reflectance of that light, 0 where there is none.  Over wavelength, ``reflectance`` and
+        reflectance of that light (its error is that of the BRDF alone), 0 where there is none.
+        Over wavelength, ``reflectance`` and
         ``transmittance`` of all light, and the parts of them that met no grain, which leave as
         sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
         standard errors ``…_stderr``.
@@ -145,8 +148,7 @@ def goniophotometer(
         azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
         goal = _Goal(side, relative_stderr, rays, int(max_rays))
         paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
-    seen = np.repeat(polar <= STEEPEST_DEG, len(azimuth))
-    worst = (result.stderr / np.maximum(reference(result), 1e-300))[side][:, seen].max(initial=0.0)
+    worst = _error(result, side, _counted(polar, azimuth))
     facts = {
         "title": f"Virtual goniophotometer: {medium.kind}",
         "instrument": "goniophotometer",
@@ -156,7 +158,7 @@ def goniophotometer(
         "estimator": estimator,
         "target": target,
         "relative_stderr": relative_stderr,
-        "relative_stderr_reached": float(worst),
+        "relative_stderr_reached": worst,
         "stopped_by": reached,
         "interpolation_error_bound": float(nodes.bias.max()),
         "degree": result.degree[side],
@@ -194,7 +196,7 @@ def _expand(
     """Trace until the goal is reached; return the paths, the estimate and what stopped them."""
     symmetric = runner.slab.cos_incidence == 1.0
     angles = angles_of(polar, azimuth, basis_of(DEGREE))
-    seen = np.repeat(polar <= STEEPEST_DEG, len(azimuth))
+    seen = _counted(polar, azimuth)
     ensembles = [
         Directional(number, m, absorption, w, angles.basis)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
@@ -203,21 +205,33 @@ def _expand(
     limit = goal.rays or goal.max_rays
     runner.trace([(e, level, ROUND) for e, level in levels], 1.0, goal.relative_stderr)
     while True:
-        result, variance = estimate(ensembles, nodes.bias, angles, symmetric)
-        scale = reference(result)[goal.side][:, seen]
-        error = (result.stderr[goal.side][:, seen] / np.maximum(scale, 1e-300)).max(initial=0.0)
+        result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
+        error = _error(result, goal.side, seen)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
             return ensembles, result, "error"
         if have.sum() >= limit:
             return ensembles, result, "rays"
         missed = BIAS * nodes.bias[:, np.newaxis]
+        scale = reference(result)[goal.side][:, seen]
         target = (goal.relative_stderr**2 - missed**2) * scale**2
-        wanted = rays_wanted(ensembles, variance[:, :, goal.side][..., seen], target)
+        wanted = rays_wanted(ensembles, variance, target)
         step = _share_out(wanted, have, limit, goal.rays is not None)
         work = [(*who, int(n)) for who, n in zip(levels, step, strict=True) if n > 0]
         left = float((wanted - have - step).clip(0).sum())
-        runner.trace(work, float(error), goal.relative_stderr, left)
+        runner.trace(work, error, goal.relative_stderr, left)
+
+
+def _counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    """Tell in which directions the error counts: all of them if only steeper ones are wanted."""
+    low = polar <= STEEPEST_DEG
+    return np.repeat(low if low.any() else ~low, len(azimuth))
+
+
+def _error(result: Estimate, side: int, seen: np.ndarray) -> float:
+    """Return the largest relative error of one side; wavelengths without light do not count."""
+    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+    return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 
 def _share_out(wanted: np.ndarray, have: np.ndarray, limit: int, fixed: bool) -> np.ndarray:

@@ -13,7 +13,8 @@ with the same reflectance at normal incidence,
 
 so n₂/n₁ − 1 where nothing absorbs and n₂ > n₁, and extinction counts as far as it reflects.  The
 second holds the light that enters absorbing grains, 1 − F times their share: where most grains
-are clear, few dark ones decide.
+are clear, few dark ones decide.  The face that wet pores have in common with the air is judged by
+itself, times the share of the light that meets it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ CURVATURE = 0.25
 """Bounds on |df/d(ln x)| and |d²f/d(ln x)²| for f a reflectance, transmittance or absorptance and
 x the mean contrast or the light that enters absorbing grains; `benchmarks/interpolation.py`
 measures them for snow and sand."""
+
+FACE = 0.5
+"""The slab's face in units of these bounds.  With its contrast c, external reflection moves by
+at most 0.04 per d(ln c), internal reflection of diffuse light by 0.3, and what escapes from a
+bright sample by at most half of that."""
 
 DARK = 1e-3
 """Extinction coefficient at which a material counts half as absorbing: a grain of a tenth of a
@@ -61,7 +67,21 @@ class Nodes:
 
 def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """Return the contrast of every interface times its share, shape (wavelengths, interfaces)."""
-    near, far, share = _sides(index, interfaces)
+    return _contrasts(*_sides(index, of_grains(interfaces)))
+
+
+def faces(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
+    """Return the contrast of the slab's face, shape (wavelengths, 0 or 1), its share left out."""
+    near, far, share = _sides(index, [i for i in interfaces if i not in of_grains(interfaces)])
+    return _contrasts(near, far, np.ones_like(share))
+
+
+def of_grains(interfaces: Sequence[Interface]) -> list[Interface]:
+    """Return the interfaces without the slab's own face."""
+    return [i for i in interfaces if (i.near, i.far) != (DRY_PORE, WET_PORE)]
+
+
+def _contrasts(near: np.ndarray, far: np.ndarray, share: np.ndarray) -> np.ndarray:
     # 2√F/(1 − √F) without the difference, which has no digits left for perfect conductors.
     away, along = np.abs(far - near), np.abs(far + near)
     magnitude = away * (along + away) / (2.0 * (far * near.conj()).real)
@@ -73,6 +93,7 @@ def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
 
     Interfaces within grains do not count, nor do grains that hardly absorb at any wavelength.
     """
+    interfaces = of_grains(interfaces)
     near, far, share = _sides(index, interfaces)
     outer = np.array([i.near in (DRY_PORE, WET_PORE) for i in interfaces])
     k = far.imag.max(axis=0)
@@ -105,7 +126,7 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     which = which.reshape(-1)
     u = contrasts(distinct, interfaces)
     start = int(np.abs(u).sum(axis=1).argmax())
-    draws = _Draws((u, entering(distinct, interfaces)), start)
+    draws = _Draws(distinct, interfaces, start)
     chosen = [int(draws.first[0])]
     while draws.bias.max() > tolerance:
         new = int(draws.bias.argmax())
@@ -132,7 +153,7 @@ def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[
     rows : sequence of int
         Different rows of `index`, at least one.
     """
-    draws = _Draws((contrasts(index, interfaces), entering(index, interfaces)), rows[0])
+    draws = _Draws(index, interfaces, rows[0])
     for i, row in enumerate(rows):
         draws.offer(row, rows[:i])
     return Nodes(index[list(rows)], draws.weights()[list(rows)], draws.bias)
@@ -151,9 +172,13 @@ class _Draws:
         Bound on what this misses.
     """
 
-    def __init__(self, vectors: Sequence[np.ndarray], start: int) -> None:
-        self.vectors = vectors
-        count = len(vectors[0])
+    def __init__(self, index: np.ndarray, interfaces: Sequence[Interface], start: int) -> None:
+        self.grains = contrasts(index, interfaces)
+        self.parts = [(1.0, self.grains), (1.0, entering(index, interfaces))]
+        met = sum(i.share for i in interfaces if i not in of_grains(interfaces))
+        if met > 0.0:
+            self.parts.append((FACE * met, faces(index, interfaces)))
+        count = len(index)
         self.first, self.second = np.full((2, count), start)
         self.share = np.ones(count)
         self.bias = self._bias(start, start, self.share)
@@ -161,7 +186,7 @@ class _Draws:
     def offer(self, new: int, partners: Sequence[int]) -> None:
         """Let every wavelength use a new node, alone or with one of the others, if that helps."""
         for partner in [new, *partners]:
-            u = self.vectors[0]
+            u = self.grains
             t = _position(u, u[new], u[partner])
             trial = self._bias(new, partner, t)
             better = trial < self.bias
@@ -169,7 +194,8 @@ class _Draws:
             self.share[better], self.bias[better] = t[better], trial[better]
 
     def _bias(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
-        return sum((_bias(u, u[a], u[b], t) for u in self.vectors), np.zeros(len(t)))
+        parts = (share * _bias(u, u[a], u[b], t) for share, u in self.parts)
+        return sum(parts, np.zeros(len(t)))
 
     def keep_apart(self) -> None:
         """Make every wavelength a node of its own."""

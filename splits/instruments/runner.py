@@ -147,7 +147,7 @@ class Runner:
             batches = sum(count for *_, count in pieces)
             cost = sum(self.cost(level) * count for _, level, _, count in pieces)
             most = LEGS if features else LEGS / 8
-            held = self.held(pieces[0][0])
+            held = min(self.held(ensemble) for ensemble, *_ in pieces)
             # A multiple of the threads, so that all have as much to do.
             number = int(np.ceil(max(cost / most, batches / held) / self.threads)) * self.threads
             number = min(number, batches)

@@ -14,6 +14,8 @@ from splits.transport.scene import Grains
 class Interface(NamedTuple):
     """Two materials that meet, and the share of all meetings of light with grains that is theirs.
 
+    Dry against wet pores is the slab's own face: its share is that of the light that meets it.
+
     Attributes
     ----------
     share : float

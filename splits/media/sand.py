@@ -206,7 +206,7 @@ class Sand:
         )
 
     def interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet at the surfaces of particles."""
+        """Return the pairs of materials that meet at surfaces of particles and of the slab."""
         names = self.materials()
         found = []
         for layers, share in zip(self._layers, self.composition.volume_fractions, strict=True):
@@ -214,6 +214,8 @@ class Sand:
             found.append(Interface(share * (1.0 - self.saturation), DRY_PORE, rows[0]))
             found.append(Interface(share * self.saturation, WET_PORE, rows[0]))
             found += [Interface(share, *pair) for pair in pairwise(rows)]
+        if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
+            found.append(Interface(self.saturation, DRY_PORE, WET_PORE))
         return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

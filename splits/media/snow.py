@@ -166,9 +166,12 @@ class Snow:
         return ("air", "water", "ice")
 
     def interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet at the surfaces of grains."""
+        """Return the pairs of materials that meet at surfaces of grains and of the slab."""
         dry = Interface(1.0 - self.saturation, DRY_PORE, _ICE)
-        return [dry, Interface(self.saturation, WET_PORE, _ICE)]
+        found = [dry, Interface(self.saturation, WET_PORE, _ICE)]
+        if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
+            found.append(Interface(self.saturation, DRY_PORE, WET_PORE))
+        return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 3); water only if present."""

@@ -65,7 +65,12 @@ def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
             radial[side, i, number] += weight
             first_moment[side, i] += weight * radius
             if inside and cells > 0:
-                for line in (across, cells - 1 - across):
+                mirrored = cells - 1 - across
+                if across == mirrored:
+                    place[0, side, i, along, across] += weight
+                    place[1, side, i, along, across] += weight * weight
+                    continue
+                for line in (across, mirrored):
                     place[0, side, i, along, line] += 0.5 * weight
                     place[1, side, i, along, line] += 0.25 * weight * weight
     return radial, first_moment, place

@@ -208,12 +208,40 @@ def test_a_deep_white_medium_is_nearly_lambertian():
     assert (np.diff(factor) < error[1:]).all()
 
 
-def test_bits_do_not_depend_on_threads_or_kernel_split():
+def test_bits_do_not_depend_on_threads():
     runs = [
         splits.goniophotometer(SNOW, [600.0, 900.0], 30.0, 100_000, threads=n) for n in (1, 2, 4)
     ]
     for run in runs[1:]:
         assert all(np.array_equal(runs[0][name], run[name]) for name in run.data_vars)
+
+
+def test_wavelengths_that_share_paths_get_what_they_would_alone():
+    # Wet enough that the slab's own face counts, where the index of water changes fast.
+    wet = splits.Snow(saturation=1.0, depth_m=0.02)
+    wavelengths = np.arange(2000.0, 2501.0, 20.0)
+    grid = {"polar_deg": [0, 40, 70], "azimuth_deg": [0, 90, 180]}
+    together = splits.goniophotometer(wet, wavelengths, 30.0, relative_stderr=0.05, **grid)
+    assert together.attrs["ensembles"] < len(wavelengths)
+    z = {"brdf": [], "reflectance": [], "specular_reflectance": []}
+    for seed, wavelength in enumerate(wavelengths[::5]):
+        alone = splits.goniophotometer(wet, [wavelength], 30.0, 300_000, seed=seed, **grid)
+        here = together.sel(wavelength=[wavelength])
+        for name, values in z.items():
+            error = np.hypot(alone[f"{name}_stderr"], here[f"{name}_stderr"])
+            values.extend(((here[name] - alone[name]) / error).values.ravel())
+    for name, values in z.items():
+        judge_z(values, f"{name} of wavelengths that share paths")
+
+
+def test_steep_directions_alone_and_dark_sides_have_a_goal_too():
+    steep = splits.goniophotometer(SNOW, [600.0], 30.0, relative_stderr=0.1, polar_deg=[85.0])
+    assert steep.attrs["stopped_by"] == "error"
+    assert 0.0 < steep.attrs["relative_stderr_reached"] <= 0.1
+    deep = splits.Snow(depth_m=0.5)
+    dark = splits.goniophotometer(deep, [1450.0], 0.0, relative_stderr=0.1, target="btdf")
+    assert dark.attrs["stopped_by"] == "error"
+    assert not dark.btdf.values.any() and (dark.btdf_stderr.values > 0.0).all()
 
 
 def test_lanes_agree_with_the_scalar_kernel():

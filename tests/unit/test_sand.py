@@ -12,6 +12,7 @@ import yaml
 import splits
 from splits import Sand, SandReadings
 from splits.dataset import attributes, provenance
+from splits.instruments.nodes import of_grains
 from splits.materials import refractive_index
 from splits.media.grain_statistics import surface_to_volume
 from splits.media.readings import CHOICES
@@ -231,9 +232,11 @@ def test_mean_grain_distance():
 def test_meetings_with_interfaces_add_up():
     sand = Sand(**EIGHT, saturation=0.3)
     volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.rows()}
-    outer = [i for i in sand.interfaces() if i.near < 2]
+    outer = [i for i in of_grains(sand.interfaces()) if i.near < 2]
     assert sum(i.share for i in outer if i.near == 1) == pytest.approx(0.3)
     assert sum(i.share for i in outer) == pytest.approx(1.0)
+    (face,) = [i for i in sand.interfaces() if i not in of_grains(sand.interfaces())]
+    assert face == (pytest.approx(0.3), 0, 1)
     inner = {
         (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.interfaces() if i.near > 1
     }

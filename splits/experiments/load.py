@@ -10,8 +10,9 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from splits.checks import refuse, suggestion
-from splits.experiments.model import ConfigError, Experiment, Section, Settings
+from splits.experiments.model import ConfigError, Experiment, Settings
 from splits.experiments.run_fit import check_fit
+from splits.experiments.sections import Section
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
-from splits.experiments.model import Accuracy, Experiment, Instrument
+from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.sections import Instrument
 from splits.instruments import Progress, bssrdf, goniophotometer, spectrophotometer
 from splits.media.granular import GranularMedium
 from splits.transport import sources_digest

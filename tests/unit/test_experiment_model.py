@@ -12,7 +12,8 @@ import pytest
 from splits import Snow
 from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
 from splits.experiments.load import read_yaml
-from splits.experiments.model import RULES, WavelengthGrid, label_of
+from splits.experiments.model import RULES, label_of
+from splits.experiments.sections import WavelengthGrid
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")

@@ -1,0 +1,164 @@
+"""Sections of an experiment file: instrument, figure, fit.
+
+Unknown keys are refused, and so are settings that the instrument chosen does not know.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from splits.checks import in_range, refuse
+from splits.experiments.parameters import checked_ranges
+from splits.instruments.goniophotometer import check_angles, check_cells
+from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
+
+ESTIMATORS = {
+    "spectrophotometer": ("spectral", "analog"),
+    "goniophotometer": ("expansion", "cells"),
+}
+ONLY_FOR = {
+    "rays": ("goniophotometer", "bssrdf"),
+    "target": ("goniophotometer",),
+    "polar_deg": ("goniophotometer",),
+    "azimuth_deg": ("goniophotometer",),
+    "cells": ("goniophotometer",),
+    "half_width_m": ("bssrdf",),
+}
+"""Settings that only some instruments know."""
+FIGURES = {
+    "spectrophotometer": ("spectra", "points", "swatches", "fit"),
+    "goniophotometer": ("principal_plane", "lobes", "cells"),
+    "bssrdf": ("spread",),
+    "refractive_index": ("refractive_index",),
+}
+"""Kinds of figures that show what an instrument measures, the usual one first."""
+Quantity = Literal[
+    "reflectance", "transmittance", "absorptance",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
+]  # fmt: skip
+
+
+class Section(BaseModel):
+    """A configuration section: unknown keys are refused, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WavelengthGrid(Section):
+    """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+
+    start: float
+    stop: float
+    step: float = Field(gt=0)
+    also: tuple[float, ...] = ()
+
+    def values(self) -> np.ndarray:
+        """Return the wavelengths (nm), increasing."""
+        if self.stop < self.start:
+            raise refuse("wavelength_nm.stop", self.stop, f"at least start = {self.start:g}")
+        count = int((self.stop - self.start) / self.step + 1e-9) + 1
+        if count > 100_000:
+            raise refuse("wavelength_nm.step", self.step, "large enough for 100000 wavelengths")
+        return np.unique(np.concatenate([self.start + self.step * np.arange(count), self.also]))
+
+
+class Instrument(Section):
+    """A virtual instrument and its settings."""
+
+    kind: Literal["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"] = (
+        "spectrophotometer"
+    )
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=400, stop=2500, step=10
+    )
+    incidence_deg: float | str = 0.0
+    estimator: Literal["spectral", "analog", "expansion", "cells"] | None = None
+    error_factor: float = 1.0
+    seed: int | None = Field(default=None, ge=0)
+    rays: int | None = Field(default=None, ge=1)
+    target: Literal["brdf", "btdf"] | None = None
+    polar_deg: tuple[float, ...] | None = None
+    azimuth_deg: tuple[float, ...] | None = None
+    cells: tuple[int, int] | None = None
+    half_width_m: float | None = Field(default=None, gt=0)
+
+    @field_validator("incidence_deg", mode="before")
+    @classmethod
+    def _incidence(cls, value: float | str) -> float | str:
+        return check_incidence(value)
+
+    @field_validator("error_factor")
+    @classmethod
+    def _error_factor(cls, value: float) -> float:
+        return in_range("instrument.error_factor", value, 0.01, 100.0)
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Instrument:
+        known = ESTIMATORS.get(self.kind, ())
+        if self.estimator is not None and self.estimator not in known:
+            allowed = "one of " + ", ".join(known) if known else "left out"
+            raise refuse("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
+        for key, kinds in ONLY_FOR.items():
+            if getattr(self, key) is not None and self.kind not in kinds:
+                raise refuse(
+                    f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
+                    "it belongs to " + " and ".join(kinds),
+                )  # fmt: skip
+        for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
+            if getattr(self, key) is not None:
+                raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")
+        if self.cells is not None and self.estimator != "cells":
+            raise refuse("instrument.cells", self.cells, "left out without estimator = cells")
+        for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
+            if getattr(self, key) is not None:
+                check_angles(f"instrument.{key}", getattr(self, key), end)
+        if self.cells is not None:
+            check_cells(self.cells)
+        return self
+
+    def wavelengths(self) -> np.ndarray:
+        """Return the wavelengths (nm)."""
+        grid = self.wavelength_nm
+        return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
+
+
+class FigureSection(Section):
+    """How an experiment's figure shows its dataset."""
+
+    quantity: tuple[Quantity, ...] = ("reflectance",)
+    kind: Literal[
+        "spectra", "points", "refractive_index", "swatches", "fit",
+        "principal_plane", "lobes", "cells", "spread",
+    ] | None = None  # fmt: skip
+    wavelength_nm: tuple[float, float] | None = None
+    at: dict[str, float | str] = {}
+    measured: str | None = None
+    legend: str | None = None
+    ylim: tuple[float, float] | None = None
+
+    @field_validator("quantity", mode="before")
+    @classmethod
+    def _one_or_more(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+
+class FitSection(Section):
+    """Measured spectra to find sands for, instead of simulating given ones.
+
+    `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
+    sample; `samples` chooses some of them.  `ranges` replaces those of
+    `splits.experiments.parameters.RANGES`.
+    """
+
+    measured: str
+    samples: tuple[str, ...] = ()
+    ranges: dict[str, tuple[float, float]] = {}
+
+    @field_validator("ranges")
+    @classmethod
+    def _ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
+        checked_ranges(value)
+        return value

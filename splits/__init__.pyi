@@ -3,9 +3,13 @@ from .dataset import save as save
 from .instruments import bssrdf as bssrdf
 from .instruments import deep_transmittance as deep_transmittance
 from .instruments import goniophotometer as goniophotometer
+from .instruments import lens as lens
 from .instruments import single_scattering as single_scattering
 from .instruments import spectrophotometer as spectrophotometer
+from .instruments import surface_map as surface_map
+from .media import Layer as Layer
 from .media import Readings as Readings
+from .media import RoughSurface as RoughSurface
 from .media import Sand as Sand
 from .media import SandReadings as SandReadings
 from .media import Snow as Snow

@@ -18,8 +18,8 @@ import numpy as np
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import Cube, FitResult, covariance_of, parameter_errors
 from splits.instruments import spectrophotometer
-from splits.instruments.fixed import check_whole, fixed_spectrum, spread_rows
-from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
+from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
+from splits.instruments.fixed import fixed_spectrum, spread_rows
 
 STEP = 0.05
 """Difference of a coordinate for derivatives: large enough against what noise is not shared."""

@@ -17,12 +17,19 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from splits.checks import one_of, refuse, suggestion
-from splits.experiments.sections import FIGURES, FigureSection, FitSection, Instrument, Section
-from splits.instruments.goniophotometer import check_beam
-from splits.instruments.spectrophotometer import check_incidence
-from splits.media import GranularMedium, Sand, Snow
+from splits.experiments.sections import (
+    FIGURES,
+    SURFACES,
+    FigureSection,
+    FitSection,
+    Instrument,
+    Section,
+)
+from splits.instruments.arguments import check_beam, check_incidence
+from splits.media import Layer, Sand, Snow
+from splits.media.turbid import Medium, TurbidMedium
 
-MEDIA = {"snow": Snow, "sand": Sand}
+MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
 MERGED = ("readings", "refractive_index")
@@ -112,7 +119,19 @@ class Experiment(Section):
             if not self.fit:
                 medium.indices(wavelengths)
             check_incidence(incidence)
+            self._check_surface(kind, medium)
         return self
+
+    def _check_surface(self, kind: str, medium: Medium) -> None:
+        """Refuse what only layers, only smooth or only rough ones have, where they have it not."""
+        layer = isinstance(medium, TurbidMedium)
+        rough = isinstance(medium, TurbidMedium) and medium.fields() is not None
+        instrument = self.instrument
+        if instrument.kind in SURFACES and not rough:
+            given = kind if not layer else "a layer without surface"
+            raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
+        if instrument.estimator == "local" and (rough or not layer):
+            raise refuse("instrument.estimator", "local", "left out but for smooth layers")
 
     def _check_fit(self, kind: str) -> None:
         """Refuse what does not go with a fit, or a figure of one without it."""
@@ -187,7 +206,7 @@ class Experiment(Section):
                     found.add(spec)
         return sorted(found)
 
-    def points(self) -> Iterator[tuple[dict[str, str], GranularMedium, float | str]]:
+    def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         for labels, settings, incidence in self.settings():
             yield labels, MEDIA[self.medium.get("kind", "snow")](**settings), incidence

@@ -12,9 +12,16 @@ import xarray as xr
 
 from splits.dataset import attributes, provenance
 from splits.experiments.model import Accuracy, Experiment
-from splits.experiments.sections import Instrument
-from splits.instruments import Progress, bssrdf, goniophotometer, spectrophotometer
-from splits.media.granular import GranularMedium
+from splits.experiments.sections import SURFACES, Instrument
+from splits.instruments import (
+    Progress,
+    bssrdf,
+    goniophotometer,
+    lens,
+    spectrophotometer,
+    surface_map,
+)
+from splits.media.turbid import Medium
 from splits.transport import sources_digest
 
 POINT_FACTS = {
@@ -99,7 +106,7 @@ def run(
 
 def measure(
     instrument: Instrument,
-    medium: GranularMedium,
+    medium: Medium,
     incidence_deg: float | str,
     accuracy: Accuracy,
     seed: int,
@@ -109,9 +116,16 @@ def measure(
     """Put a medium under an instrument; see `run`."""
     scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
     common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
-    keys = ("estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m")
+    keys = (
+        "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",
+        "radius_m", "screen_depth_m", "over", "realisations",
+    )  # fmt: skip
     given = {key: getattr(instrument, key) for key in keys}
-    common |= {key: value for key, value in given.items() if value is not None}
+    given = {key: value for key, value in given.items() if value is not None}
+    if instrument.kind in SURFACES:
+        look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
+        return look(medium, seed=seed, **given)
+    common |= given
     if instrument.kind == "bssrdf":
         effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
         common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
@@ -135,9 +149,9 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
         stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
         variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
     for name, (long_name, units) in POINT_FACTS.items():
-        if name in REACHED and name not in first.attrs:
-            continue
         key = f"{first.attrs['medium']}_{_PER_MEDIUM[name]}" if name in _PER_MEDIUM else name
+        if key not in first.attrs:
+            continue
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}

@@ -20,7 +20,7 @@ from splits.experiments.fit import Effort, FitResult, fit
 from splits.experiments.model import Accuracy, Experiment
 from splits.experiments.parameters import Cube
 from splits.experiments.run import coordinate_values
-from splits.instruments.spectrophotometer import check_wavelengths
+from splits.instruments.arguments import check_wavelengths
 from splits.transport import sources_digest
 
 FACTS = {

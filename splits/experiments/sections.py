@@ -12,20 +12,24 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import checked_ranges
+from splits.instruments.arguments import check_incidence, check_wavelengths
 from splits.instruments.goniophotometer import check_angles, check_cells
-from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 
 ESTIMATORS = {
     "spectrophotometer": ("spectral", "analog"),
-    "goniophotometer": ("expansion", "cells"),
+    "goniophotometer": ("expansion", "cells", "local"),
 }
 ONLY_FOR = {
-    "rays": ("goniophotometer", "bssrdf"),
+    "rays": ("goniophotometer", "bssrdf", "lens"),
     "target": ("goniophotometer",),
     "polar_deg": ("goniophotometer",),
     "azimuth_deg": ("goniophotometer",),
     "cells": ("goniophotometer",),
-    "half_width_m": ("bssrdf",),
+    "half_width_m": ("bssrdf", "surface", "lens"),
+    "radius_m": ("lens",),
+    "screen_depth_m": ("lens",),
+    "over": ("lens",),
+    "realisations": ("lens", "surface"),
 }
 """Settings that only some instruments know."""
 FIGURES = {
@@ -33,11 +37,17 @@ FIGURES = {
     "goniophotometer": ("principal_plane", "lobes", "cells"),
     "bssrdf": ("spread",),
     "refractive_index": ("refractive_index",),
+    "surface": ("surface",),
+    "lens": ("lens",),
 }
+REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
+"""Settings that an instrument cannot do without."""
+SURFACES = ("surface", "lens")
+"""Instruments that look at a rough surface alone."""
 """Kinds of figures that show what an instrument measures, the usual one first."""
 Quantity = Literal[
     "reflectance", "transmittance", "absorptance",
-    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_q", "polarization",
 ]  # fmt: skip
 
 
@@ -68,14 +78,14 @@ class WavelengthGrid(Section):
 class Instrument(Section):
     """A virtual instrument and its settings."""
 
-    kind: Literal["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"] = (
-        "spectrophotometer"
-    )
+    kind: Literal[
+        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens"
+    ] = "spectrophotometer"  # fmt: skip
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=400, stop=2500, step=10
     )
     incidence_deg: float | str = 0.0
-    estimator: Literal["spectral", "analog", "expansion", "cells"] | None = None
+    estimator: Literal["spectral", "analog", "expansion", "cells", "local"] | None = None
     error_factor: float = 1.0
     seed: int | None = Field(default=None, ge=0)
     rays: int | None = Field(default=None, ge=1)
@@ -84,6 +94,10 @@ class Instrument(Section):
     azimuth_deg: tuple[float, ...] | None = None
     cells: tuple[int, int] | None = None
     half_width_m: float | None = Field(default=None, gt=0)
+    radius_m: float | None = Field(default=None, gt=0)
+    screen_depth_m: tuple[float, ...] | None = None
+    over: Literal["crest", "trough", "origin"] | None = None
+    realisations: int | None = Field(default=None, ge=1)
 
     @field_validator("incidence_deg", mode="before")
     @classmethod
@@ -107,6 +121,9 @@ class Instrument(Section):
                     f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
                     "it belongs to " + " and ".join(kinds),
                 )  # fmt: skip
+        for key in REQUIRED.get(self.kind, ()):
+            if getattr(self, key) is None:
+                raise refuse(f"instrument.{key}", None, f"given for {self.kind}")
         for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
             if getattr(self, key) is not None:
                 raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")
@@ -131,7 +148,7 @@ class FigureSection(Section):
     quantity: tuple[Quantity, ...] = ("reflectance",)
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
-        "principal_plane", "lobes", "cells", "spread",
+        "principal_plane", "lobes", "cells", "spread", "surface", "lens",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}

@@ -19,11 +19,13 @@ from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
 from splits.figures.style import save_figure
 from splits.figures.swatches import swatches
+from splits.figures.waves import lens, surface
 
 __all__ = [
     "collectors",
     "draw",
     "fits",
+    "lens",
     "lobes",
     "measured_albedo",
     "points",
@@ -33,11 +35,14 @@ __all__ = [
     "sensitivity_bars",
     "spectra",
     "spread",
+    "surface",
     "swatches",
 ]
 
 
-OF_DATASET = {"lobes": lobes, "cells": collectors, "spread": spread}
+OF_DATASET = {
+    "lobes": lobes, "cells": collectors, "spread": spread, "surface": surface, "lens": lens,
+}  # fmt: skip
 """Kinds of figures that only need to know which point of a grid to show."""
 
 
@@ -57,7 +62,7 @@ def draw(
     if section["kind"] == "refractive_index":
         return refractive_indices(dataset)
     if section["kind"] == "points":
-        return points(dataset, section["quantity"][0], section["at"])
+        return points(dataset, section["quantity"][0], section["at"], section["legend"])
     if section["kind"] == "fit":
         return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":

@@ -18,11 +18,12 @@ def points(
     dataset: xr.Dataset,
     quantity: str = "reflectance",
     at: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
 ) -> Figure:
     """Draw a quantity over the points of a grid, one series per wavelength.
 
-    A dataset of a single wavelength shows the mean grain distance instead: it has no spectrum to
-    speak of.
+    Of grains at a single wavelength the mean distance is shown instead: it has no spectrum to speak
+    of.
 
     Parameters
     ----------
@@ -31,6 +32,8 @@ def points(
     quantity : str
     at : mapping, optional
         Grid labels to hold fixed.
+    legend : str, optional
+        What the grid is over; its parameters by default.
     """
     dataset = at_points(dataset, at or {})
     dims = [str(d) for d in dataset[quantity].dims if d != "wavelength"]
@@ -39,7 +42,7 @@ def points(
     with style():
         figure, axes = plt.subplots(figsize=(6.4, 1.6 + 0.32 * len(names)))
         rows = np.arange(len(names))
-        if dataset.sizes["wavelength"] == 1:
+        if dataset.sizes["wavelength"] == 1 and "mean_grain_distance" in dataset:
             value = 1e3 * dataset.mean_grain_distance.values.ravel()
             axes.plot(value, rows, "o", color=colours(1)[0])
             for x, y in zip(value, rows, strict=True):
@@ -62,9 +65,10 @@ def points(
                     label=f"{wavelength:g} nm",
                 )
             axes.set_xlabel(str(dataset[quantity].attrs.get("long_name", quantity)))
-            axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.4, 1.12), ncols=3)
+            if len(shades) > 1:
+                axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.4, 1.12), ncols=3)
         axes.set_yticks(rows, names)
-        axes.set_ylabel(" · ".join(map(parameter_label, dims)))
+        axes.set_ylabel(legend or " · ".join(map(parameter_label, dims)))
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)
         axes.margins(y=0.08)

@@ -10,19 +10,16 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, one_of
-from splits.dataset import attributes, provenance
 from splits.instruments.angular import missed_of_totals
+from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
 from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
-from splits.instruments.fixed import check_whole
-from splits.instruments.goniophotometer import check_beam
+from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
-from splits.instruments.runner import BATCH, KERNELS, Progress, Runner
-from splits.instruments.single_scattering import WAVELENGTH
-from splits.instruments.spectrophotometer import check_wavelengths
+from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.tracers import KERNELS
 from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium
-from splits.transport import sources_digest
+from splits.media.turbid import Medium
 from splits.transport.positions import spread
 from splits.transport.scene import Optics
 
@@ -53,7 +50,7 @@ Sums = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 
 def bssrdf(
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: Any,
     incidence_deg: float = 0.0,
     rays: int = 200_000,
@@ -113,9 +110,8 @@ def bssrdf(
     incidence = check_beam(incidence_deg)
     one_of("kernel", kernel, KERNELS)
     check_whole("rays", rays, 1)
-    check_whole("seed", seed, 0)
-    if threads is not None:
-        check_whole("threads", threads, 1)
+    seed = check_whole("seed", seed, 0)
+    threads = check_threads(threads)
     if half_width_m is not None:
         in_range("half_width_m", half_width_m, 1e-9, 1e6, "m")
     begun = time.perf_counter()
@@ -123,7 +119,7 @@ def bssrdf(
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
     runner = Runner(
-        medium, incidence, int(seed), threads, False, kernel, progress, positions=True, orders=True
+        medium, incidence, seed, threads, False, kernel, progress, positions=True, orders=True
     )
 
     def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
@@ -137,26 +133,18 @@ def bssrdf(
         pilot = spreads(len(nodes.index), 0.0, 0)
         trace(pilot, ROUND)
         radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
-        half_width_m = float(radii[0].max()) or 1.0 / runner.grains.attenuation
+        half_width_m = float(radii[0].max()) or 1.0 / runner.tracer.attenuation
     half_width_m = float(half_width_m)
     ensembles = spreads(0, half_width_m, CELLS)
     trace(ensembles, ROUND * -(-rays // (ROUND * len(ensembles))))
     facts = {
-        "title": f"Spread of a beam: {medium.kind}",
-        "instrument": "bssrdf",
-        "medium": medium.kind,
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        **run_facts("Spread of a beam", "bssrdf", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "half_width_m": half_width_m,
         "rays": sum(level.rays for e in ensembles for level in e.levels),
         "ensembles": len(ensembles),
         "interpolation_error_bound": float(nodes.bias.max()),
-        "seed": int(seed),
-        "threads": runner.threads,
         "kernel": runner.kernels(ensembles),
-        "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
-        **provenance(),
     }
     return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
 
@@ -289,22 +277,20 @@ def _dataset(
             place[0] / cell, np.sqrt(np.maximum(place[1], 0.0)) / cell,
         ),
     }  # fmt: skip
-    variables: dict[str, Any] = {}
+    variables: dict[str, Variable] = {}
     for name, (long_name, units, dims, values, stderr) in results.items():
-        about = {"long_name": long_name, "units": units, "ancillary_variables": f"{name}_stderr"}
-        error = {"long_name": f"standard error of {long_name}", "units": units}
-        variables[name] = (("side", "wavelength", *dims), values, about)
-        variables[f"{name}_stderr"] = (("side", "wavelength", *dims), stderr, error)
+        over = ("side", "wavelength", *dims)
+        variables |= quantity(name, over, values, stderr, long_name, units)
     across = half_width * ((2.0 * np.arange(CELLS) + 1.0) / CELLS - 1.0)
     coordinates = {
         "side": list(SIDES),
-        "wavelength": ("wavelength", wavelengths, WAVELENGTH),
+        "wavelength": wavelength_axis(wavelengths),
         "quantile": ("quantile", list(QUANTILES), {"long_name": "part of the light", "units": "1"}),
         "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
         "x": ("x", across, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
     }
-    return xr.Dataset(variables, coordinates, attributes(facts))
+    return xr.Dataset(variables, coordinates, facts)
 
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,14 +11,18 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range
-from splits.dataset import attributes, provenance
-from splits.instruments.fixed import check_whole
+from splits.instruments.arguments import (
+    check_incidence,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.labels import quantity, run_facts, wavelength_axis
 from splits.instruments.runner import Progress
-from splits.instruments.single_scattering import WAVELENGTH, single_scattering
-from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
+from splits.instruments.single_scattering import single_scattering
+from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport import sources_digest
 from splits.transport.deep import families
 from splits.transport.scene import Optics, Slab
 
@@ -92,13 +95,13 @@ def deep_transmittance(
     RuntimeError
         If a ray found no grain that fits where it was.
     """
+    granular_only("deep_transmittance", medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 0.001, 0.5)
-    check_whole("seed", seed, 0)
-    check_whole("max_rays", max_rays, 1)
-    if threads is not None:
-        check_whole("threads", threads, 1)
+    seed = check_whole("seed", seed, 0)
+    max_rays = check_whole("max_rays", max_rays, 1)
+    threads = check_threads(threads)
     begun = time.perf_counter()
     diffuse = incidence == "diffuse"
     cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence))))
@@ -108,10 +111,10 @@ def deep_transmittance(
     first_guess = attenuation_rate(medium, wavelengths, seed, threads)
     grains, rules = medium.grains(), medium.readings.rules(False)
     results = np.zeros((5, len(wavelengths)))
-    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         for row, guess in enumerate(first_guess):
             optics = Optics(index[row].real.copy(), index[row].imag.copy(), absorption[row])
-            source = _Source(pool, int(seed), (grains, slab, rules, optics))
+            source = _Source(pool, seed, (grains, slab, rules, optics))
             number = _STREAMS + (STAGES + 1) * row
             rate = _SAFE * guess
             for stage in range(STAGES):
@@ -136,46 +139,24 @@ def deep_transmittance(
             results[:, row] = mean, stderr, share, run.rays, rate
     transmittance, errors, shares, count, rates = results
     long_name = ("hemispherical" if diffuse else "directional") + "-hemispherical transmittance"
+    over = "wavelength"
     variables = {
-        "transmittance": (
-            "wavelength",
-            transmittance,
-            {"long_name": long_name, "units": "1", "ancillary_variables": "transmittance_stderr"},
+        **quantity("transmittance", over, transmittance, errors, long_name),
+        **quantity("largest_share", over, shares, None, "share of the heaviest family of rays"),
+        **quantity(
+            "attenuation_rate", over, rates, None, "rate at which rays are split with depth", "m-1"
         ),
-        "transmittance_stderr": (
-            "wavelength",
-            errors,
-            {"long_name": f"standard error of {long_name}", "units": "1"},
-        ),
-        "largest_share": (
-            "wavelength",
-            shares,
-            {"long_name": "share of the heaviest family of rays", "units": "1"},
-        ),
-        "attenuation_rate": (
-            "wavelength",
-            rates,
-            {"long_name": "rate at which rays are split with depth", "units": "m-1"},
-        ),
-        "rays": ("wavelength", count.astype(np.int64), {"long_name": "rays", "units": "1"}),
+        **quantity("rays", over, count.astype(np.int64), None, "rays"),
     }
     reached = (errors <= relative_stderr * transmittance) & (shares <= LARGEST_SHARE)
     facts = {
-        "title": f"Deep transmittance: {medium.kind}",
-        "instrument": "deep_transmittance",
-        "medium": medium.kind,
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        **run_facts("Deep transmittance", "deep_transmittance", medium, begun, seed),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
         "stopped_by": "error" if reached.all() else "rays",
-        "max_rays": int(max_rays),
-        "seed": int(seed),
-        "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
-        **provenance(),
+        "max_rays": max_rays,
     }
-    coordinates = {"wavelength": ("wavelength", wavelengths, WAVELENGTH)}
-    return xr.Dataset(variables, coordinates, attributes(facts))
+    return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)
 
 
 class _Source(NamedTuple):
@@ -249,7 +230,7 @@ def attenuation_rate(
     √(3 (1 − ω)(1 − ωg)) times the extinction (Ishimaru 1978, Wave Propagation and Scattering in
     Random Media, section 9.1), from the medium's single-scattering properties.
     """
-    optics = single_scattering(medium, wavelengths, 1, PROPERTY_RAYS, int(seed), threads)
+    optics = single_scattering(medium, wavelengths, 1, PROPERTY_RAYS, seed, threads)
     albedo = optics.single_scattering_albedo.values
     asymmetry = optics.asymmetry_parameter.values
     loss = np.clip(3.0 * (1.0 - albedo) * (1.0 - albedo * asymmetry), 0.0, 3.0)

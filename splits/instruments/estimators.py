@@ -13,7 +13,7 @@ from splits.instruments.ensemble import Ensemble
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium
+from splits.media.turbid import Medium
 
 PILOT = 256
 ANALOG_PILOT = 2048
@@ -56,7 +56,7 @@ class Estimate:
 
 def spectral(
     runner: Runner,
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: np.ndarray,
     max_stderr: float,
     max_rays: int,
@@ -71,7 +71,7 @@ def spectral(
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.grains.attenuation)
+        Ensemble(number, m, absorption, w > 0.0, runner.tracer.attenuation)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     levels = [(e, level) for e in ensembles for level in e.levels]
@@ -154,7 +154,7 @@ def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble
 
 def analog(
     runner: Runner,
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: np.ndarray,
     max_stderr: float,
     max_rays: int,
@@ -172,7 +172,7 @@ def analog(
     one = np.ones(1, dtype=bool)
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
-        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.grains.attenuation, True)
+        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.tracer.attenuation, True)
         level = ensemble.levels[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:

@@ -9,25 +9,24 @@ their difference is known far better than either spectrum: what a fit or a deriv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from splits.checks import refuse
+from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.ensemble import Ensemble
 from splits.instruments.nodes import nodes_at
 from splits.instruments.runner import Runner
-from splits.instruments.spectrophotometer import check_incidence, check_wavelengths
 from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium
+from splits.media.turbid import Medium
 
 EVERY_RAY = (-1.0,)
 """One level per ensemble: every wavelength listens to every ray, so that all share their noise."""
 
 
 def fixed_spectrum(
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: Any,
     incidence_deg: float | str,
     node_rows: Sequence[int],
@@ -75,7 +74,7 @@ def fixed_spectrum(
     runner = Runner(medium, check_incidence(incidence_deg), int(seed), threads, False)
     # An ensemble keeps its number, hence its streams, also where a neighbour is not drawn on.
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.grains.attenuation, levels=EVERY_RAY)
+        Ensemble(number, m, absorption, w > 0.0, runner.tracer.attenuation, levels=EVERY_RAY)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
         if w.any()
     ]
@@ -95,14 +94,6 @@ def spread_rows(count: int) -> tuple[int, ...]:
     so well that interpolation misses at most about 0.01.
     """
     return tuple(sorted({0, round(0.3 * (count - 1)), count - 1}))
-
-
-def check_whole(key: str, value: object, low: int) -> int:
-    """Return a whole number of at least `low` that fits into 63 bits, or refuse it."""
-    whole = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
-    if not low <= whole < 2**63:
-        raise refuse(key, value, f"a whole number of at least {low}")
-    return whole
 
 
 def _check_rows(node_rows: Sequence[int], count: int) -> list[int]:

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, one_of, refuse
-from splits.dataset import attributes, provenance
 from splits.instruments.angular import BIAS, Estimate, angles_of, estimate, rays_wanted, reference
+from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
 from splits.instruments.cells import CELLS_OF_5_DEG, Cells, centres, estimate_cells
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
-from splits.instruments.fixed import check_whole
+from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import Nodes, choose_nodes
-from splits.instruments.runner import KERNELS, Progress, Runner
-from splits.instruments.single_scattering import WAVELENGTH
-from splits.instruments.spectrophotometer import check_wavelengths
+from splits.instruments.runner import Progress, Runner
+from splits.instruments.tracers import KERNELS
 from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium
-from splits.transport import sources_digest
+from splits.media.turbid import Medium
 from splits.transport.directions import basis_of
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
@@ -35,7 +33,7 @@ DEGREE = 24
 STEEPEST_DEG = 82.5
 """Polar angle up to which the error asked for is to be reached."""
 
-ESTIMATORS = ("expansion", "cells")
+ESTIMATORS = ("expansion", "cells", "local")
 SIDES = {"brdf": 0, "btdf": 1}
 
 _GROWTH = 8.0
@@ -45,7 +43,7 @@ the relative error asked for."""
 
 
 def goniophotometer(
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: Any,
     incidence_deg: float = 0.0,
     rays: int | None = None,
@@ -66,8 +64,8 @@ def goniophotometer(
 
     Parameters
     ----------
-    medium : GranularMedium
-        For example `splits.Snow`.
+    medium : GranularMedium or TurbidMedium
+        For example `splits.Snow` or `splits.Layer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float
@@ -79,7 +77,7 @@ def goniophotometer(
         Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
     relative_stderr : float
         Largest standard error wanted as a part of the value, 1e-4 to 0.5, for polar angles up to
-        `STEEPEST_DEG`.
+        `STEEPEST_DEG`; of local estimation, for all.
     target : {"brdf", "btdf"}
         Which of both is to reach it; wavelengths without light there do not count.
     polar_deg : array_like
@@ -87,9 +85,11 @@ def goniophotometer(
     azimuth_deg : array_like
         Angles from the direction in which the beam travels, 0 to below 360 degrees, strictly
         increasing: the principal plane is 0 (forward) and 180 (back).
-    estimator : {"expansion", "cells"}
+    estimator : {"expansion", "cells", "local"}
         Orthonormal polynomials over the hemisphere, or the papers' collectors as a reference:
-        cells of equal solid angle.  Cells take `rays`, a million by default.
+        cells of equal solid angle; or, for a layer under a smooth surface, local estimation: every
+        scattering tells each direction what it sends there.  Cells take `rays`, a million by
+        default; local estimation takes time for every direction, so ask for few.
     cells : (int, int)
         Cells between horizon and zenith and around; results stand at their middles, and
         `polar_deg` and `azimuth_deg` do not count.
@@ -112,7 +112,9 @@ def goniophotometer(
         Over wavelength, ``reflectance`` and
         ``transmittance`` of all light, and the parts of them that met no grain, which leave as
         sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
-        standard errors ``…_stderr``.
+        standard errors ``…_stderr``.  Local estimation in a polarized medium adds ``brdf_q``,
+        ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for unpolarized
+        incidence, Q > 0 along the plane that holds the normal.
 
     Raises
     ------
@@ -121,7 +123,8 @@ def goniophotometer(
 
     References
     ----------
-    SPLITSnow section 4.1, Eq 7; Nicodemus et al. (1977) for the terms.
+    SPLITSnow section 4.1, Eq 7; Budak & Grimailo 2020, Eqs 4-5; Nicodemus et al. (1977) for the
+    terms.
     """
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_beam(incidence_deg)
@@ -129,31 +132,35 @@ def goniophotometer(
     side = SIDES[one_of("target", target, SIDES)]
     one_of("estimator", estimator, ESTIMATORS)
     one_of("kernel", kernel, KERNELS)
-    check_whole("seed", seed, 0)
-    check_whole("max_rays", max_rays, 1)
-    for key, value in (("rays", rays), ("threads", threads)):
-        if value is not None:
-            check_whole(key, value, 1)
+    seed = check_whole("seed", seed, 0)
+    max_rays = check_whole("max_rays", max_rays, 1)
+    if rays is not None:
+        check_whole("rays", rays, 1)
+    threads = check_threads(threads)
     begun = time.perf_counter()
     index = medium.indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
-    paths: Sequence[Paths]
-    runner = Runner(medium, incidence, int(seed), threads, False, kernel, progress, orders=True)
+    paths: Sequence[Paths] = ()
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, orders=True)
+    stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
         paths, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
     else:
         polar = check_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
-        goal = _Goal(side, relative_stderr, rays, int(max_rays))
-        paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
-    worst = _error(result, side, _counted(polar, azimuth))
+        goal = Goal(side, relative_stderr, rays, max_rays)
+        if estimator == "local":
+            heard = listen(medium, incidence, polar, azimuth, goal, runner)
+            result, reached = heard.estimate(len(wavelengths)), heard.reached
+            stokes = heard.stokes(len(wavelengths)) if heard.polarized else {}
+        else:
+            paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
+    seen = counted(polar, azimuth)
+    worst = _error(result, side, seen | (estimator == "local"))
     facts = {
-        "title": f"Virtual goniophotometer: {medium.kind}",
-        "instrument": "goniophotometer",
-        "medium": medium.kind,
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
@@ -162,27 +169,12 @@ def goniophotometer(
         "stopped_by": reached,
         "interpolation_error_bound": float(nodes.bias.max()),
         "degree": result.degree[side],
-        "max_rays": int(max_rays),
-        "rays": sum(level.rays for e in paths for level in e.levels),
+        "max_rays": max_rays,
+        "rays": sum(level.rays for e in paths for level in e.levels) if paths else heard.rays,
         "ensembles": len(nodes.index),
-        "seed": int(seed),
-        "threads": runner.threads,
-        "kernel": runner.kernels(paths),
-        "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
-        **provenance(),
+        "kernel": runner.kernels(paths) or "scalar",
     }
-    return _dataset(result, wavelengths, polar, azimuth, facts)
-
-
-@dataclass(frozen=True)
-class _Goal:
-    """How far a run goes: to a relative error on one side, or to a number of rays."""
-
-    side: int
-    relative_stderr: float
-    rays: int | None
-    max_rays: int
+    return _dataset(result, stokes, wavelengths, polar, azimuth, facts)
 
 
 def _expand(
@@ -191,12 +183,12 @@ def _expand(
     absorption: np.ndarray,
     polar: np.ndarray,
     azimuth: np.ndarray,
-    goal: _Goal,
+    goal: Goal,
 ) -> tuple[list[Directional], Estimate, str]:
     """Trace until the goal is reached; return the paths, the estimate and what stopped them."""
-    symmetric = runner.slab.cos_incidence == 1.0
+    symmetric = runner.tracer.upright
     angles = angles_of(polar, azimuth, basis_of(DEGREE))
-    seen = _counted(polar, azimuth)
+    seen = counted(polar, azimuth)
     ensembles = [
         Directional(number, m, absorption, w, angles.basis)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
@@ -222,7 +214,7 @@ def _expand(
         runner.trace(work, error, goal.relative_stderr, left)
 
 
-def _counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+def counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Tell in which directions the error counts: all of them if only steeper ones are wanted."""
     low = polar <= STEEPEST_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
@@ -268,6 +260,7 @@ def _collect(
 
 def _dataset(
     result: Estimate,
+    stokes: dict[str, tuple[np.ndarray, np.ndarray]],
     wavelengths: np.ndarray,
     polar: np.ndarray,
     azimuth: np.ndarray,
@@ -278,14 +271,7 @@ def _dataset(
     shape = (len(wavelengths), len(polar), len(azimuth))
     scattered = result.scattered()[0][:, np.newaxis]
     share = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
-    variables: dict[str, Any] = {}
-
-    def put(name: str, dims: Any, long_name: str, units: str, pair: Any) -> None:
-        about = {"long_name": long_name, "units": units, "ancillary_variables": f"{name}_stderr"}
-        variables[name] = (dims, pair[0], about)
-        error = {"long_name": f"standard error of {long_name}", "units": units}
-        variables[f"{name}_stderr"] = (dims, pair[1], error)
-
+    variables: dict[str, Variable] = {}
     directional = {
         "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
         "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
@@ -293,8 +279,15 @@ def _dataset(
         "anisotropy_factor": ("anisotropy factor", "1", 0, share),
     }
     for name, (long_name, units, side, factor) in directional.items():
-        pair = (factor * result.mean[side], factor * result.stderr[side])
-        put(name, grid, long_name, units, [values.reshape(shape) for values in pair])
+        mean = (factor * result.mean[side]).reshape(shape)
+        stderr = (factor * result.stderr[side]).reshape(shape)
+        variables |= quantity(name, grid, mean, stderr, long_name, units)
+    for name, (values, error) in stokes.items():
+        part = name[-1].upper()
+        label = f"Stokes {part} of the light that the {name[:4].upper()} is of"
+        variables |= quantity(
+            name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
+        )
     whole = {
         "reflectance": ("directional-hemispherical reflectance", 0, 0),
         "transmittance": ("directional-hemispherical transmittance", 0, 1),
@@ -302,10 +295,11 @@ def _dataset(
         "direct_transmittance": ("transmittance without scattering", 2, 1),
     }
     for name, (long_name, row, side) in whole.items():
-        put(name, "wavelength", long_name, "1", result.sums[row : row + 2, side])
+        mean, stderr = result.sums[row : row + 2, side]
+        variables |= quantity(name, "wavelength", mean, stderr, long_name)
     angle = {"units": "degree"}
     coordinates = {
-        "wavelength": ("wavelength", wavelengths, WAVELENGTH),
+        "wavelength": wavelength_axis(wavelengths),
         "polar": ("polar", polar, {**angle, "long_name": "angle from the normal"}),
         "azimuth": (
             "azimuth",
@@ -313,16 +307,7 @@ def _dataset(
             {**angle, "long_name": "angle from the direction in which the beam travels"},
         ),
     }
-    return xr.Dataset(variables, coordinates, attributes(facts))
-
-
-def check_beam(value: Any) -> float:
-    """Return the polar angle of a beam, or refuse it."""
-    if value == "diffuse":
-        raise refuse(
-            "incidence_deg", value, "an angle", "diffuse light is for the spectrophotometer"
-        )
-    return in_range("incidence_deg", value, 0.0, 89.9999, "degrees")
+    return xr.Dataset(variables, coordinates, facts)
 
 
 def check_angles(key: str, values: Any, end: float) -> np.ndarray:

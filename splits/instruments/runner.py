@@ -11,14 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import refuse
 from splits.instruments.ensemble import Level, Paths
-from splits.media.granular import GranularMedium
-from splits.transport import granular, lanes
-from splits.transport.lanes.choice import features_for
+from splits.instruments.tracers import tracer_of
+from splits.media.turbid import Medium
 from splits.transport.lanes.rows import Features
-from splits.transport.scene import Grains, Optics, Rules, Slab
-from splits.transport.tally import exit_rows
 
 BATCH = 128
 """Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
@@ -28,9 +24,6 @@ LEGS = 2e7
 """Largest memory (bytes) that a thread's job takes, and number of legs on lanes, for signs of life
 every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
 better: lanes stand idle while the last rays of a job end."""
-
-KERNELS = ("auto", "lanes", "scalar")
-"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
 Piece = tuple[Paths, Level, int, int]
 """Some batches of a level: ensemble, level, first ray, number of batches."""
@@ -52,7 +45,7 @@ class Runner:
 
     Parameters
     ----------
-    medium : GranularMedium
+    medium : GranularMedium or TurbidMedium
     incidence_deg : float or "diffuse"
     seed : int
     threads : int or None
@@ -68,7 +61,7 @@ class Runner:
 
     def __init__(
         self,
-        medium: GranularMedium,
+        medium: Medium,
         incidence_deg: float | str,
         seed: int,
         threads: int | None,
@@ -79,20 +72,12 @@ class Runner:
         positions: bool = False,
         orders: bool = False,
     ) -> None:
-        diffuse = incidence_deg == "diffuse"
-        cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
         self.seed = seed
-        self.grains: Grains = medium.grains()
-        self.slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
-        self.rules: Rules = medium.readings.rules(analog)
+        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, positions, orders)
         self.threads = threads or len(os.sched_getaffinity(0))
-        self.kernel = kernel
         self.report = report
-        self.positions = positions
-        self.orders = orders
         self.started = time.perf_counter()
         self._reported = 0.0
-        self._features: dict[Level, Features | None] = {}
 
     def trace(
         self,
@@ -113,7 +98,7 @@ class Runner:
         Raises
         ------
         RuntimeError
-            If a ray found no grain that fits where it was.
+            If a ray was lost.
         """
         jobs = self.jobs(work)
         begun = time.perf_counter()
@@ -139,7 +124,7 @@ class Runner:
         kinds: dict[Features | None, list[Piece]] = {}
         for ensemble, level, rays in work:
             piece = ensemble, level, level.rays, -(-rays // BATCH)
-            kinds.setdefault(self.features(level), []).append(piece)
+            kinds.setdefault(self.tracer.features(level), []).append(piece)
         jobs = []
         for features, pieces in kinds.items():
             # Short paths last, so that few lanes wait for the last long one.
@@ -156,8 +141,7 @@ class Runner:
 
     def held(self, ensemble: Paths) -> int:
         """Return how many batches a job may hold: exits of their rays, and tallies."""
-        materials = ensemble.absorption.shape[1]
-        numbers = BATCH * exit_rows(1, materials).shape[1] + ensemble.size()
+        numbers = BATCH * self.tracer.rows(1).shape[1] + ensemble.size()
         return max(1, MEMORY // (8 * numbers))
 
     def cut(
@@ -192,46 +176,13 @@ class Runner:
         return BATCH * (1.0 + level.legs / level.rays)
 
     def prepare(self, ensembles: Sequence[Paths]) -> None:
-        """Let all levels of these ensembles share a kernel, if that is all that parts them.
-
-        Reflection with extinction also serves where extinction does not show, and rays of all
-        levels then share the lanes.
-        """
-        levels = [level for ensemble in ensembles for level in ensemble.levels]
-        found = [self.features(level) for level in levels]
-        if any(one is not None and one.absorbing for one in found):
-            for level, one in zip(levels, found, strict=True):
-                if one is not None and not one.mixed:
-                    self._features[level] = one._replace(absorbing=True)
-
-    def features(self, level: Level) -> Features | None:
-        """Return the lane kernel's features for a level, or None for the scalar kernel.
-
-        Raises
-        ------
-        ValueError
-            If lanes are asked for and cannot serve the scene.
-        """
-        if self.kernel == "scalar":
-            return None
-        if level not in self._features:
-            self._features[level] = features_for(
-                self.grains, self.slab, self.rules, level.optics, self.positions, self.orders
-            )
-        features = self._features[level]
-        if features is None and self.kernel == "lanes":
-            raise refuse(
-                "kernel",
-                "lanes",
-                "'auto' or 'scalar' for this sample",
-                "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
-            )
-        return features
+        """Let all levels of these ensembles share a kernel, if they can."""
+        self.tracer.prepare([level for ensemble in ensembles for level in ensemble.levels])
 
     def kernels(self, ensembles: Sequence[Paths]) -> str:
         """Return which kernels trace these ensembles, joined by a comma."""
         used = {
-            "scalar" if self.features(level) is None else "lanes"
+            "scalar" if self.tracer.features(level) is None else "lanes"
             for ensemble in ensembles
             for level in ensemble.levels
         }
@@ -248,31 +199,16 @@ class Runner:
         Raises
         ------
         RuntimeError
-            If a ray found no grain that fits where it was.
+            If a ray was lost.
         """
-        features = self.features(job[0][1])
         work = np.array(
             [(level.number, first, count * BATCH, level.most) for _, level, first, count in job]
         )
-        scene = (self.grains, self.slab, self.rules)
-        exits = exit_rows(int(work[:, 2].sum()), job[0][1].optics.n.size)
-        ends = np.cumsum(work[:, 2])
-        parts = np.split(exits, ends[:-1])
-        if features is None:
-            results = [
-                granular.batch(self.seed, item, *scene, level.optics, part)
-                for item, part, (_, level, _, _) in zip(work, parts, job, strict=True)
-            ]
-            legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
-        else:
-            each = zip(*(level.optics for _, level, *_ in job), strict=True)
-            optics = Optics(*map(np.stack, each))
-            legs, lost = lanes.batch(self.seed, work, *scene, optics, exits, features)
+        exits = self.tracer.rows(int(work[:, 2].sum()))
+        legs, lost = self.tracer.trace(work, [level for _, level, *_ in job], exits)
         if lost:
-            raise RuntimeError(
-                "a ray found no grain that fits between the boundaries: the sample is "
-                "barely thicker than its grains, or the incidence too close to 90 degrees"
-            )
+            raise RuntimeError(lost)
+        parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
         tallied = []
         for (ensemble, level, first, count), part, cost in zip(job, parts, legs, strict=True):
             batches = part.reshape(count, BATCH, -1)

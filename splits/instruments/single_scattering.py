@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,13 +11,12 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of
-from splits.dataset import attributes, provenance
-from splits.instruments.fixed import check_whole
+from splits.instruments.arguments import check_threads, check_wavelengths, check_whole
+from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
-from splits.instruments.spectrophotometer import check_wavelengths
+from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport import sources_digest
 from splits.transport.scattering import scatter
 from splits.transport.scene import DRY_PORE, WET_PORE, Optics
 
@@ -36,12 +34,6 @@ _STREAMS = 2_000_000
 """First ensemble number: one seed gives other numbers here than in the spectrophotometer."""
 
 WET_PORES = ("saturation", "equilibrium")
-ESTIMATED = ("single_scattering_albedo", "asymmetry_parameter", "legendre_moment")
-WAVELENGTH = {
-    "long_name": "wavelength in vacuum",
-    "units": "nm",
-    "standard_name": "radiation_wavelength",
-}
 LABELS = {
     "single_scattering_albedo": ("single-scattering albedo", "1"),
     "asymmetry_parameter": ("asymmetry parameter", "1"),
@@ -140,13 +132,12 @@ def single_scattering(
     standard errors contain the bound on what that misses.
     """
     begun = time.perf_counter()
+    granular_only("single_scattering", medium)
     wavelengths = check_wavelengths(wavelength_nm)
     moments = check_whole("moments", moments, 1)
     rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)
     seed = check_whole("seed", seed, 0)
-    threads = (
-        len(os.sched_getaffinity(0)) if threads is None else check_whole("threads", threads, 1)
-    )
+    threads = check_threads(threads)
     one_of("wet_pores", wet_pores, WET_PORES)
     index = medium.indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
@@ -163,26 +154,22 @@ def single_scattering(
     for name in ("single_scattering_albedo", "single_scattering_albedo_stderr"):
         values[name] = values[name] * (grains / values["extinction"])
     facts = {
-        "title": f"Single-scattering properties: {medium.kind}",
-        "instrument": "single_scattering",
-        "medium": medium.kind,
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        **run_facts(
+            "Single-scattering properties", "single_scattering", medium, begun, seed, threads
+        ),
         "diffraction": "none",
         "interpolation_error_bound": float(nodes.bias.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(traced),
         "ensembles": len(traced),
-        "seed": seed,
-        "threads": threads,
-        "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
-        **provenance(),
     }
-    return xr.Dataset(
-        {name: _labelled(name, value) for name, value in values.items()},
-        {"wavelength": ("wavelength", wavelengths, WAVELENGTH), "order": np.arange(moments + 1)},
-        attributes(facts),
-    )
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units) in LABELS.items():
+        dims = ("wavelength", "order")[: values[name].ndim]
+        stderr = values.get(f"{name}_stderr")
+        variables |= quantity(name, dims, values[name], stderr, long_name, units)
+    coordinates = {"wavelength": wavelength_axis(wavelengths), "order": np.arange(moments + 1)}
+    return xr.Dataset(variables, coordinates, facts)
 
 
 def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
@@ -273,15 +260,3 @@ def _estimate(
         "displacement_square": shift[2] / share,
         "wet_share": shift[3] / share,
     }
-
-
-def _labelled(name: str, value: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
-    """Return a variable as `xarray.Dataset` takes it."""
-    quantity = name.removesuffix("_stderr")
-    label, units = LABELS[quantity]
-    facts = {"long_name": label, "units": units}
-    if name != quantity:
-        facts["long_name"] = f"standard error of {label}"
-    elif quantity in ESTIMATED:
-        facts["ancillary_variables"] = f"{quantity}_stderr"
-    return (("wavelength", "order")[: value.ndim], value, facts)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from numbers import Integral
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse
-from splits.dataset import attributes, provenance
+from splits.checks import in_range, one_of
+from splits.instruments.arguments import (
+    check_incidence,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
 from splits.instruments.estimators import ESTIMATORS
-from splits.instruments.runner import KERNELS, Progress, Runner
-from splits.media.granular import GranularMedium
-from splits.transport import sources_digest
+from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.runner import Progress, Runner
+from splits.instruments.tracers import KERNELS
+from splits.media.turbid import Medium
 
-WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
 QUANTITIES = {
     "reflectance": "hemispherical reflectance",
     "transmittance": "hemispherical transmittance",
@@ -25,31 +28,8 @@ QUANTITIES = {
 }
 
 
-def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
-    """Return wavelengths (nm) as a strictly increasing array, or refuse them."""
-    try:
-        values = np.atleast_1d(np.asarray(list(np.atleast_1d(wavelength_nm)), dtype=float))
-    except (TypeError, ValueError):
-        raise refuse("wavelength_nm", wavelength_nm, "numbers in nanometres") from None
-    low, high = WAVELENGTH_RANGE_NM
-    if values.size == 0:
-        raise refuse("wavelength_nm", [], "at least one wavelength in nanometres")
-    for value in values:
-        in_range("wavelength_nm", float(value), low, high, "nm")
-    if not (np.diff(values) > 0).all():
-        raise refuse("wavelength_nm", values.tolist(), "strictly increasing")
-    return values
-
-
-def check_incidence(incidence_deg: Any) -> float | str:
-    """Return the angle of incidence in [0, 89.9999] degrees, or "diffuse", or refuse it."""
-    if isinstance(incidence_deg, str):
-        return one_of("incidence_deg", incidence_deg, ["diffuse"])
-    return in_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
-
-
 def spectrophotometer(
-    medium: GranularMedium,
+    medium: Medium,
     wavelength_nm: Any,
     incidence_deg: float | str = 0.0,
     max_stderr: float = 0.002,
@@ -65,8 +45,8 @@ def spectrophotometer(
 
     Parameters
     ----------
-    medium : GranularMedium
-        For example `splits.Snow`.
+    medium : GranularMedium or TurbidMedium
+        For example `splits.Snow` or `splits.Layer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
@@ -112,58 +92,30 @@ def spectrophotometer(
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     one_of("estimator", estimator, ESTIMATORS)
     one_of("kernel", kernel, KERNELS)
-    for key, value, low in (("seed", seed, 0), ("max_rays", max_rays, 1)):
-        if isinstance(value, bool) or not isinstance(value, Integral) or not low <= value < 2**63:
-            raise refuse(key, value, f"a whole number of at least {low}")
-    if threads is not None and (not isinstance(threads, Integral) or threads < 1):
-        raise refuse("threads", threads, "a whole number of at least 1")
+    seed = check_whole("seed", seed, 0)
+    max_rays = check_whole("max_rays", max_rays, 1)
+    threads = check_threads(threads)
 
     begun = time.perf_counter()
-    runner = Runner(medium, incidence, int(seed), threads, estimator == "analog", kernel, progress)
-    result = ESTIMATORS[estimator](runner, medium, wavelengths, max_stderr, int(max_rays))
+    runner = Runner(medium, incidence, seed, threads, estimator == "analog", kernel, progress)
+    result = ESTIMATORS[estimator](runner, medium, wavelengths, max_stderr, max_rays)
 
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
-    variables: dict[str, Any] = {}
+    variables: dict[str, Variable] = {}
     for row, (name, label) in enumerate(QUANTITIES.items()):
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
-        variables[name] = (
-            "wavelength",
-            result.mean[row],
-            {"long_name": long_name, "units": "1", "ancillary_variables": f"{name}_stderr"},
-        )
-        variables[f"{name}_stderr"] = (
-            "wavelength",
-            result.stderr[row],
-            {"long_name": f"standard error of {long_name}", "units": "1"},
-        )
-    coordinate = (
-        "wavelength",
-        wavelengths,
-        {
-            "long_name": "wavelength in vacuum",
-            "units": "nm",
-            "standard_name": "radiation_wavelength",
-        },
-    )
+        variables |= quantity(name, "wavelength", result.mean[row], result.stderr[row], long_name)
     facts = {
-        "title": f"Virtual spectrophotometer: {medium.kind}",
-        "instrument": "spectrophotometer",
-        "medium": medium.kind,
-        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        **run_facts("Virtual spectrophotometer", "spectrophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "estimator": estimator,
         "max_stderr": max_stderr,
         "stopped_by": "error" if result.converged else "rays",
         "max_stderr_reached": float(result.stderr.max()),
         "interpolation_error_bound": float(result.bias.max()),
-        "max_rays": int(max_rays),
+        "max_rays": max_rays,
         "rays": result.rays,
         "ensembles": result.ensembles,
-        "seed": int(seed),
-        "threads": runner.threads,
         "kernel": result.kernel,
-        "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
-        **provenance(),
     }
-    return xr.Dataset(variables, {"wavelength": coordinate}, attributes(facts))
+    return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)

@@ -14,7 +14,7 @@ from chi2 import NEEDS_JIT, judge_z
 from scipy import integrate
 
 import splits
-from splits.instruments.spectrophotometer import WAVELENGTH_RANGE_NM
+from splits.instruments.arguments import WAVELENGTH_RANGE_NM
 from splits.materials.datasets import _DATASETS, dataset
 from splits.transport.fresnel import interface
 from splits.transport.lanes.choice import LARGEST

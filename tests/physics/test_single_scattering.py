@@ -10,8 +10,8 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.analysis.radiative_transfer import shape_factors
+from splits.instruments.arguments import check_wavelengths
 from splits.instruments.single_scattering import BATCH, single_scattering
-from splits.instruments.spectrophotometer import check_wavelengths
 from splits.materials import ice_density
 
 pytestmark = NEEDS_JIT

@@ -1,0 +1,105 @@
+"""Rough surfaces: a picture of one, and of what it does to a ring of parallel rays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LightSource
+from matplotlib.figure import Figure
+
+from splits.dataset import at_points
+from splits.figures.style import BAND, colours, style
+
+
+def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+    """Draw the heights of a surface in relief, and how rough realisations are.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.surface_map`, without a grid or at one point of it.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    """
+    dataset = at_points(dataset, at or {})
+    height = dataset.height.transpose("y", "x").values
+    x, y = dataset.x.values, dataset.y.values
+    with style():
+        figure, (left, right) = plt.subplots(
+            1, 2, figsize=(8.8, 3.9), width_ratios=(1.35, 1.0), layout="constrained"
+        )
+        reach = float(np.abs(height).max())
+        light = LightSource(azdeg=315, altdeg=35)
+        shaded = light.shade(
+            height, plt.get_cmap("Blues_r"), blend_mode="soft", vmin=-reach, vmax=reach,
+            dx=x[1] - x[0], dy=y[1] - y[0],
+        )  # fmt: skip
+        extent = (x[0], x[-1], y[0], y[-1])
+        left.imshow(shaded, origin="lower", extent=extent, interpolation="bilinear")
+        left.set(xlabel="x (m)", ylabel="y (m)")
+        scale = plt.cm.ScalarMappable(plt.Normalize(-reach, reach), "Blues_r")
+        figure.colorbar(scale, ax=left, label="height (m)", shrink=0.85)
+        slopes = np.sort(dataset.rms_slope.values)
+        share = (np.arange(slopes.size) + 0.5) / slopes.size
+        right.step(slopes, share, where="mid", color="black", lw=1.2)
+        right.axvline(np.median(slopes), color="0.6", lw=0.8, ls="--")
+        wide = slopes[-1] > 10.0 * slopes[0]
+        right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
+        right.set_xscale("log" if wide else "linear")
+        right.set_ylabel("share of realisations below")
+        right.set_title(f"median {np.median(slopes):.3g}", fontsize=10)
+        right.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+    """Draw rays below a surface, the ring on screens, and how much denser light gets.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.lens`, without a grid or at one point of it.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    """
+    dataset = at_points(dataset, at or {})
+    depth = dataset.screen_depth.values
+    size = np.sqrt((dataset.place**2).sum("axis").where(dataset.seen > 0).mean("ray")).values
+    best = int(np.nanargmin(size))
+    shown = sorted({0, best, min(2 * best + 1, depth.size - 1)})
+    with style():
+        figure, (rays, screen, dense) = plt.subplots(
+            1, 3, figsize=(11.0, 3.9), layout="constrained"
+        )
+        start = dataset.path.values
+        for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
+            seen = dataset.seen.values[:, ray] > 0
+            x = np.append(start[ray, 0], dataset.place.values[seen, ray, 0])
+            z = np.append(start[ray, 2], -depth[seen])
+            rays.plot(x, z, color="0.35", lw=0.6)
+            rays.plot([x[0], x[0]], [z[0], 0.12 * depth[-1]], color="0.35", lw=0.6)
+        shades = colours(len(shown))
+        order = np.argsort(start[:, 0])
+        rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1.5)
+        for place, colour in zip(shown, shades, strict=True):
+            rays.axhline(-depth[place], color=colour, lw=1.2)
+            seen = dataset.seen.values[place] > 0
+            spot = dataset.place.values[place][seen]
+            screen.plot(*spot.T, ".", color=colour, ms=2.5, label=f"{depth[place]:g} m")
+        rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
+        screen.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        screen.legend(title="screen below the surface", frameon=False, loc="upper right")
+        value = dataset.concentration.values
+        dense.plot(depth, value, color="black", lw=1.4)
+        if "concentration_stderr" in dataset:
+            error = BAND * dataset.concentration_stderr.values
+            low = np.maximum(value - error, 0.0)
+            dense.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
+        dense.axhline(1.0, color="0.6", lw=0.8, ls="--")
+        dense.set(xlabel="depth of the screen (m)", ylabel="concentration of light", yscale="log")
+        for axes in (rays, screen, dense):
+            axes.spines[["top", "right"]].set_visible(False)
+    return figure

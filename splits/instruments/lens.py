@@ -1,0 +1,198 @@
+"""The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
+
+Budak & Grimailo 2020, section 3.1 and Fig 2.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, one_of, refuse
+from splits.instruments.arguments import check_whole
+from splits.instruments.labels import quantity, run_facts
+from splits.media.layer import Layer
+from splits.transport.lens import refract_ring
+from splits.transport.rough_surface import LANES, heights_and_slopes
+
+OVER = ("crest", "trough", "origin")
+SEARCH_POINTS = 161
+"""Points per side of the grid on which the highest or lowest point is looked for."""
+
+
+def lens(
+    medium: Layer,
+    screen_depth_m: Any,
+    radius_m: float,
+    *,
+    over: str = "crest",
+    half_width_m: float = 0.0,
+    rays: int = 360,
+    realisations: int = 1,
+    seed: int = 1,
+    waves: Any = None,
+) -> xr.Dataset:
+    """Send a ring of vertical rays through the surface of a layer and catch it on screens.
+
+    Parameters
+    ----------
+    medium : Layer
+        With a rough surface; only the surface and the refractive index matter.
+    screen_depth_m : array_like
+        Distances of screens below the surface under the ring's centre (m), increasing from above 0.
+    radius_m : float
+        Of the ring (m).
+    over : {"crest", "trough", "origin"}
+        Where the ring stands: over the highest or lowest point within `half_width_m`, or there.
+    half_width_m : float
+        Half the side of the square that is searched (m).
+    rays : int
+        At least 3, evenly around.
+    realisations : int
+        Of the surface; at least 2 for standard errors.
+    seed : int
+    waves : array_like, shape (waves, 4), optional
+        Amplitudes (m), wave numbers along x and y (1/m) and phases (radians) of cosines, instead
+        of realisations of the layer's surface.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``screen_depth``: ``contraction``, the root mean square distance of the rays from their
+        centre over the radius of the ring, and ``concentration``, the inverse of its mean square,
+        by which light is denser than without waves; means over realisations with standard errors.
+        Over ``realisation``, too: ``caught``, the share of rays that reach the screen without
+        meeting the surface again; the others do not count.  Of the first realisation, over ``ray``:
+        ``path``, where it met the surface, ``place`` on the screens (m) and whether it is ``seen``.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or a layer with a smooth surface.
+    """
+    begun = time.perf_counter()
+    depths = _check_depths(screen_depth_m)
+    radius = in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+    one_of("over", over, OVER)
+    width = in_range("half_width_m", half_width_m, 0.0, 1e6, "m", open_low=over != "origin")
+    rays = check_whole("rays", rays, 3)
+    realisations = check_whole("realisations", realisations, 1)
+    seed = check_whole("seed", seed, 0)
+    if waves is None and medium.surface is None:
+        raise refuse("surface", None, "given: a lens needs waves")
+    given = None if waves is None else plane_waves(waves)
+    angle = 2.0 * np.pi * np.arange(rays) / rays
+    contraction = np.empty((realisations, depths.size))
+    caught = np.empty_like(contraction)
+    for number in range(realisations):
+        drawn = medium.surface.realisation(seed, number) if given is None else given
+        x0, y0, z0 = centre_of(drawn, over, width)
+        landed = np.empty((rays, 7))
+        ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
+        refract_ring(drawn, medium.refractive_index, *ring, landed)
+        place, seen = _on_screens(landed, z0 - depths)
+        caught[number] = seen.mean(axis=1)
+        contraction[number] = _spread(place, seen) / radius
+        if number == 0:
+            start = landed[:, :3] - (x0, y0, z0)
+            shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
+            reached = seen
+    facts = {
+        **run_facts("Statistical lens", "lens", medium, begun, seed),
+        "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
+        "rays": rays * realisations,
+    }  # fmt: skip
+    at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
+    variables = {
+        **quantity("contraction", at, *_mean(contraction), "size of the image over the ring's"),
+        **quantity("concentration", at, *_inverse(*_mean(contraction**2)), "density of light"),
+        **quantity("caught", ("realisation", at), caught, None, "share of rays on the screen"),
+        **quantity("path", ("ray", "point"), start, None, "point of the surface", "m"),
+        **quantity("place", by_ray, shown, None, "place on the screen", "m"),
+        **quantity("seen", by_ray[:2], reached.astype(float), None, "whether a ray reaches it"),
+    }
+    coordinates = {
+        at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
+        "axis": ["x", "y"],
+        "point": ["x", "y", "z"],
+    }
+    return xr.Dataset(variables, coordinates, facts)
+
+
+def focus_of(dataset: xr.Dataset) -> float:
+    """Return the depth at which the ring is smallest (m), between screens by a parabola."""
+    size = dataset.contraction.values
+    at = int(np.clip(size.argmin(), 1, size.size - 2))
+    fit = np.polyfit(dataset.screen_depth.values[at - 1 : at + 2], size[at - 1 : at + 2] ** 2, 2)
+    return float(-0.5 * fit[1] / fit[0])
+
+
+def plane_waves(waves: Any) -> np.ndarray:
+    """Return given waves as kernels take them, or refuse them; see `lens`."""
+    try:
+        table = np.asarray(waves, dtype=float)
+    except (TypeError, ValueError):
+        table = np.empty(0)
+    if table.ndim != 2 or table.shape[1] != 4 or not len(table) or not np.isfinite(table).all():
+        raise refuse("waves", waves, "rows of amplitude, wave numbers along x and y, and phase")
+    # Kernels count in cycles, and in the order of wave numbers.
+    table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
+    found = np.zeros((4, -(-len(table) // LANES) * LANES))
+    found[:, : len(table)] = table.T
+    found[1:] /= 2.0 * np.pi
+    return found
+
+
+def centre_of(waves: np.ndarray, over: str, half_width: float) -> tuple[float, float, float]:
+    """Return where the ring stands: a point of the surface."""
+    line = np.linspace(-half_width, half_width, 1 if over == "origin" else SEARCH_POINTS)
+    x, y = (0.0 * line[:1],) * 2 if over == "origin" else np.meshgrid(line, line)
+    x, y = np.ravel(x), np.ravel(y)
+    height = heights_and_slopes(waves, x, y)[0]
+    best = int(height.argmin() if over == "trough" else height.argmax())
+    return float(x[best]), float(y[best]), float(height[best])
+
+
+def _on_screens(landed: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return places, shape (screens, rays, 2), and which rays reach them."""
+    point, direction, again = landed[:, :3], landed[:, 3:6], landed[:, 6]
+    way = (heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
+    place = point[:, :2] + way[..., np.newaxis] * direction[:, :2]
+    return place, (way >= 0.0) & (way < again)
+
+
+def _spread(place: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the root mean square distance from the centre of the rays that are seen."""
+    count = np.maximum(seen.sum(axis=1), 1)
+    weight = seen[..., np.newaxis]
+    middle = (place * weight).sum(axis=1) / count[:, np.newaxis]
+    square = (((place - middle[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
+    return np.sqrt(square)
+
+
+def _mean(values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over realisations with its standard error, of one without."""
+    count = len(values)
+    stderr = values.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else None
+    return values.mean(axis=0), stderr
+
+
+def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 1/mean and its standard error to first order."""
+    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
+    return inverse, None if stderr is None else stderr * inverse**2
+
+
+def _check_depths(values: Any) -> np.ndarray:
+    """Return increasing depths of screens (m), or refuse them."""
+    try:
+        depths = np.atleast_1d(np.asarray(values, dtype=float))
+    except (TypeError, ValueError):
+        raise refuse("screen_depth_m", values, "numbers in metres") from None
+    good = depths.ndim == 1 and depths.size > 0 and np.isfinite(depths).all()
+    if not good or depths[0] <= 0.0 or (np.diff(depths) <= 0.0).any():
+        raise refuse("screen_depth_m", depths.tolist(), "increasing from above 0")
+    return depths

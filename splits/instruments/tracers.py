@@ -1,0 +1,253 @@
+"""What traces the rays of a medium: kernels for grains, or for a layer of small particles.
+
+A runner knows batches, jobs and threads; a tracer knows the kernel that a scene takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments.ensemble import Level
+from splits.media.granular import GranularMedium
+from splits.media.turbid import Medium, TurbidMedium
+from splits.transport import granular, lanes, layer
+from splits.transport.lanes.choice import features_for
+from splits.transport.lanes.rows import Features
+from splits.transport.rough_surface import BOUNDS_SHAPE, columns_for
+from splits.transport.scene import Optics, Slab
+from splits.transport.tally import exit_rows
+
+KERNELS = ("auto", "lanes", "scalar")
+"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
+
+
+class Tracer(Protocol):
+    """The kernel of a scene.
+
+    Attributes
+    ----------
+    attenuation : float
+        Scatterings to expect per metre.
+    upright : bool
+        Whether light comes along the normal, so that nothing tells azimuths apart.
+    """
+
+    attenuation: float
+    upright: bool
+
+    def features(self, level: Level) -> Features | None:
+        """Return the lane kernel's features for a level, or None for a scalar kernel."""
+        ...
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Let levels share a kernel, if they can."""
+        ...
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        ...
+
+    def trace(
+        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
+    ) -> tuple[np.ndarray, str]:
+        """Trace pieces of levels that share features.
+
+        Parameters
+        ----------
+        work : int64, shape (pieces, 4)
+            See `splits.transport.granular.batch`.
+        levels : sequence of Level
+            One for each piece.
+        exits : float, shape (rays, columns)
+            Of all pieces together.
+
+        Returns
+        -------
+        legs : int, shape (pieces,)
+        lost : str
+            Why a ray was lost, or nothing.
+        """
+        ...
+
+
+class GrainTracer:
+    """Traces rays among grains, on lanes where they serve.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    cosine, diffuse
+        Illumination, see `splits.transport.scene.Slab`.
+    seed : int
+    analog : bool
+        Absorption by coin toss.
+    kernel : {"auto", "lanes", "scalar"}
+    positions, orders : bool
+        Whether exits are to tell where a ray left and how many grains it had met.
+    """
+
+    LOST = (
+        "a ray found no grain that fits between the boundaries: the sample is "
+        "barely thicker than its grains, or the incidence too close to 90 degrees"
+    )
+
+    def __init__(
+        self,
+        medium: GranularMedium,
+        cosine: float,
+        diffuse: bool,
+        seed: int,
+        analog: bool,
+        kernel: str,
+        positions: bool,
+        orders: bool,
+    ) -> None:
+        slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
+        self.scene = (medium.grains(), slab, medium.readings.rules(analog))
+        self.attenuation = self.scene[0].attenuation
+        self.upright = not diffuse and cosine == 1.0
+        self.materials = len(medium.materials())
+        self.seed = seed
+        self.kernel = kernel
+        self.wanted = (positions, orders)
+        self._features: dict[Level, Features | None] = {}
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Let levels share a kernel, if that is all that parts them.
+
+        Reflection with extinction also serves where extinction does not show, and rays of all
+        levels then share the lanes.
+        """
+        found = [self.features(level) for level in levels]
+        if any(one is not None and one.absorbing for one in found):
+            for level, one in zip(levels, found, strict=True):
+                if one is not None and not one.mixed:
+                    self._features[level] = one._replace(absorbing=True)
+
+    def features(self, level: Level) -> Features | None:
+        """Return the lane kernel's features for a level, or None for the scalar kernel.
+
+        Raises
+        ------
+        ValueError
+            If lanes are asked for and cannot serve the scene.
+        """
+        if self.kernel == "scalar":
+            return None
+        if level not in self._features:
+            self._features[level] = features_for(*self.scene, level.optics, *self.wanted)
+        features = self._features[level]
+        if features is None and self.kernel == "lanes":
+            raise refuse(
+                "kernel",
+                "lanes",
+                "'auto' or 'scalar' for this sample",
+                "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
+            )
+        return features
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        return exit_rows(rays, self.materials)
+
+    def trace(
+        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
+    ) -> tuple[np.ndarray, str]:
+        """Trace pieces of levels that share features, see `Tracer`."""
+        features = self.features(levels[0])
+        if features is None:
+            parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+            results = [
+                granular.batch(self.seed, item, *self.scene, level.optics, part)
+                for item, part, level in zip(work, parts, levels, strict=True)
+            ]
+            legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
+        else:
+            optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
+            legs, lost = lanes.batch(self.seed, work, *self.scene, optics, exits, features)
+        return legs, self.LOST if lost else ""
+
+
+class LayerTracer:
+    """Traces rays in a layer of small particles.
+
+    Parameters
+    ----------
+    medium : TurbidMedium
+    cosine, diffuse, seed, analog, kernel
+        As in `GrainTracer`.
+    """
+
+    LOST = "a ray lost its way at the rough surface: please report this with the configuration"
+
+    def __init__(
+        self,
+        medium: TurbidMedium,
+        cosine: float,
+        diffuse: bool,
+        seed: int,
+        analog: bool,
+        kernel: str,
+    ) -> None:
+        if kernel == "lanes":
+            raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
+        self.scene = (medium.turbid(cosine, diffuse, analog), medium.phase, medium.fields())
+        self.attenuation = max(medium.extinction_per_m, np.finfo(float).tiny)
+        self.upright = not diffuse and cosine == 1.0
+        self.polarized = medium.polarized
+        self.seed = seed
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Do nothing: there is one kernel."""
+
+    def features(self, level: Level) -> None:
+        """Return None: the kernel is scalar."""
+        return None
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        return exit_rows(rays, layer.EXIT_STOKES + 3 * self.polarized - layer.EXIT_LENGTH)
+
+    def trace(
+        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
+    ) -> tuple[np.ndarray, str]:
+        """Trace pieces of levels, see `Tracer`."""
+        polar = np.zeros(6) if self.polarized else None
+        fields = self.scene[-1]
+        room: tuple[Any, Any] = (None, None)
+        if fields is not None:
+            room = np.empty((4, columns_for(fields))), np.empty(BOUNDS_SHAPE)
+        parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+        results = [
+            layer.batch(self.seed, item, *self.scene, *room, polar, part)
+            for item, part in zip(work, parts, strict=True)
+        ]
+        lost = any(one[1] for one in results)
+        return np.array([one[0] for one in results]), self.LOST if lost else ""
+
+
+def tracer_of(
+    medium: Medium,
+    incidence_deg: float | str,
+    seed: int,
+    analog: bool,
+    kernel: str,
+    positions: bool,
+    orders: bool,
+) -> Tracer:
+    """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
+    diffuse = incidence_deg == "diffuse"
+    cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
+    if isinstance(medium, TurbidMedium):
+        return LayerTracer(medium, cosine, diffuse, seed, analog, kernel)
+    return GrainTracer(medium, cosine, diffuse, seed, analog, kernel, positions, orders)
+
+
+def granular_only(instrument: str, medium: Any) -> None:
+    """Refuse a medium without grains where an instrument counts on them."""
+    if isinstance(medium, TurbidMedium):
+        raise refuse("medium", medium.kind, f"one of grains for {instrument}")

@@ -1,0 +1,131 @@
+"""Layers of particles under smooth faces, against exact answers of plane-parallel transfer."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numba import config
+from scipy.stats import norm
+
+import splits
+
+REFERENCE = Path(__file__).with_name("reference")
+compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="millions of rays")
+
+
+def judged(z: np.ndarray, what: str, scatter: tuple[float, float] | None = None) -> None:
+    """Judge comparisons by their rms and the largest of them, by Šidák's bound at 1 %."""
+    rms = float(np.sqrt(np.mean(z**2)))
+    bound = float(norm.isf(0.5 * (1.0 - 0.99 ** (1.0 / z.size))))
+    worst = float(np.abs(z).max())
+    print(f"{what}: {z.size} comparisons, rms z {rms:.2f}, worst {worst:.2f} ({bound:.2f})")
+    assert worst < bound
+    if scatter:
+        assert scatter[0] < rms < scatter[1]
+
+
+def layer_of(row: pd.Series) -> splits.Layer:
+    """Return the layer of a row of plane_parallel.csv."""
+    return splits.Layer(
+        optical_thickness=row.tau,
+        single_scattering_albedo=row.ssa,
+        asymmetry=row.g,
+        refractive_index=row.n,
+        bottom_albedo=None if row.n > 1.0 else row.lambert_bottom,
+    )
+
+
+def comparisons(max_stderr: float) -> tuple[np.ndarray, int]:
+    """Return how far all rows of plane_parallel.csv are from exact, in standard errors.
+
+    The second number counts values that are certain: an infinite layer lets nothing through, and
+    sends everything back if it absorbs nothing.
+    """
+    table = pd.read_csv(REFERENCE / "plane_parallel.csv", comment="#")
+    z, certain = [], 0
+    for number, (_, row) in enumerate(table.iterrows()):
+        incidence = float(np.degrees(np.arccos(row.mu0)))
+        ds = splits.spectrophotometer(layer_of(row), [550.0], incidence, max_stderr, number)
+        assert ds.attrs["stopped_by"] == "error"
+        through = 1.0 - (row.lambert_bottom if row.n == 1.0 else 0.0)
+        for name, exact in (("reflectance", row.R), ("transmittance", row["T"] * through)):
+            value, stderr = float(ds[name][0]), float(ds[f"{name}_stderr"][0])
+            assert stderr <= max_stderr
+            if exact in (0.0, 1.0):
+                assert value == exact
+                certain += 1
+            else:
+                z.append((value - exact) / math.hypot(stderr, row.est_err))
+    return np.array(z), certain
+
+
+@compiled
+def test_reflectance_and_transmittance_are_exact():
+    # benchmarks/exact_layers.py does the same to an error of 2e-4.
+    z, certain = comparisons(1e-3)
+    judged(z, f"reflectance and transmittance ({certain} certain)", (0.85, 1.15))
+
+
+@compiled
+def test_van_de_hulst_s_slab():
+    slab = splits.Layer(
+        optical_thickness=2.0,
+        single_scattering_albedo=0.9,
+        asymmetry=0.75,
+        refractive_index=1.0,
+        bottom_albedo=None,
+    )
+    ds = splits.spectrophotometer(slab, [550.0], 0.0, 2e-4)
+    # Half a unit of the last digit printed is the error of a table.
+    z = [
+        (float(ds[name][0]) - exact) / math.hypot(float(ds[f"{name}_stderr"][0]), 5e-6)
+        for name, exact in (("reflectance", 0.09739), ("transmittance", 0.66096))
+    ]
+    table = pd.read_csv(REFERENCE / "van_de_hulst_table35.csv", comment="#")
+    table = table[table.mu > 0.0].sort_values("mu", ascending=False)
+    polar = np.degrees(np.arccos(table.mu.to_numpy()))
+    heard = splits.goniophotometer(
+        slab, [550.0], 0.0, seed=2, relative_stderr=0.003, polar_deg=polar, azimuth_deg=[0.0],
+        estimator="local",
+    )  # fmt: skip
+    for name, exact in (("brdf", table.R), ("btdf", table["T"])):
+        value, stderr = (np.pi * heard[f"{name}{end}"].values.ravel() for end in ("", "_stderr"))
+        z += list((value - exact) / np.hypot(stderr, 5e-6))
+    judged(np.array(z), "van de Hulst's slab")
+
+
+@compiled
+def test_rayleigh_layers_polarize_exactly():
+    table = pd.read_csv(REFERENCE / "rayleigh_polarized.csv", comment="#")
+    z = []
+    for number, (key, rows) in enumerate(table.groupby(["tau", "ssa", "lambert_bottom", "mu0"])):
+        tau, ssa, bottom, mu0 = key
+        layer = splits.Layer(
+            optical_thickness=tau,
+            single_scattering_albedo=ssa,
+            refractive_index=1.0,
+            bottom_albedo=bottom,
+            phase_function="rayleigh",
+            polarized=True,
+        )
+        rows = rows.sort_values(["mu", "phi_deg"], ascending=[False, True])
+        ds = splits.goniophotometer(
+            layer, [550.0], float(np.degrees(np.arccos(mu0))), seed=number, relative_stderr=0.005,
+            polar_deg=np.degrees(np.arccos(np.sort(rows.mu.unique())[::-1])),
+            azimuth_deg=np.sort(rows.phi_deg.unique()), estimator="local",
+        )  # fmt: skip
+        # The reference has flux pi across the beam, and Q > 0 across the meridian plane.
+        scale = np.pi * mu0
+        for name, exact in (("brdf", rows.I), ("brdf_q", -rows.Q), ("brdf_u", rows.U)):
+            value, stderr = (scale * ds[f"{name}{end}"].values.ravel() for end in ("", "_stderr"))
+            exact = exact.to_numpy()
+            assert (stderr <= 0.01 * rows.I).all()
+            known = stderr > 0.0
+            # In the principal plane nothing can turn the plane of polarization.
+            assert (np.abs(value - exact)[~known] < 1e-7).all()
+            z.append(((value - exact) / np.hypot(stderr, rows.stream_change.to_numpy()))[known])
+    judged(np.concatenate(z), "I, Q, U of Rayleigh layers")

@@ -1,0 +1,177 @@
+"""Layers of particles where the answer is known without a table."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import splits
+from splits.transport.fresnel import interface
+
+NM = [550.0]
+MIRROR = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}
+
+
+def share(ds, name: str) -> tuple[float, float]:
+    """Return a quantity and its standard error."""
+    return float(ds[name][0]), float(ds[f"{name}_stderr"][0])
+
+
+def slab_of_faces(index: float, cosine: float) -> tuple[float, float]:
+    """Return what a clear plate reflects and lets through, by the geometric series."""
+    r = interface(1.0, index, 0.0, cosine)[0]
+    return 2.0 * r / (1.0 + r), (1.0 - r) / (1.0 + r)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
+@pytest.mark.parametrize("index", [1.0, 1.5])
+def test_a_layer_without_particles_is_a_plate(index, incidence):
+    plate = splits.Layer(optical_thickness=0.0, refractive_index=index, bottom_albedo=None)
+    ds = splits.spectrophotometer(plate, NM, incidence, 0.01)
+    expected = slab_of_faces(index, math.cos(math.radians(incidence)))
+    for name, exact in zip(("reflectance", "transmittance"), expected, strict=True):
+        value, stderr = share(ds, name)
+        assert abs(value - exact) <= 4.0 * stderr
+    assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("polarized", [False, True])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"optical_thickness": 10.0},
+        {"optical_thickness": 1e4, "asymmetry": 0.99},
+        {"optical_thickness": 5.0, "asymmetry": -0.99},
+        {"optical_thickness": 3.0, "phase_function": "rayleigh"},
+        {"optical_thickness": math.inf, "asymmetry": 0.5},
+    ],
+)
+def test_nothing_absorbed_all_comes_back(settings, polarized):
+    layer = splits.Layer(**MIRROR, polarized=polarized, **settings)
+    ds = splits.spectrophotometer(layer, NM, 30.0, 0.5)
+    assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_thick_white_layer_follows_diffusion():
+    # R and T of a conservative slab of optical thickness 1e4: T = (2/3 + mu0)/(tau (1 - g) + 4/3)
+    # for isotropic scattering in Eddington's approximation, better than 5 % under normal light.
+    layer = splits.Layer(
+        optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
+        refractive_index=1.0, bottom_albedo=None,
+    )  # fmt: skip
+    ds = splits.spectrophotometer(layer, NM, 0.0, 0.004)
+    value, stderr = share(ds, "transmittance")
+    assert abs(value - (2.0 / 3.0 + 1.0) / (100.0 + 4.0 / 3.0)) < 0.05 * value + 4.0 * stderr
+    assert float(ds.reflectance[0]) + value == pytest.approx(1.0, abs=1e-12)
+
+
+def test_black_particles_leave_the_face_and_the_beam():
+    layer = splits.Layer(
+        optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.0,
+        bottom_albedo=None,
+    )  # fmt: skip
+    ds = splits.spectrophotometer(layer, NM, 60.0, 0.01)
+    value, stderr = share(ds, "transmittance")
+    assert abs(value - math.exp(-2.0)) < 4.0 * stderr
+    assert float(ds.reflectance[0]) == 0.0
+
+
+def test_coin_tosses_agree_with_weights():
+    layer = splits.Layer(optical_thickness=3.0, single_scattering_albedo=0.8)
+    by_weight, by_toss = (
+        splits.spectrophotometer(layer, NM, 40.0, 0.005, seed, estimator=estimator)
+        for seed, estimator in ((1, "spectral"), (2, "analog"))
+    )
+    for name in ("reflectance", "transmittance", "absorptance"):
+        (a, s), (b, t) = share(by_weight, name), share(by_toss, name)
+        assert abs(a - b) < 4.0 * math.hypot(s, t)
+
+
+def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
+    plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "max_polarization": 0.0}
+    polar = np.array([0.0, 30.0, 60.0])
+    pair = [
+        splits.goniophotometer(
+            splits.Layer(**plain, polarized=polarized), NM, 40.0, seed=seed, polar_deg=polar,
+            azimuth_deg=[0.0, 90.0, 180.0], estimator="local", relative_stderr=0.01,
+        )
+        for seed, polarized in ((1, False), (2, True))
+    ]  # fmt: skip
+    z = (pair[0].brdf - pair[1].brdf) / np.hypot(pair[0].brdf_stderr, pair[1].brdf_stderr)
+    assert float(np.abs(z).max()) < 4.0
+    for name in ("brdf_q", "brdf_u", "brdf_v"):
+        assert float(np.abs(pair[1][name]).max()) == 0.0
+
+
+@pytest.mark.parametrize("polarized", [False, True])
+def test_helmholtz_reciprocity(polarized):
+    layer = splits.Layer(
+        optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, polarized=polarized,
+        bottom_albedo=0.3,
+    )  # fmt: skip
+    pairs = [(0.0, 60.0, 0.0), (20.0, 70.0, 180.0), (35.0, 55.0, 90.0), (10.0, 80.0, 45.0)]
+    z = []
+    for number, (one, other, azimuth) in enumerate(pairs):
+        there, back = (
+            splits.goniophotometer(
+                layer, NM, a, seed=10 * number + seed, polar_deg=[b], azimuth_deg=[azimuth],
+                estimator="local", relative_stderr=0.005,
+            )
+            for seed, (a, b) in enumerate(((one, other), (other, one)))
+        )  # fmt: skip
+        gap = there.brdf.item() - back.brdf.item()
+        z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
+    assert np.abs(z).max() < 3.0
+
+
+def test_local_estimation_collectors_and_polynomials_agree():
+    layer = splits.Layer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
+    polar, azimuth = np.arange(0.0, 85.0, 10.0), [0.0, 90.0, 180.0]
+    heard, expanded = (
+        splits.goniophotometer(
+            layer, NM, 40.0, seed=seed, polar_deg=polar, azimuth_deg=azimuth, estimator=name
+        )
+        for seed, name in ((1, "local"), (2, "expansion"))
+    )
+    z = []
+    for name in ("brdf", "btdf"):
+        stderr = np.hypot(heard[f"{name}_stderr"], expanded[f"{name}_stderr"])
+        z.append(((heard[name] - expanded[name]) / stderr).values.ravel())
+    for name in ("reflectance", "transmittance", "specular_reflectance", "direct_transmittance"):
+        (a, s), (b, t) = share(heard, name), share(expanded, name)
+        z.append(np.array([(a - b) / math.hypot(s, t)]))
+    found = np.concatenate(z)
+    assert np.sqrt(np.mean(found**2)) < 1.3 and np.abs(found).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"optical_thickness": -1.0}, "optical_thickness = -1.0"),
+        ({"single_scattering_albedo": 1.1}, "single_scattering_albedo = 1.1"),
+        ({"asymmetry": 1.0}, "asymmetry = 1.0"),
+        ({"refractive_index": 0.9}, "refractive_index = 0.9"),
+        ({"bottom_albedo": 2.0}, "bottom_albedo = 2.0"),
+        ({"phase_function": "mie"}, "phase_function = 'mie'"),
+        ({"phase_function": {"cosine": [-1, 1]}}, "cosine and density"),
+        ({"phase_function": {"cosine": [-1, 0.5], "density": [1, 1]}}, "increasing from -1 to 1"),
+        ({"polarized": "yes"}, "polarized = 'yes'"),
+        ({"depth_m": 0.0}, "depth_m = 0.0"),
+    ],
+)
+def test_bad_layers_are_refused(settings, told):
+    with pytest.raises(ValueError, match=re.escape(told)):
+        splits.Layer(**settings)
+
+
+def test_instruments_that_count_on_grains_refuse_layers():
+    for instrument in (splits.single_scattering, splits.deep_transmittance):
+        with pytest.raises(ValueError, match="medium = 'layer'"):
+            instrument(splits.Layer(), NM)
+    with pytest.raises(ValueError, match="kernel = 'lanes'"):
+        splits.spectrophotometer(splits.Layer(), NM, kernel="lanes")
+    with pytest.raises(ValueError, match="estimator = 'local'"):
+        splits.goniophotometer(splits.Snow(), NM, estimator="local")

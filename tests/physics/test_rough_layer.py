@@ -1,0 +1,106 @@
+"""Layers under rough surfaces where the answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import splits
+from splits.instruments.lens import focus_of, lens
+
+NM = [550.0]
+
+
+def gaussian(slope: float, length_m: float = 0.05, waves: int = 16) -> dict:
+    """Return a surface of Gaussian correlation with this rms slope."""
+    return {
+        "rms_height_m": 0.5 * slope * length_m,
+        "wave_number_per_m": 1.0 / length_m,
+        "waves": waves,
+        "correlation": "gaussian",
+    }
+
+
+@pytest.mark.parametrize("polarized", [False, True])
+@pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
+def test_a_rough_surface_loses_nothing(incidence, polarized):
+    layer = splits.Layer(
+        optical_thickness=2.0, single_scattering_albedo=1.0, bottom_albedo=1.0,
+        surface=gaussian(2.0), polarized=polarized,
+    )  # fmt: skip
+    ds = splits.spectrophotometer(layer, NM, incidence, 0.5)
+    assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-10)
+
+
+def test_a_rough_surface_without_contrast_is_not_there():
+    plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "bottom_albedo": 0.0}
+    rough, smooth = (
+        splits.spectrophotometer(splits.Layer(**plain, surface=s), NM, 50.0, 0.002, seed)
+        for seed, s in ((1, gaussian(0.3, length_m=1e-3)), (2, None))
+    )
+    gap = float(rough.reflectance[0] - smooth.reflectance[0])
+    stderr = math.hypot(float(rough.reflectance_stderr[0]), float(smooth.reflectance_stderr[0]))
+    # The layer is 0.15 mm rough and a metre thick.
+    assert abs(gap) < 4.0 * stderr + 1e-3
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0])
+def test_a_flattening_surface_becomes_the_flat_one(incidence):
+    plain = {"optical_thickness": 3.0, "single_scattering_albedo": 0.9}
+    rough, smooth = (
+        splits.spectrophotometer(splits.Layer(**plain, surface=s), NM, incidence, 0.002, seed)
+        for seed, s in ((1, gaussian(1e-4)), (2, None))
+    )
+    for name in ("reflectance", "transmittance"):
+        gap = float(rough[name][0] - smooth[name][0])
+        stderr = math.hypot(float(rough[f"{name}_stderr"][0]), float(smooth[f"{name}_stderr"][0]))
+        assert abs(gap) < 4.0 * stderr
+
+
+def test_a_rough_surface_is_reciprocal():
+    layer = splits.Layer(
+        refractive_index=1.52, optical_thickness=5.0, single_scattering_albedo=0.95,
+        bottom_albedo=0.0, surface=gaussian(0.7),
+    )  # fmt: skip
+    z = []
+    for number, (one, other, azimuth) in enumerate(((0.0, 45.0, 0.0), (20.0, 60.0, 180.0))):
+        there, back = (
+            splits.goniophotometer(
+                layer, NM, a, seed=10 * number + seed, polar_deg=[b], azimuth_deg=[azimuth],
+                relative_stderr=0.02,
+            )
+            for seed, (a, b) in enumerate(((one, other), (other, one)))
+        )  # fmt: skip
+        gap = there.brdf.item() - back.brdf.item()
+        z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
+    assert np.abs(z).max() < 3.0
+
+
+def test_small_slopes_spread_reflection_as_their_distribution():
+    # Geometric optics of small slopes: light from the zenith that a facet of slope s sends to the
+    # polar angle 2 atan(s); the median of s for Gaussian slopes of rms r is r √(ln 2).
+    rms = 0.1
+    layer = splits.Layer(
+        optical_thickness=10.0, single_scattering_albedo=0.0, bottom_albedo=0.0,
+        surface=gaussian(rms, waves=64),
+    )  # fmt: skip
+    ds = splits.goniophotometer(layer, NM, 0.0, rays=1_000_000, estimator="cells", cells=(200, 8))
+    cosine = np.cos(np.radians(ds.polar.values))
+    power = (ds.brdf.isel(wavelength=0).mean("azimuth").values * cosine).cumsum()
+    # What has been added up ends at the lower edge of a cell.
+    half = np.interp(0.5, power / power[-1], cosine - 0.5 / 200)
+    expected = math.cos(2.0 * math.atan(rms * math.sqrt(math.log(2.0))))
+    # 40 000 rays come back; 1 − cosθ has an exponential distribution of mean 0.02, so its median
+    # is known to 1e-4, and to 2e-4 between edges.
+    assert half == pytest.approx(expected, abs=6e-4)
+
+
+def test_the_exact_lens():
+    # z = A (cos kx + cos ky): light through a small ring over a crest meets at n/((n − 1) A k²).
+    waves = [(1.0, 0.1, 0.0, 0.0), (1.0, 0.0, 0.1, 0.0)]
+    water = splits.Layer(refractive_index=1.34)
+    ds = lens(water, np.arange(380.0, 410.0, 2.0), 0.2, half_width_m=5.0, waves=waves)
+    assert focus_of(ds) == pytest.approx(1.34 / (0.34 * 0.1**2), rel=0.005)
+    assert float(ds.caught.min()) == 1.0

@@ -67,20 +67,22 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
     """
     dataset = at_points(dataset, at or {})
     depth = dataset.screen_depth.values
-    size = np.sqrt((dataset.place**2).sum("axis").where(dataset.seen > 0).mean("ray")).values
-    best = int(np.nanargmin(size))
-    shown = sorted({0, best, min(2 * best + 1, depth.size - 1)})
+    spot = dataset.place.where(dataset.seen > 0)
+    size = (spot - spot.mean("ray")).pipe(np.square).sum("axis").mean("ray").values
+    best = int(size.argmin())
+    far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
+    shown = sorted({0, best, far})
     with style():
         figure, (rays, screen, dense) = plt.subplots(
             1, 3, figsize=(11.0, 3.9), layout="constrained"
         )
         start = dataset.path.values
         for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
-            seen = dataset.seen.values[:, ray] > 0
+            seen = (dataset.seen.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
             x = np.append(start[ray, 0], dataset.place.values[seen, ray, 0])
             z = np.append(start[ray, 2], -depth[seen])
             rays.plot(x, z, color="0.35", lw=0.6)
-            rays.plot([x[0], x[0]], [z[0], 0.12 * depth[-1]], color="0.35", lw=0.6)
+            rays.plot([x[0], x[0]], [z[0], 0.3 * depth[far]], color="0.35", lw=0.6)
         shades = colours(len(shown))
         order = np.argsort(start[:, 0])
         rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1.5)
@@ -91,7 +93,8 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             screen.plot(*spot.T, ".", color=colour, ms=2.5, label=f"{depth[place]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
         screen.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-        screen.legend(title="screen below the surface", frameon=False, loc="upper right")
+        screen.margins(0.12, 0.45)
+        screen.legend(title="depth of the screen", frameon=False, loc="upper center", ncols=3)
         value = dataset.concentration.values
         dense.plot(depth, value, color="black", lw=1.4)
         if "concentration_stderr" in dataset:

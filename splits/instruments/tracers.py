@@ -196,7 +196,7 @@ class LayerTracer:
         if kernel == "lanes":
             raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         self.scene = (medium.turbid(cosine, diffuse, analog), medium.phase, medium.fields())
-        self.attenuation = max(medium.extinction_per_m, np.finfo(float).tiny)
+        self.attenuation = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         self.upright = not diffuse and cosine == 1.0
         self.polarized = medium.polarized
         self.seed = seed

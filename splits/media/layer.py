@@ -50,6 +50,8 @@ class Layer:
     max_polarization : float
         Largest degree of polarization of light scattered once, 0 to 1, of Henyey–Greenstein and
         tabulated functions (see `splits.transport.phase`).
+    opaque : bool
+        Nothing comes back from below the surface: particles and bottom do not count.
     depth_m : float
         Geometric thickness (m), above 0; of an infinite layer, its mean free path.
 
@@ -84,6 +86,7 @@ class Layer:
     phase_function: Any = "henyey_greenstein"
     polarized: bool = False
     max_polarization: float = 1.0
+    opaque: bool = False
     depth_m: float = 1.0
 
     def __post_init__(self) -> None:
@@ -108,13 +111,15 @@ class Layer:
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e6, "m", open_low=True))
         if self.bottom_albedo is not None:
             put("bottom_albedo", in_range("bottom_albedo", self.bottom_albedo, 0.0, 1.0))
-        if not isinstance(self.polarized, (bool, np.bool_)):
-            raise refuse("polarized", self.polarized, "true or false")
+        for name in ("polarized", "opaque"):
+            if not isinstance(getattr(self, name), (bool, np.bool_)):
+                raise refuse(name, getattr(self, name), "true or false")
         put("_phase", self._read_phase())
         if self.surface is not None:
             put("surface", RoughSurface.of(self.surface))
             least = CLEARANCE * self.surface.rms_height_m
-            if self.depth_m < least and self.optical_thickness != math.inf:
+            finite = self.optical_thickness != math.inf and not self.opaque
+            if self.depth_m < least and finite:
                 raise refuse(
                     "depth_m", self.depth_m, f"at least {least:g} m",
                     f"{CLEARANCE:g} standard deviations of height must fit above the bottom",
@@ -132,7 +137,9 @@ class Layer:
 
     @property
     def extinction_per_m(self) -> float:
-        """Extinction coefficient (1/m)."""
+        """Extinction coefficient (1/m), infinite below an opaque surface."""
+        if self.opaque:
+            return math.inf
         infinite = self.optical_thickness == math.inf
         return (1.0 if infinite else self.optical_thickness) / self.depth_m
 
@@ -148,15 +155,17 @@ class Layer:
         An infinite layer that absorbs nothing sends all light back, after infinitely many
         scatterings on average; one of finite depth over a white bottom does the same in time.
         """
-        depth = self.depth_m
+        depth, albedo = self.depth_m, self.single_scattering_albedo
         bottom = OPEN if self.bottom_albedo is None else self.bottom_albedo
-        if self.optical_thickness == math.inf:
+        if self.opaque:
+            albedo, bottom = 0.0, 0.0
+        elif self.optical_thickness == math.inf:
             depth = math.inf
-            if self.single_scattering_albedo == 1.0:
+            if albedo == 1.0:
                 reach = max(1.0, 1.0 / (1.0 - self.phase.g))
                 depth, bottom = DEEP * reach / self.extinction_per_m, 1.0
         return Turbid(
-            depth, self.extinction_per_m, self.single_scattering_albedo, self.refractive_index,
+            depth, self.extinction_per_m, albedo, self.refractive_index,
             bottom, cos_incidence, diffuse, analog,
         )  # fmt: skip
 

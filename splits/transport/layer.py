@@ -32,6 +32,7 @@ from splits.transport.rough_surface import LOST as LOST_AT_SURFACE
 from splits.transport.stokes import (
     any_reference,
     reflect_or_refract_polarized,
+    reflected_polarized,
     rotated_to,
     scatter_polarized,
 )
@@ -59,7 +60,7 @@ class Turbid(NamedTuple):
     depth : float
         Metres; may be infinite.
     extinction : float
-        1/m.
+        1/m; infinite where nothing comes back from below the surface.
     albedo : float
         Of single scattering.
     n : float
@@ -115,6 +116,29 @@ def meet_face(state, dx, dy, dz, nx, ny, nz, n1, n2, polar):
     if n1 != n2:
         dx, dy, dz = refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t)
     return True, dx, dy, dz
+
+
+@kernel
+def only_reflected(dx, dy, dz, nx, ny, nz, n2, polar):
+    """Reflect a ray from outside at a facet whose normal n is against it.
+
+    Returns
+    -------
+    share : float
+        Of the light that is reflected.
+    d : 3 float
+    """
+    if polar is not None:
+        share, dx, dy, dz, e1, e2, e3, q, u, v = reflected_polarized(
+            dx, dy, dz, polar[0], polar[1], polar[2], polar[3], polar[4], polar[5],
+            nx, ny, nz, 1.0, n2,
+        )  # fmt: skip
+        _keep(polar, e1, e2, e3, q, u, v)
+        return share, dx, dy, dz
+    cos_i = min(max(-dot(dx, dy, dz, nx, ny, nz), 1e-12), 1.0)
+    share, _, _ = interface(1.0, n2, 0.0, cos_i)
+    dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
+    return share, dx, dy, dz
 
 
 @kernel
@@ -184,6 +208,8 @@ def trace(state, layer, phase, fields, waves, bounds, polar, detectors, most):
     weight, way = 1.0, 0.0
     order, legs = 0, 0
     inside = False
+    # What enters an opaque layer need not be followed.
+    opaque = layer.extinction == math.inf
     low, high = 0.0, 0.0
     if fields is not None:
         low, high = draw_waves(state, fields, waves, bounds)
@@ -230,6 +256,17 @@ def trace(state, layer, phase, fields, waves, bounds, polar, detectors, most):
                     return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
                 order += 1
             n1, n2 = (layer.n, 1.0) if inside else (1.0, layer.n)
+            if opaque and not inside:
+                share, dx, dy, dz = only_reflected(dx, dy, dz, nx, ny, nz, n2, polar)
+                weight *= share
+                if fields is None:
+                    return REFLECTED, x, y, dx, dy, dz, weight, way, order, legs
+                if weight < ROULETTE_BELOW and order > 1:
+                    if uniform(state) > ROULETTE_SURVIVAL:
+                        return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
+                    weight /= ROULETTE_SURVIVAL
+                dx, dy, dz = cleared(dx, dy, dz, nx, ny, nz)
+                continue
             passed, dx, dy, dz = meet_face(
                 state, dx, dy, dz, side * nx, side * ny, side * nz, n1, n2, polar
             )

@@ -51,8 +51,8 @@ _COUNT, _REACH, _STEEPEST, _EVALUATIONS = range(4)
 EXTREME = 8.0
 """Bound of a sum of waves in its standard deviations, where the sum of amplitudes is more.
 
-For given waves the chance over their phases is below 2 exp(−8²/2) = 3e-14 at any one point: the
-mean of exp(u cos 2πα) is I0(u) ≤ exp(u²/4) (Chernoff).
+For given waves, of any phases, the chance that a point is beyond is below 2 exp(−8²/2) = 3e-14:
+the mean of exp(u cos 2πα) is I0(u) ≤ exp(u²/4) (Chernoff).
 """
 _OCTAVES = 16
 _USELESS = 4.0
@@ -62,7 +62,7 @@ GONE = -1.0
 """No crossing: the ray leaves the surface for good."""
 LOST = -2.0
 """Neither a crossing nor an end after `MOST_STEPS`, as for rays that stay level."""
-MOST_STEPS = 1_000_000
+MOST_STEPS = 100_000_000
 GRAZING = 1e-12
 """Least cosine between a direction and the facet that it leaves."""
 
@@ -530,6 +530,8 @@ def first_crossing(waves, bounds, x, y, z, dx, dy, dz, side, low, high, farthest
         if climb >= 0.0:
             return GONE, 0.0, 0.0
         s = (side * z - edge) / -climb
+        if s > farthest:
+            return GONE, 0.0, 0.0
     set_leg(waves, bounds, dx, dy)
     bands = int(bounds[_REALISATION, _COUNT])
     for _ in range(MOST_STEPS):
@@ -564,7 +566,7 @@ def first_crossing(waves, bounds, x, y, z, dx, dy, dz, side, low, high, farthest
     return LOST, 0.0, 0.0
 
 
-# --- a test of its own ------------------------------------------------------------------------
+# --- crossings to count -----------------------------------------------------------------------
 
 MOST_HITS = 50
 CROSSINGS, LEAKS, LOSSES, LEGS, EVALUATIONS = range(5)

@@ -1,0 +1,115 @@
+"""A hundred million crossings of rough surfaces: do rays leak or get lost, and how long they take.
+
+    python benchmarks/surface_crossings.py [--quick]
+
+Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
+(`splits.transport.rough_surface.crossings`).  Prints, for every surface: crossings; points of legs
+found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
+thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
+are already drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from splits.media.rough_surface import RoughSurface
+from splits.transport import rough_surface as kernels
+from splits.transport.rough_surface import CROSSINGS, EVALUATIONS, LEAKS, LOSSES
+
+THREADS = 2
+BATCH = 2_000
+GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
+PRINTED = {"correlation": "exponential_printed"}
+PAIR = [
+    PRINTED | {"rms_height_m": 11.25, "wave_number_per_m": 0.025, "waves": 500},
+    PRINTED | {"rms_height_m": 0.2, "wave_number_per_m": 3.0, "waves": 100},
+]
+SMALL_PAIR = [field | {"waves": waves} for field, waves in zip(PAIR, (20, 12), strict=True)]
+EXPONENTIAL = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 32, "band_limit_per_m": 100}
+# Surface, refractive index, angle of incidence, share of the crossings.
+CASES = {
+    "water, rms slope 0.2": (GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 40.0, 0.3),
+    "water, rms slope 0.2, grazing": (GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 89.9, 0.1),
+    "glass, rms slope 2": (GAUSSIAN | {"rms_height_m": 1.0}, 1.52, 40.0, 0.3),
+    "glass, rms slope 2, grazing": (GAUSSIAN | {"rms_height_m": 1.0}, 1.52, 89.9, 0.05),
+    "glass, exponential, rms slope 1": (EXPONENTIAL, 1.52, 40.0, 0.15),
+    "glass, two scales": (SMALL_PAIR, 1.5, 40.0, 0.098),
+    "glass, two scales, 600 waves": (PAIR, 1.5, 40.0, 0.002),
+}
+
+
+def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, least: float):
+    """Return counts of at least so many crossings, and the seconds they took."""
+    fields = RoughSurface.of(surface).numbers()
+
+    def batch(number: int) -> np.ndarray:
+        return kernels.crossings(1, number * BATCH, BATCH, fields, index, mu)[0]
+
+    total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
+    while total[CROSSINGS] < least:
+        # As many batches as are likely to be missing, so that threads rarely wait.
+        per_batch = total[CROSSINGS] / done if done else 3.0 * BATCH
+        more = THREADS * math.ceil((least - total[CROSSINGS]) / per_batch / THREADS)
+        total += sum(pool.map(batch, range(done, done + more)))
+        done += more
+    return total, time.perf_counter() - begun
+
+
+def time_waves() -> None:
+    """Print what an evaluation and a crossing take in realisations that are there."""
+    x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
+    for waves_per_surface in (16, 64, 600):
+        surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})
+        waves, bounds = surface.realisation(1), np.empty(kernels.BOUNDS_SHAPE)
+        low, high = kernels.set_bounds(waves, bounds)
+        ray = 0.6, 0.0, -0.8, 1.0, low, high
+        evaluation = crossing = math.inf
+        for _ in range(20):
+            begun = time.perf_counter()
+            kernels.heights_and_slopes(waves, x, y)
+            evaluation = min(evaluation, time.perf_counter() - begun)
+            begun = time.perf_counter()
+            for i in range(200):
+                kernels.first_crossing(waves, bounds, x[i], y[i], high, *ray)
+            crossing = min(crossing, time.perf_counter() - begun)
+        per_wave, per_crossing = evaluation / x.size / waves_per_surface, crossing / 200
+        print(
+            f"{waves_per_surface} waves: {1e9 * per_wave:.2f} ns per wave, "
+            f"{1e6 * per_crossing:.1f} µs per crossing from above"
+        )
+
+
+def main() -> None:
+    """Print one line per surface."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a million crossings")
+    crossings = 1e6 if parser.parse_args().quick else 1e8
+    total, seconds = np.zeros(5, dtype=np.int64), 0.0
+    with ThreadPoolExecutor(THREADS) as pool:
+        count(pool, GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 1.0, 1)
+        for name, (surface, index, angle, share) in CASES.items():
+            mu = math.cos(math.radians(angle))
+            counts, took = count(pool, surface, index, mu, share * crossings)
+            total += counts
+            seconds += took
+            print(
+                f"{name}: {counts[CROSSINGS]} crossings, {counts[LEAKS]} leaks, "
+                f"{counts[LOSSES]} lost, {counts[EVALUATIONS] / counts[CROSSINGS]:.1f} evaluations "
+                f"and {1e6 * THREADS * took / counts[CROSSINGS]:.2f} µs per crossing",
+                flush=True,
+            )
+    print(
+        f"all: {total[CROSSINGS]} crossings, {total[LEAKS]} leaks, {total[LOSSES]} lost, "
+        f"{seconds:.0f} s on {THREADS} threads"
+    )
+    time_waves()
+
+
+if __name__ == "__main__":
+    main()

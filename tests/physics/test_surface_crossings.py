@@ -1,0 +1,166 @@
+"""Rays at rough surfaces: none gets through unseen or is lost, and what they see is reciprocal."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values, scaled
+from numba import njit
+from scipy import stats
+
+from splits.media.rough_surface import RoughSurface
+from splits.transport import rng
+from splits.transport import rough_surface as kernels
+from splits.transport.rough_surface import CROSSINGS, GONE, LEAKS, LEGS, LOSSES
+
+GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
+SEA = GAUSSIAN | {"rms_height_m": 0.1}
+STEEP = GAUSSIAN | {"rms_height_m": 1.0}
+FINE = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 24, "band_limit_per_m": 100.0}
+PRINTED = FINE | {"correlation": "exponential_printed", "band_limit_per_m": None}
+PAIR = [
+    PRINTED | {"rms_height_m": 11.25, "wave_number_per_m": 0.025},
+    PRINTED | {"rms_height_m": 0.2, "wave_number_per_m": 3.0},
+]
+# Surface, refractive index, angle of incidence, rays.
+CASES = {
+    "water": (SEA, 1.34, 40.0, 60_000),
+    "water, grazing": (SEA, 1.34, 89.9, 30_000),
+    "glass, steep": (STEEP, 1.52, 40.0, 40_000),
+    "glass, steep, grazing": (STEEP, 1.52, 89.9, 15_000),
+    "glass, exponential": (FINE, 1.52, 60.0, 40_000),
+    "glass, no end of slopes": (FINE | {"band_limit_per_m": math.inf}, 1.52, 20.0, 12_000),
+    "water, two scales": (PAIR, 1.34, 70.0, 20_000),
+    "no contrast": (STEEP, 1.0, 60.0, 40_000),
+}
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("name", CASES)
+def test_no_ray_gets_through_unseen_or_lost(name):
+    surface, index, angle, rays = CASES[name]
+    fields = RoughSurface.of(surface).numbers()
+    mu = math.cos(math.radians(angle))
+    counts, hits = kernels.crossings(SEED, 0, rays, fields, index, mu)
+    print(f"{name}: {counts[CROSSINGS]} crossings, {counts[LEGS]} legs")
+    assert counts[LEAKS] == counts[LOSSES] == 0
+    assert counts[CROSSINGS] >= 50_000
+    assert hits.sum() == rays and hits @ np.arange(hits.size) == counts[CROSSINGS]
+    # Nothing goes up through the surface that did not come down through it.
+    assert hits[0] == 0 or angle > 85.0
+
+
+def test_rays_do_not_depend_on_how_they_are_shared_out():
+    fields = RoughSurface(SEA).numbers()
+    whole = kernels.crossings(SEED, 0, 40, fields, 1.34, 0.5)
+    parts = [kernels.crossings(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
+    for i in range(2):
+        np.testing.assert_array_equal(whole[i], parts[0][i] + parts[1][i])
+
+
+# --- reciprocity ------------------------------------------------------------------------------
+
+
+@njit
+def _there_and_back(state, fields, waves, bounds, side):
+    """Return the way to a crossing, and the way from there back past where it came from."""
+    low, high = kernels.draw_waves(state, fields, waves, bounds)
+    dx, dy, dz = rng.unit_sphere(state)
+    dz = -side * abs(dz)
+    z = side * high * (1.0 - 2.0 * rng.uniform(state))
+    height, _, _ = kernels.height_and_slope(waves, 0.0, 0.0)
+    if side * (z - height) <= 0.0:
+        return 0.0, 0.0, 0.0
+    s, slope_x, slope_y = kernels.first_crossing(
+        waves, bounds, 0.0, 0.0, z, dx, dy, dz, side, low, high
+    )
+    # A point in sight sees where it is seen from: nothing is met before that.
+    t, _, _ = kernels.first_crossing(
+        waves, bounds, s * dx, s * dy, z + s * dz, -dx, -dy, -dz, side, low, high
+    )
+    into = side * (dz - slope_x * dx - slope_y * dy)
+    return s, t, into
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
+def test_points_in_sight_see_where_they_are_seen_from(name, side):
+    fields = RoughSurface(CASES[name][0]).numbers()
+    waves, bounds = np.empty((4, kernels.columns_for(fields))), np.empty(kernels.BOUNDS_SHAPE)
+    out = draw(_there_and_back, scaled(50_000), fields, waves, bounds, side, width=3)
+    s, t, into = out[out[:, 0] != 0.0].T
+    assert s.size > 0.3 * len(out) and s.min() > 0.0
+    assert into.max() < 0.0
+    np.testing.assert_array_less(s * (1.0 - 1e-9), np.where(t == GONE, math.inf, t))
+    assert (t == GONE).mean() > 0.1
+
+
+# --- what is met ------------------------------------------------------------------------------
+
+
+@njit
+def _met(state, fields, waves, bounds, mu):
+    """Return height and slopes where a ray from above first meets a surface."""
+    low, high = kernels.draw_waves(state, fields, waves, bounds)
+    sine = math.sqrt(1.0 - mu * mu)
+    s, slope_x, slope_y = kernels.first_crossing(
+        waves, bounds, 0.0, 0.0, high, sine, 0.0, -mu, 1.0, low, high
+    )
+    return high - s * mu, slope_x, slope_y
+
+
+@njit
+def _in_sight(state, fields, waves, bounds, mu):
+    """Return the height of the surface at the origin and the share of a beam that meets it there.
+
+    The latter in units of the mean plane's share, 0 if it is in shadow.
+    """
+    low, high = kernels.draw_waves(state, fields, waves, bounds)
+    height, slope, _ = kernels.height_and_slope(waves, 0.0, 0.0)
+    sine = math.sqrt(1.0 - mu * mu)
+    facing = 1.0 + slope * sine / mu
+    if facing <= 0.0:
+        return height, 0.0
+    s, _, _ = kernels.first_crossing(
+        waves, bounds, 0.0, 0.0, height, -sine, 0.0, mu, 1.0, low, high
+    )
+    return height, facing if s == GONE else 0.0
+
+
+def drawn(sampler, surface, mu, count, **of):
+    fields = RoughSurface(surface).numbers()
+    waves, bounds = np.empty((4, kernels.columns_for(fields))), np.empty(kernels.BOUNDS_SHAPE)
+    return draw(sampler, scaled(count), fields, waves, bounds, mu, **of)
+
+
+@NEEDS_JIT
+def test_rays_straight_down_meet_heights_and_slopes_as_they_are():
+    # Many waves, so that slopes are normal too: σ√(⟨λ²⟩/2) each way.
+    height, *slopes = drawn(_met, STEEP | {"waves": 400}, 1.0, 10_000, width=3).T
+    p = {"height": p_of_values(height, stats.norm.cdf)}
+    for axis, slope in zip("xy", slopes, strict=True):
+        p[axis] = p_of_values(slope / math.sqrt(2.0), stats.norm.cdf)
+    judge_p(p)
+
+
+@pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
+def test_facets_are_met_by_their_projected_area(name):
+    # What is in sight takes up all of a beam; so means over rays from afar are means over points
+    # of the surface that rays towards the source find in sight, by their projected area.
+    surface, z = CASES[name][0], []
+
+    def compare(sample, expected, *others):
+        variance = sum(part.var() / part.size for part in (sample, *others))
+        z.append((sample.mean() - expected) / math.sqrt(variance))
+
+    for i, mu in enumerate((0.9, 0.6, 0.3, 0.1)):
+        met = drawn(_met, surface, mu, 20_000, ray=2 * i, width=3)
+        height, slope, across = met.T
+        assert (1.0 + slope * math.sqrt(1.0 - mu * mu) / mu).min() > 0.0
+        point, share = drawn(_in_sight, surface, mu, 20_000, ray=2 * i + 1, width=2).T
+        compare(share, 1.0)
+        compare(height, (share * point).mean(), share * point)
+        compare(across, 0.0)
+    judge_z(z, name)

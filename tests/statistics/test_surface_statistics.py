@@ -1,0 +1,185 @@
+"""Rough surfaces over their realisations: heights, correlation, wave numbers, slopes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, SEED, evenly, judge_p, judge_z, p_of_values, scaled
+from numba import njit
+from scipy import stats
+
+from splits.media.rough_surface import RoughSurface
+from splits.transport import rng
+from splits.transport import rough_surface as kernels
+from splits.transport.rough_surface import AMPLITUDE, KX, KY, PHASE
+
+REALISATIONS = scaled(60_000)
+K0, SIGMA = 2.0, 0.3
+K = np.linspace(0.0, 8.0, 17)
+TABLE = {"wave_number_per_m": K, "density": np.exp(-K) * (1.0 + np.sin(K) ** 2)}
+BASE = {"rms_height_m": SIGMA, "wave_number_per_m": K0, "waves": 12}
+PRINTED = BASE | {"correlation": "exponential_printed"}
+LAWS = {
+    "exponential, limit": BASE | {"band_limit_per_m": 5.0 * K0},
+    "exponential, no limit": BASE | {"band_limit_per_m": math.inf},
+    "printed": PRINTED,
+    "printed, limit": PRINTED | {"band_limit_per_m": 2.0 * K0},
+    "gaussian": BASE | {"correlation": "gaussian"},
+    "gaussian, limit": BASE | {"correlation": "gaussian", "band_limit_per_m": K0},
+    "spectrum": {
+        "rms_height_m": SIGMA, "correlation": "spectrum", "spectrum": TABLE, "waves": 12,
+    },
+    "one wave": PRINTED | {"waves": 1},
+    "two fields": [PRINTED, BASE | {"correlation": "gaussian", "waves": 5}],
+}  # fmt: skip
+LAGS = np.array([0.2, 0.5, 1.0, 2.0, 4.0]) / K0
+
+
+@njit
+def _heights(seed, ensemble, fields, x, y, found):
+    state = np.zeros(1, dtype=np.uint64)
+    waves = np.empty((4, kernels.columns_for(fields)))
+    bounds = np.empty(kernels.BOUNDS_SHAPE)
+    for i in range(found.shape[0]):
+        rng.start_stream(state, seed, ensemble, i)
+        kernels.draw_waves(state, fields, waves, bounds)
+        for j in range(x.size):
+            found[i, j] = kernels.height_and_slope(waves, x[j], y[j])[0]
+
+
+def heights(name, x, y):
+    """Return heights at points in units of σ, one row per realisation; each law has its own."""
+    surface = RoughSurface.of(LAWS[name])
+    found = np.empty((REALISATIONS, len(x)))
+    ensemble = list(LAWS).index(name)
+    _heights(SEED, ensemble, surface.numbers(), np.asarray(x), np.asarray(y), found)
+    return found / surface.rms_height_m
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_variance_and_correlation_of_heights(name):
+    surface = RoughSurface.of(LAWS[name])
+    # Away from the origin, so that wrong phases or directions would show; five lags either way.
+    x = 3.0 + np.concatenate([[0.0], LAGS, 0.0 * LAGS])
+    y = -7.0 + np.concatenate([[0.0], 0.0 * LAGS, LAGS])
+    h = heights(name, x, y)
+    products = h[:, :1] * h
+    expected = surface.correlation(np.concatenate([[0.0], LAGS, LAGS]))
+    assert expected[0] == pytest.approx(1.0, abs=1e-12)
+    error = products.std(axis=0) / math.sqrt(len(h))
+    z = np.append((products.mean(axis=0) - expected) / error, h[:, 0].mean() * math.sqrt(len(h)))
+    judge_z(z, name)
+
+
+def test_heights_are_normal_however_few_the_waves():
+    p = {}
+    for name in LAWS:
+        p[name] = p_of_values(heights(name, [11.0], [2.0])[:, 0], stats.norm.cdf)
+    judge_p(p)
+
+
+def law_of(name):
+    """Return the probability of wave numbers below λ, by the densities of the correlations."""
+    field = RoughSurface.of(LAWS[name]).fields[0]
+    if field.correlation == "spectrum":
+        k = np.linspace(K[0], K[-1], 160_001)
+        mass = np.interp(k, K, TABLE["density"]) * k
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (mass[1:] + mass[:-1]))])
+        return lambda x: np.interp(x, k, total / total[-1])
+    share = {
+        "exponential": lambda k: 1.0 - 1.0 / np.sqrt(1.0 + k * k),
+        "exponential_printed": lambda k: 1.0 / np.sqrt(1.0 + 1.0 / (k * k)),
+        "gaussian": lambda k: 1.0 - np.exp(-0.25 * k * k),
+    }[field.correlation]
+    return lambda x: share(x / K0) / share(field.band_limit_per_m / K0)
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "two fields"])
+def test_waves_have_the_laws_that_they_are_drawn_from(name):
+    count = scaled(100_000)
+    law = LAWS[name] | {"waves": count}
+    waves = RoughSurface(law).realisation(SEED, list(LAWS).index(name))
+    waves = waves[:, waves[AMPLITUDE] > 0.0]
+    assert waves.shape[1] == count
+    # Amplitudes are Rayleigh distributed: their squares have mean 2 σ²/M.
+    square = waves[AMPLITUDE] ** 2 / (2.0 * SIGMA**2 / count)
+    judge_p(
+        {
+            "wave number": p_of_values(
+                2.0 * np.pi * np.hypot(waves[KX], waves[KY]), law_of(name)
+            ),
+            "direction": p_of_values(
+                np.arctan2(waves[KY], waves[KX]) / (2.0 * np.pi) % 1.0, evenly
+            ),
+            "phase": p_of_values(waves[PHASE], evenly),
+            "amplitude": p_of_values(square, lambda x: 1.0 - np.exp(-x)),
+        }
+    )  # fmt: skip
+
+
+# --- slopes -----------------------------------------------------------------------------------
+
+# Budak & Grimailo 2020: swell and ripples of one surface.
+PAIR = ((500, 11.25, 0.025), (100, 0.2, 3.0))
+
+
+def pair(correlation):
+    """Return the pair as a surface without band limit."""
+    return RoughSurface([
+        {
+            "waves": waves, "rms_height_m": sigma, "wave_number_per_m": k0,
+            "correlation": correlation, "band_limit_per_m": math.inf,
+        }
+        for waves, sigma, k0 in PAIR
+    ])  # fmt: skip
+
+
+def slopes_of(surface, count):
+    """Return the rms slope of each of many realisations."""
+    found = []
+    for number in range(count):
+        waves = surface.realisation(SEED, number)
+        k2 = waves[KX] ** 2 + waves[KY] ** 2
+        found.append(2.0 * np.pi * math.sqrt(0.5 * (waves[AMPLITUDE] ** 2 * k2).sum()))
+    return np.sort(found)
+
+
+def slopes_by_hand(law, count):
+    """Return the same in plain NumPy, by the laws as they are written down."""
+    generator = np.random.default_rng(SEED)
+    square = np.zeros(count)
+    for waves, sigma, k0 in PAIR:
+        u, beta = generator.random((2, count, waves))
+        # ⟨|∇Ψ|²⟩ of a wave is half of (a λ)², and a² = −2 ln u σ²/M.
+        square -= sigma**2 / waves * (np.log(u) * (k0 * law(beta)) ** 2).sum(axis=1)
+    return np.sqrt(square)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    ("correlation", "law", "median"),
+    [
+        ("exponential_printed", lambda b: b / np.sqrt(1.0 - b * b), 1.09),
+        ("exponential", lambda b: np.sqrt(1.0 / (1.0 - b) ** 2 - 1.0), 20.0),
+    ],
+)
+def test_rms_slope_of_the_pair_without_band_limit(correlation, law, median):
+    surface = pair(correlation)
+    assert surface.rms_slope() == math.inf
+    count = 1000
+    found, by_hand = slopes_of(surface, count), slopes_by_hand(law, 2000)
+    # The mean does not exist; order statistics hold the median with a probability of 99 %.
+    low, high = stats.binom.ppf([0.005, 0.995], count, 0.5).astype(int)
+    print(f"median {np.median(found):.3f}, 99 % within {found[low]:.3f} to {found[high]:.3f}")
+    assert found[low] <= median <= found[high]
+    assert stats.ks_2samp(found, by_hand).pvalue > 0.01
+
+
+@pytest.mark.parametrize("name", ["exponential, limit", "printed, limit", "gaussian", "spectrum"])
+def test_rms_slope_with_a_band_limit(name):
+    surface = RoughSurface.of(LAWS[name])
+    squares = slopes_of(surface, scaled(20_000)) ** 2
+    error = squares.std() / math.sqrt(squares.size)
+    judge_z([(squares.mean() - surface.rms_slope() ** 2) / error], name)

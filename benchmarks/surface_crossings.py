@@ -3,7 +3,7 @@
     python benchmarks/surface_crossings.py [--quick]
 
 Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
-(`splits.transport.rough_surface.crossings`).  Prints, for every surface: crossings; points of legs
+(`splits.transport.crossings`).  Prints, for every surface: crossings; points of legs
 found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
 thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
 are already drawn.
@@ -20,7 +20,7 @@ import numpy as np
 
 from splits.media.rough_surface import RoughSurface
 from splits.transport import rough_surface as kernels
-from splits.transport.rough_surface import CROSSINGS, EVALUATIONS, LEAKS, LOSSES
+from splits.transport.crossings import CROSSINGS, EVALUATIONS, LEAKS, LOSSES, crossings
 
 THREADS = 2
 BATCH = 2_000
@@ -49,7 +49,7 @@ def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, le
     fields = RoughSurface.of(surface).numbers()
 
     def batch(number: int) -> np.ndarray:
-        return kernels.crossings(1, number * BATCH, BATCH, fields, index, mu)[0]
+        return crossings(1, number * BATCH, BATCH, fields, index, mu)[0]
 
     total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
     while total[CROSSINGS] < least:
@@ -89,13 +89,13 @@ def main() -> None:
     """Print one line per surface."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a million crossings")
-    crossings = 1e6 if parser.parse_args().quick else 1e8
+    wanted = 1e6 if parser.parse_args().quick else 1e8
     total, seconds = np.zeros(5, dtype=np.int64), 0.0
     with ThreadPoolExecutor(THREADS) as pool:
         count(pool, GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 1.0, 1)
         for name, (surface, index, angle, share) in CASES.items():
             mu = math.cos(math.radians(angle))
-            counts, took = count(pool, surface, index, mu, share * crossings)
+            counts, took = count(pool, surface, index, mu, share * wanted)
             total += counts
             seconds += took
             print(

@@ -38,7 +38,8 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
     "all", "agreement", "angular_trends", "archive", "benchmark_kernels", "benchmarks", "figure",
     "figure_letcher", "figure_sensitivity", "figure_speed_against_error", "fitted_parameters",
-    "sand_compositions", "sand_tables", "sensitivity", "simulate", "speed_against_error",
+    "layer_trends", "sand_compositions", "sand_tables", "sensitivity", "simulate",
+    "speed_against_error",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 

@@ -55,6 +55,13 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
     return figure
 
 
+_BOTH = np.array([-1.0, 1.0])
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
 def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
     """Draw rays below a surface, the ring on screens, and how much denser light gets.
 
@@ -92,9 +99,15 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             spot = dataset.place.values[place][seen]
             screen.plot(*spot.T, ".", color=colour, ms=2.5, label=f"{depth[place]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
+        seen = dataset.seen.values[shown] > 0
+        middle = np.array([np.mean(_ends(dataset.place.values[shown][seen, i])) for i in (0, 1)])
+        half = 0.58 * max(np.ptp(dataset.place.values[shown][seen, i]) for i in (0, 1))
+        screen.set(xlim=middle[0] + half * _BOTH, ylim=middle[1] + half * _BOTH)
         screen.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-        screen.margins(0.12, 0.45)
-        screen.legend(title="depth of the screen", frameon=False, loc="upper center", ncols=3)
+        figure.legend(
+            *screen.get_legend_handles_labels(), title="depth of the screen", frameon=False,
+            loc="outside upper center", ncols=3, markerscale=3.0,
+        )  # fmt: skip
         value = dataset.concentration.values
         dense.plot(depth, value, color="black", lw=1.4)
         if "concentration_stderr" in dataset:

@@ -16,7 +16,8 @@ from splits.instruments.arguments import check_whole
 from splits.instruments.labels import quantity, run_facts
 from splits.media.layer import Layer
 from splits.transport.lens import refract_ring
-from splits.transport.rough_surface import LANES, heights_and_slopes
+from splits.transport.rough_surface import heights_and_slopes
+from splits.transport.wave_sums import LANES
 
 OVER = ("crest", "trough", "origin")
 SEARCH_POINTS = 161

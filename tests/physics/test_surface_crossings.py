@@ -13,7 +13,8 @@ from scipy import stats
 from splits.media.rough_surface import RoughSurface
 from splits.transport import rng
 from splits.transport import rough_surface as kernels
-from splits.transport.rough_surface import CROSSINGS, GONE, LEAKS, LEGS, LOSSES
+from splits.transport.crossings import CROSSINGS, LEAKS, LEGS, LOSSES, crossings
+from splits.transport.rough_surface import GONE
 
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}
@@ -43,7 +44,7 @@ def test_no_ray_gets_through_unseen_or_lost(name):
     surface, index, angle, rays = CASES[name]
     fields = RoughSurface.of(surface).numbers()
     mu = math.cos(math.radians(angle))
-    counts, hits = kernels.crossings(SEED, 0, rays, fields, index, mu)
+    counts, hits = crossings(SEED, 0, rays, fields, index, mu)
     print(f"{name}: {counts[CROSSINGS]} crossings, {counts[LEGS]} legs")
     assert counts[LEAKS] == counts[LOSSES] == 0
     assert counts[CROSSINGS] >= 50_000
@@ -54,8 +55,8 @@ def test_no_ray_gets_through_unseen_or_lost(name):
 
 def test_rays_do_not_depend_on_how_they_are_shared_out():
     fields = RoughSurface(SEA).numbers()
-    whole = kernels.crossings(SEED, 0, 40, fields, 1.34, 0.5)
-    parts = [kernels.crossings(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
+    whole = crossings(SEED, 0, 40, fields, 1.34, 0.5)
+    parts = [crossings(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
     for i in range(2):
         np.testing.assert_array_equal(whole[i], parts[0][i] + parts[1][i])
 

@@ -13,7 +13,7 @@ from scipy import stats
 from splits.media.rough_surface import RoughSurface
 from splits.transport import rng
 from splits.transport import rough_surface as kernels
-from splits.transport.rough_surface import AMPLITUDE, KX, KY, PHASE
+from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
 
 REALISATIONS = scaled(60_000)
 K0, SIGMA = 2.0, 0.3

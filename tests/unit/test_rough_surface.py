@@ -13,7 +13,8 @@ from scipy import integrate, optimize, special
 
 from splits.media.rough_surface import LAWS, RoughSurface, SurfaceField
 from splits.transport import rough_surface as kernels
-from splits.transport.rough_surface import AMPLITUDE, GONE, KX, KY, LOST, PHASE
+from splits.transport.rough_surface import GONE, LOST
+from splits.transport.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}
@@ -196,7 +197,7 @@ def test_fields_superpose():
 @pytest.mark.parametrize("name", SURFACES)
 def test_heights_are_sums_of_waves_and_slopes_their_derivatives(name):
     waves, _ = realised(SURFACES[name])
-    assert waves.shape[1] % kernels.LANES == 0
+    assert waves.shape[1] % LANES == 0
     assert (waves[AMPLITUDE] > 0.0).sum() == sum(
         f.waves for f in RoughSurface(SURFACES[name]).fields
     )
@@ -213,7 +214,7 @@ def test_heights_are_sums_of_waves_and_slopes_their_derivatives(name):
 
 def test_arguments_up_to_a_million_are_reduced_exactly():
     # One wave of amplitude 1 along x: the argument is 2πx, of which every digit counts.
-    waves = np.zeros((4, kernels.LANES))
+    waves = np.zeros((4, LANES))
     waves[AMPLITUDE, 0] = waves[KX, 0] = 1.0
     generator = np.random.default_rng(2)
     x = np.concatenate([
@@ -312,7 +313,7 @@ def rays_from(generator, high, side, count):
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("steepness", [0.1, 1.0, 5.0])
 def test_crossings_of_one_wave(side, steepness):
-    waves = np.zeros((4, kernels.LANES))
+    waves = np.zeros((4, LANES))
     waves[:, 3] = 0.7, 0.6, 0.8, 0.4
     waves[KX : KY + 1] *= steepness / (0.7 * 2.0 * np.pi)
     bounds = np.empty(kernels.BOUNDS_SHAPE)
@@ -418,7 +419,7 @@ def test_rays_that_meet_nothing():
 @NEEDS_JIT
 def test_a_level_ray_that_never_meets_the_surface_is_lost():
     # cos t + cos(2t + π) is nowhere above 9/8; the bound on heights is 2.
-    waves = np.zeros((4, kernels.LANES))
+    waves = np.zeros((4, LANES))
     waves[:, 6] = 1.0, 0.1, 0.0, 0.0
     waves[:, 7] = 1.0, 0.2, 0.0, 0.5
     bounds = np.empty(kernels.BOUNDS_SHAPE)

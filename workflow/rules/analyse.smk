@@ -124,6 +124,28 @@ rule angular_trends:
         "../scripts/angular_trends.py"
 
 
+rule layer_trends:
+    input:
+        data=data(LAYER_EXPERIMENTS),
+    output:
+        report(
+            f"{RESULTS}/tables/layer_trends.csv",
+            caption="../report/layer_trends.rst",
+            category="Layers",
+        ),
+    log:
+        f"{RESULTS}/logs/layer_trends.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/layer_trends.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Holding rough layers against what their paper says"
+    script:
+        "../scripts/layer_trends.py"
+
+
 rule sand_compositions:
     input:
         physics=PHYSICS,

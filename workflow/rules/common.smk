@@ -58,6 +58,15 @@ ANGULAR_EXPERIMENTS = [
     "fig22_facetness",
     "sand_fig11_brdf",
 ]
+# Experiments of which the paper on rough layers says something.
+LAYER_EXPERIMENTS = [
+    "layer_fig02_lens",
+    "layer_fig03_glass",
+    "layer_slope_correlation",
+    "layer_polarization",
+    "layer_multiple_reflection",
+    "layer_band_limit",
+]
 SENSITIVITY_EXPERIMENTS = sorted(
     {
         name
@@ -108,6 +117,8 @@ def paper_products():
         made += [f"{RESULTS}/tables/{table}.csv" for table in SAND_TABLES]
     if set(ANGULAR_EXPERIMENTS) <= set(EXPERIMENTS):
         made.append(f"{RESULTS}/tables/angular_trends.csv")
+    if set(LAYER_EXPERIMENTS) <= set(EXPERIMENTS):
+        made.append(f"{RESULTS}/tables/layer_trends.csv")
     return made
 
 

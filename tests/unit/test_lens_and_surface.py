@@ -1,0 +1,121 @@
+"""Instruments that look at a rough surface alone, and experiments with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import splits
+from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.run import run
+from splits.figures import draw
+
+WAVES = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
+WATER = splits.Layer(refractive_index=1.34, depth_m=100.0, surface=WAVES)
+
+
+def test_a_flat_lens_changes_nothing():
+    ds = splits.lens(WATER, [1.0, 10.0], 2.0, over="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
+    assert ds.contraction.values == pytest.approx(1.0, abs=1e-12)
+    assert ds.concentration.values == pytest.approx(1.0, abs=1e-12)
+    assert ds.caught.values == pytest.approx(1.0)
+
+
+def test_crests_focus_and_troughs_spread():
+    crest, trough = (
+        splits.lens(WATER, [20.0], 0.5, over=over, half_width_m=50.0, realisations=20)
+        for over in ("crest", "trough")
+    )
+    for ds, sign in ((crest, 1.0), (trough, -1.0)):
+        above = float(ds.concentration[0] - 1.0) * sign
+        assert above > 3.0 * float(ds.concentration_stderr[0])
+
+
+def test_without_a_scatter_of_realisations_there_is_no_error():
+    ds = splits.lens(WATER, [5.0], 0.5, over="origin", rays=12)
+    assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
+
+
+def test_maps_show_the_surface_that_rays_meet():
+    ds = splits.surface_map(WATER, 200.0, points=81, realisations=200, seed=3)
+    assert ds.height.shape == (81, 81)
+    expected = WATER.surface.rms_slope()
+    squares = ds.rms_slope.values**2
+    stderr = squares.std(ddof=1) / np.sqrt(squares.size)
+    assert abs(squares.mean() - expected**2) < 4.0 * stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (([-1.0], 1.0), "screen_depth_m"),
+        (([2.0, 1.0], 1.0), "screen_depth_m"),
+        ((["deep"], 1.0), "screen_depth_m"),
+        (([1.0], 0.0), "radius_m"),
+        (([1.0], 1.0, {"over": "valley"}), "over"),
+        (([1.0], 1.0, {"rays": 2}), "rays"),
+        (([1.0], 1.0, {"over": "origin", "waves": [(1.0, 2.0)]}), "waves"),
+        (([1.0], 1.0, {"half_width_m": 0.0}), "half_width_m"),
+    ],
+)
+def test_bad_lenses_are_refused(arguments, told):
+    depths, radius, *rest = arguments
+    settings = {"half_width_m": 5.0, **(rest[0] if rest else {})}
+    with pytest.raises(ValueError, match=told):
+        splits.lens(WATER, depths, radius, **settings)
+
+
+def test_a_smooth_layer_has_no_surface_to_look_at():
+    for look in (lambda m: splits.lens(m, [1.0], 1.0, over="origin"),
+                 lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
+        with pytest.raises(ValueError, match="surface = None"):
+            look(splits.Layer())
+
+
+LAYER = {"kind": "layer", "depth_m": 100.0, "surface": WAVES}
+
+
+@pytest.mark.parametrize(
+    ("instrument", "grid"),
+    [
+        ({"kind": "surface", "half_width_m": 50.0, "realisations": 5}, {}),
+        (
+            {"kind": "lens", "radius_m": 1.0, "screen_depth_m": [5, 20, 40], "over": "origin"},
+            {"refractive_index": [1.34, 1.5]},
+        ),
+        ({"kind": "goniophotometer", "wavelength_nm": [550], "rays": 10_000}, {}),
+        ({"wavelength_nm": [550]}, {"single_scattering_albedo": [0.5, 0.9]}),
+    ],
+)
+def test_experiments_with_layers_run_and_show(instrument, grid):
+    at = {name: str(values[0]) for name, values in grid.items()}
+    kind = instrument.get("kind", "spectrophotometer")
+    figure = {"at": at} if kind in ("surface", "lens") else {}
+    figure |= {"kind": "points"} if kind == "spectrophotometer" else {}
+    experiment = Experiment(
+        name="made", medium=LAYER, instrument=instrument, grid=grid, figure=figure
+    )
+    accuracy = Accuracy(max_stderr=0.05, relative_stderr=0.3)
+    dataset = run(experiment, accuracy, seed=1, threads=1)
+    assert dataset.attrs["experiment"] == "made"
+    assert draw(dataset, experiment.drawing()).axes
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ({"medium": {"kind": "layer"}, "instrument": {"kind": "surface", "half_width_m": 1}},
+         "a layer with a surface"),
+        ({"instrument": {"kind": "surface", "half_width_m": 1}}, "a layer with a surface"),
+        ({"medium": LAYER, "instrument": {"kind": "lens", "radius_m": 1}}, "screen_depth_m"),
+        ({"medium": LAYER, "instrument": {"kind": "goniophotometer", "estimator": "local"}},
+         "left out but for smooth layers"),
+        ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
+        ({"medium": {"kind": "layer", "density_kg_m3": 3}}, "density_kg_m3"),
+        ({"medium": {"kind": "layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
+         "band_limit_per_m"),
+    ],
+)  # fmt: skip
+def test_experiments_that_cannot_be_run_are_refused(content, told):
+    with pytest.raises((ValueError, TypeError), match=told):
+        Experiment(name="made", **content)

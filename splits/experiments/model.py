@@ -133,6 +133,14 @@ class Experiment(Section):
             raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
         if instrument.estimator == "local" and (rough or not layer):
             raise refuse("instrument.estimator", "local", "left out but for smooth layers")
+        if self.figure.kind == "polarization":
+            if not (isinstance(medium, TurbidMedium) and medium.polarized):
+                raise refuse("medium.polarized", False, "true for figure.kind = 'polarization'")
+            if instrument.estimator not in ("local", "cells"):
+                raise refuse(
+                    "instrument.estimator", instrument.estimator,
+                    "local or cells for figure.kind = 'polarization'",
+                )  # fmt: skip
 
     def _check_fit(self, kind: str) -> None:
         """Refuse what does not go with a fit, or a figure of one without it."""

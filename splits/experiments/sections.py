@@ -34,7 +34,7 @@ ONLY_FOR = {
 """Settings that only some instruments know."""
 FIGURES = {
     "spectrophotometer": ("spectra", "points", "swatches", "fit"),
-    "goniophotometer": ("principal_plane", "lobes", "cells"),
+    "goniophotometer": ("principal_plane", "lobes", "cells", "polarization"),
     "bssrdf": ("spread",),
     "refractive_index": ("refractive_index",),
     "surface": ("surface",),
@@ -47,7 +47,7 @@ SURFACES = ("surface", "lens")
 """Kinds of figures that show what an instrument measures, the usual one first."""
 Quantity = Literal[
     "reflectance", "transmittance", "absorptance",
-    "brdf", "btdf", "reflectance_factor", "anisotropy_factor", "brdf_q", "polarization",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
 ]  # fmt: skip
 
 
@@ -149,6 +149,7 @@ class FigureSection(Section):
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
         "principal_plane", "lobes", "cells", "spread", "surface", "lens",
+        "polarization",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}

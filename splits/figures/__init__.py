@@ -15,6 +15,7 @@ from splits.figures.directions import NAMES, collectors, lobes, principal_planes
 from splits.figures.fits import fits
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
+from splits.figures.polarization import polarization
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
 from splits.figures.style import save_figure
@@ -29,6 +30,7 @@ __all__ = [
     "lobes",
     "measured_albedo",
     "points",
+    "polarization",
     "principal_planes",
     "refractive_indices",
     "save_figure",
@@ -73,6 +75,8 @@ def draw(
         return principal_planes(
             dataset, quantity, section["at"], section["legend"], section["ylim"]
         )
+    if section["kind"] == "polarization":
+        return polarization(dataset, section["at"], section["legend"])
     if section["kind"] in OF_DATASET:
         return OF_DATASET[section["kind"]](dataset, section["at"])
     return spectra(

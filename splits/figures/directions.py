@@ -49,13 +49,13 @@ def principal_planes(
     ylim : (low, high), optional
         Of the second panel, and the outer radius of the first.
     """
-    plane = _plane(_part(dataset, at))
+    plane = plane_of(_part(dataset, at))
     with style():
         figure = plt.figure(figsize=(8.8, 3.9))
         polar = figure.add_subplot(1, 2, 1, projection="polar")
         flat = figure.add_subplot(1, 2, 2)
         for axes, scale in ((polar, np.pi / 180.0), (flat, 1.0)):
-            for number, (label, colour, line) in enumerate(_lines(plane, quantity)):
+            for number, (label, colour, line) in enumerate(lines_of(plane, quantity)):
                 angle = scale * line.angle.values
                 value, error = line[quantity].values, BAND * line[f"{quantity}_stderr"].values
                 dash = DASHES[number % len(DASHES)]
@@ -99,13 +99,13 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     dataset = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
     whole = dataset.pad(azimuth=(0, 1), mode="wrap")
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
-    plane = _plane(dataset)
-    names = [label for label, _, _ in _lines(plane, "brdf")]
+    plane = plane_of(dataset)
+    names = [label for label, _, _ in lines_of(plane, "brdf")]
     top = 1.05 * float(dataset.brdf.max())
     with style():
         figure = plt.figure(figsize=(3.1 * len(names), 6.0))
         for column, ((label, colour, line), (_, _, lobe)) in enumerate(
-            zip(_lines(plane, "brdf"), _lines(whole, "brdf"), strict=True)
+            zip(lines_of(plane, "brdf"), lines_of(whole, "brdf"), strict=True)
         ):
             axes = figure.add_subplot(2, len(names), column + 1, projection="3d")
             tilt = np.radians(lobe.polar.values)[:, np.newaxis]
@@ -176,7 +176,8 @@ def _part(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Datas
     return at_points(dataset, at).assign_attrs(known)
 
 
-def _plane(dataset: xr.Dataset) -> xr.Dataset:
+def plane_of(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the principal plane up to `STEEPEST_DEG`."""
     plane = principal_plane(dataset)
     return plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST_DEG)
 
@@ -188,7 +189,7 @@ def _dims(dataset: xr.Dataset, quantity: str) -> list[str]:
     return [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
 
 
-def _lines(dataset: xr.Dataset, quantity: str) -> Iterator[tuple[str, Colour, xr.Dataset]]:
+def lines_of(dataset: xr.Dataset, quantity: str) -> Iterator[tuple[str, Colour, xr.Dataset]]:
     """Yield a label, a colour and the part of the dataset for every line."""
     dims = _dims(dataset, quantity)
     if "wavelength" in dataset.dims and "wavelength" not in dims:
@@ -213,7 +214,7 @@ def _beams(axes: Axes, plane: xr.Dataset, quantity: str) -> None:
     """Draw where the light comes from."""
     top = axes.get_ylim()[1]
     seen = set()
-    for number, (_, colour, line) in enumerate(_lines(plane, quantity)):
+    for number, (_, colour, line) in enumerate(lines_of(plane, quantity)):
         incidence = _incidence(line)
         if incidence not in seen:
             varies = "incidence_deg" in _dims(plane, quantity)

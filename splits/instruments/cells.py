@@ -40,6 +40,8 @@ class Cells:
         How much each wavelength draws on this ensemble.
     shape : (int, int)
         Cells between horizon and zenith, and around.
+    stokes : sequence of int
+        Columns of exits that hold Q, U, V over I, or nothing.
 
     Attributes
     ----------
@@ -54,11 +56,13 @@ class Cells:
         absorption: np.ndarray,
         weights: np.ndarray,
         shape: tuple[int, int],
+        stokes: Sequence[int] = (),
     ) -> None:
         self.absorption = absorption
         self.weights = weights
         self.shape = shape
-        self.sums = np.zeros((2, 2, len(absorption), *shape))
+        self.parts = (-1, *stokes)
+        self.sums = np.zeros((len(self.parts), 2, 2, len(absorption), *shape))
         self.straight = np.zeros((2, 2, len(absorption)))
         served = weights > 0.0
         lightest = absorption[served].min(axis=0)
@@ -71,7 +75,8 @@ class Cells:
 
     def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
         """Return the sums of a batch of exits."""
-        return count_cells(exits, self.absorption, *self.shape)
+        found = [count_cells(exits, self.absorption, *self.shape, part) for part in self.parts]
+        return np.stack([sums for sums, _ in found]), found[0][1]
 
     def add(self, level: Level, tallies: Sequence[Sums]) -> None:
         """Add the sums of batches one by one: they do not depend on who traced them."""
@@ -98,26 +103,50 @@ def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
         See `splits.instruments.nodes.Nodes`.
     """
     polar, azimuth = ensembles[0].shape
-    edges = np.arange(polar + 1) / polar
-    projected = np.pi / azimuth * np.diff(edges**2)[:, np.newaxis]
-    mean, variance = np.zeros((2, *ensembles[0].sums.shape[1:]))
+    mean, stderr = _means(ensembles, 0)
     sums = np.zeros((4, 2, len(bias)))
     for e in ensembles:
-        share, weights = 1.0 / e.levels[0].rays, e.weights[:, np.newaxis, np.newaxis]
-        mean += weights * share * e.sums[0]
-        variance += weights**2 * share**2 * (e.sums[1] - share * e.sums[0] ** 2)
-        whole = e.sums.sum(axis=(-2, -1)) + e.straight
+        share = 1.0 / e.levels[0].rays
+        whole = e.sums[0].sum(axis=(-2, -1)) + e.straight
         for row, part in ((0, whole), (2, e.straight)):
             sums[row] += e.weights * share * part[0]
             sums[row + 1] += (e.weights * share) ** 2 * (part[1] - share * part[0] ** 2)
     sums[1::2] = np.sqrt(np.maximum(sums[1::2], 0.0))
-    mean = mean[:, :, ::-1] / projected[::-1]
-    stderr = np.sqrt(np.maximum(variance, 0.0))[:, :, ::-1] / projected[::-1]
-    missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
     sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
-    # An empty cell is not certain: as if a ray had come.
-    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
-    stderr = np.where(mean > 0.0, stderr, unseen / projected[::-1])
+    missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
     shape = (2, len(bias), polar * azimuth)
     stderr = np.hypot(stderr, missed).reshape(shape)
     return Estimate(mean.reshape(shape), stderr, sums, np.zeros((2, len(bias)), dtype=int))
+
+
+def stokes_of_cells(ensembles: Sequence[Cells]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return Q, U and V of BRDF and BTDF with their errors, by name, where exits tell them."""
+    found = {}
+    for place, name in enumerate("quv"[: len(ensembles[0].parts) - 1], start=1):
+        pair = _means(ensembles, place)
+        for side, function in enumerate(("brdf", "btdf")):
+            mean, stderr = (x[side].reshape(len(x[side]), -1) for x in pair)
+            found[f"{function}_{name}"] = (mean, stderr)
+    return found
+
+
+def _projected(shape: tuple[int, int]) -> np.ndarray:
+    """Return the projected solid angle of cells from the zenith on, shape (polar, 1)."""
+    polar, azimuth = shape
+    edges = np.arange(polar + 1) / polar
+    return (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]
+
+
+def _means(ensembles: Sequence[Cells], part: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a distribution function and its standard errors, from the zenith on."""
+    mean, variance = np.zeros((2, *ensembles[0].sums.shape[2:]))
+    for e in ensembles:
+        share, weights = 1.0 / e.levels[0].rays, e.weights[:, np.newaxis, np.newaxis]
+        total, square = e.sums[part]
+        mean += weights * share * total
+        variance += weights**2 * share**2 * (square - share * total**2)
+    projected = _projected(ensembles[0].shape)
+    # An empty cell is not certain: as if a ray had come.
+    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    stderr = np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), unseen)
+    return mean[:, :, ::-1] / projected, stderr[:, :, ::-1] / projected

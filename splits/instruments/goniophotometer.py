@@ -12,7 +12,13 @@ import xarray as xr
 from splits.checks import in_range, one_of, refuse
 from splits.instruments.angular import BIAS, Estimate, angles_of, estimate, rays_wanted, reference
 from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
-from splits.instruments.cells import CELLS_OF_5_DEG, Cells, centres, estimate_cells
+from splits.instruments.cells import (
+    CELLS_OF_5_DEG,
+    Cells,
+    centres,
+    estimate_cells,
+    stokes_of_cells,
+)
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
 from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
@@ -112,9 +118,9 @@ def goniophotometer(
         Over wavelength, ``reflectance`` and
         ``transmittance`` of all light, and the parts of them that met no grain, which leave as
         sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
-        standard errors ``…_stderr``.  Local estimation in a polarized medium adds ``brdf_q``,
-        ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for unpolarized
-        incidence, Q > 0 along the plane that holds the normal.
+        standard errors ``…_stderr``.  Local estimation and cells of a polarized medium add
+        ``brdf_q``, ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for
+        unpolarized incidence, Q > 0 along the plane that holds the normal.
 
     Raises
     ------
@@ -146,7 +152,8 @@ def goniophotometer(
     stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
-        paths, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
+        collected, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
+        paths, stokes = collected, stokes_of_cells(collected)
     else:
         polar = check_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
@@ -250,7 +257,7 @@ def _collect(
 ) -> tuple[list[Cells], Estimate, str]:
     """Trace so many rays and count them in cells; return what `_expand` returns."""
     paths = [
-        Cells(number, m, absorption, w, cells)
+        Cells(number, m, absorption, w, cells, runner.tracer.stokes)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     each = -(-rays // len(paths))

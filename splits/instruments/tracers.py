@@ -34,10 +34,13 @@ class Tracer(Protocol):
         Scatterings to expect per metre.
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
+    stokes : tuple of int
+        Columns of exits that hold Q, U, V over I, or nothing.
     """
 
     attenuation: float
     upright: bool
+    stokes: tuple[int, ...]
 
     def features(self, level: Level) -> Features | None:
         """Return the lane kernel's features for a level, or None for a scalar kernel."""
@@ -110,6 +113,7 @@ class GrainTracer:
         self.scene = (medium.grains(), slab, medium.readings.rules(analog))
         self.attenuation = self.scene[0].attenuation
         self.upright = not diffuse and cosine == 1.0
+        self.stokes: tuple[int, ...] = ()
         self.materials = len(medium.materials())
         self.seed = seed
         self.kernel = kernel
@@ -198,7 +202,10 @@ class LayerTracer:
         self.scene = (medium.turbid(cosine, diffuse, analog), medium.phase, medium.fields())
         self.attenuation = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         self.upright = not diffuse and cosine == 1.0
-        self.polarized = medium.polarized
+        first = layer.EXIT_STOKES
+        self.stokes: tuple[int, ...] = ()
+        if medium.polarized:
+            self.stokes = first, first + 1, first + 2
         self.seed = seed
 
     def prepare(self, levels: Sequence[Level]) -> None:
@@ -210,13 +217,13 @@ class LayerTracer:
 
     def rows(self, rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
-        return exit_rows(rays, layer.EXIT_STOKES + 3 * self.polarized - layer.EXIT_LENGTH)
+        return exit_rows(rays, layer.EXIT_STOKES + len(self.stokes) - layer.EXIT_LENGTH)
 
     def trace(
         self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
     ) -> tuple[np.ndarray, str]:
         """Trace pieces of levels, see `Tracer`."""
-        polar = np.zeros(6) if self.polarized else None
+        polar = np.zeros(6) if self.stokes else None
         fields = self.scene[-1]
         room: tuple[Any, Any] = (None, None)
         if fields is not None:

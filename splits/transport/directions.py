@@ -158,7 +158,7 @@ def expand(exits, absorption, edges, basis):
 
 
 @entry
-def count_cells(exits, absorption, polar, azimuth):
+def count_cells(exits, absorption, polar, azimuth, part):
     """Add up the weights of rays by cells of equal solid angle, and their squares.
 
     Parameters
@@ -168,6 +168,8 @@ def count_cells(exits, absorption, polar, azimuth):
     polar, azimuth : int
         Cells from horizon to zenith, equally spaced in the cosine, and around; the first of these
         is centred on the direction in which the beam travels.
+    part : int
+        Column that multiplies the weights, as of a Stokes parameter, or −1.
 
     Returns
     -------
@@ -190,6 +192,8 @@ def count_cells(exits, absorption, polar, azimuth):
         line = min(int(abs(row[EXIT_DIRECTION + 2]) * polar), polar - 1)
         for i in range(wavelengths):
             weight = strength(row, absorption, i)
+            if part >= 0:
+                weight *= row[part]
             if row[EXIT_ORDER] == 0.0:
                 straight[0, side, i] += weight
                 straight[1, side, i] += weight * weight

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from numba import config
 
 import splits
 from splits.transport.fresnel import interface
@@ -145,6 +146,28 @@ def test_local_estimation_collectors_and_polynomials_agree():
         z.append(np.array([(a - b) / math.hypot(s, t)]))
     found = np.concatenate(z)
     assert np.sqrt(np.mean(found**2)) < 1.3 and np.abs(found).max() < 4.0
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a million rays")
+def test_collectors_and_local_estimation_see_the_same_polarization():
+    # Two faces: local estimation adds up the reflections between them, collectors wait for rays.
+    layer = splits.Layer(
+        optical_thickness=1.0, single_scattering_albedo=0.9, refractive_index=1.5,
+        bottom_albedo=None, phase_function="rayleigh", polarized=True,
+    )  # fmt: skip
+    counted = splits.goniophotometer(
+        layer, NM, 50.0, estimator="cells", cells=(40, 36), rays=1_000_000
+    )
+    counted = counted.isel(polar=counted.polar.values < 75.0)
+    heard = splits.goniophotometer(
+        layer, NM, 50.0, estimator="local", seed=2, relative_stderr=0.01,
+        polar_deg=counted.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
+    )  # fmt: skip
+    counted = counted.sel(azimuth=heard.azimuth)
+    for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
+        gap = (counted[name] - heard[name]).values
+        z = gap / np.hypot(counted[f"{name}_stderr"], heard[f"{name}_stderr"]).values
+        assert np.sqrt(np.mean(z**2)) < 1.2 and np.abs(z).max() < 4.5, name
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,7 @@ def test_rays_are_summed_by_side_order_and_wavelength():
 
 def test_cells_are_of_equal_solid_angle_and_the_first_lies_ahead():
     rows = rows_of(UP, SIDES, ORDERS, LENGTHS)
-    sums, straight = count_cells(rows, ABSORPTION, 5, 8)
+    sums, straight = count_cells(rows, ABSORPTION, 5, 8, -1)
     passed = np.array([1.0, np.exp(-1.0)])
     assert straight[0, 0] == pytest.approx(passed)
     assert straight[1, 0] == pytest.approx(passed**2)

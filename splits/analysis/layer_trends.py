@@ -47,8 +47,8 @@ def _lens(dataset: xr.Dataset) -> dict[str, object]:
     """Compare the densest image of a ring over a crest with the ring."""
     best = dataset.isel(screen_depth=dataset.concentration.argmax("screen_depth"))
     return beyond(
-        f"statistical lens: light {float(best.screen_depth):g} m below a crest denser than "
-        "without waves, by",
+        "statistical lens: inverse mean square size of a ring's image "
+        f"{float(best.screen_depth):g} m below a crest, above 1 by",
         "Fig 2",
         best.concentration.values - 1.0,
         best.concentration_stderr.values,

@@ -131,6 +131,8 @@ class Experiment(Section):
         if instrument.kind in SURFACES and not rough:
             given = kind if not layer else "a layer without surface"
             raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
+        if instrument.kind in SURFACES and "incidence_deg" in self.grid:
+            raise refuse("grid", "incidence_deg", f"left out for {instrument.kind}")
         if instrument.estimator == "local" and (rough or not layer):
             raise refuse("instrument.estimator", "local", "left out but for smooth layers")
         if self.figure.kind == "polarization":

@@ -101,6 +101,8 @@ def run(
         asked = instrument.rays or instrument.estimator == "cells"
         if facts.get("stopped_by") == "rays" and not asked:
             say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
+        if facts.get("stopped_by") == "degree":
+            say(f"{head}: lobes too narrow for the expansion, estimator: cells shows them")
     return _stack(experiment, results, time.perf_counter() - begun)
 
 
@@ -145,7 +147,8 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     dims = tuple(experiment.grid)
     first = results[0]
     variables: dict[str, Any] = {}
-    for name, variable in first.data_vars.items():
+    common = [n for n in first.data_vars if all(n in r.data_vars for r in results)]
+    for name, variable in first[common].data_vars.items():
         stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
         variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
     for name, (long_name, units) in POINT_FACTS.items():
@@ -161,7 +164,8 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     constant = {
         key: value
         for key, value in first.attrs.items()
-        if key not in varying and all(np.array_equal(r.attrs[key], value) for r in results)
+        if key not in varying
+        and all(key in r.attrs and np.array_equal(r.attrs[key], value) for r in results)
     }
     facts = {
         **constant,
@@ -174,8 +178,8 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
         **provenance(),
     }
     if "stopped_by" in first.attrs:
-        early = any(r.attrs["stopped_by"] == "rays" for r in results)
-        facts["stopped_by"] = "rays" if early else "error"
+        reasons = {r.attrs["stopped_by"] for r in results}
+        facts["stopped_by"] = next(r for r in ("degree", "rays", "error") if r in reasons)
     return xr.Dataset(variables, coordinates, attributes(facts))
 
 

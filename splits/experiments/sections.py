@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import checked_ranges
-from splits.instruments.arguments import check_incidence, check_wavelengths
+from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.goniophotometer import check_angles, check_cells
+from splits.instruments.lens import check_depths
 
 ESTIMATORS = {
     "spectrophotometer": ("spectral", "analog"),
@@ -32,6 +33,10 @@ ONLY_FOR = {
     "realisations": ("lens", "surface"),
 }
 """Settings that only some instruments know."""
+SURFACES = ("surface", "lens")
+"""Instruments that look at a rough surface alone."""
+REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
+"""Settings that an instrument cannot do without."""
 FIGURES = {
     "spectrophotometer": ("spectra", "points", "swatches", "fit"),
     "goniophotometer": ("principal_plane", "lobes", "cells", "polarization"),
@@ -40,10 +45,6 @@ FIGURES = {
     "surface": ("surface",),
     "lens": ("lens",),
 }
-REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
-"""Settings that an instrument cannot do without."""
-SURFACES = ("surface", "lens")
-"""Instruments that look at a rough surface alone."""
 """Kinds of figures that show what an instrument measures, the usual one first."""
 Quantity = Literal[
     "reflectance", "transmittance", "absorptance",
@@ -54,7 +55,7 @@ Quantity = Literal[
 class Section(BaseModel):
     """A configuration section: unknown keys are refused, values are fixed once read."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
 
 class WavelengthGrid(Section):
@@ -124,6 +125,15 @@ class Instrument(Section):
         for key in REQUIRED.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise refuse(f"instrument.{key}", None, f"given for {self.kind}")
+        if self.kind == "lens":
+            if self.half_width_m is None and self.over != "origin":
+                hint = "where to look for the crest; or over: origin"
+                raise refuse("instrument.half_width_m", None, "given for lens", hint)
+            check_depths("instrument.screen_depth_m", self.screen_depth_m)
+        for key, low in (("rays", 3), ("realisations", 1 + (self.kind == "surface"))):
+            value = getattr(self, key)
+            if self.kind in SURFACES and value is not None:
+                check_whole(f"instrument.{key}", value, low)
         for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
             if getattr(self, key) is not None:
                 raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")

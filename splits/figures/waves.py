@@ -115,7 +115,11 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             low = np.maximum(value - error, 0.0)
             dense.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
         dense.axhline(1.0, color="0.6", lw=0.8, ls="--")
-        dense.set(xlabel="depth of the screen (m)", ylabel="concentration of light", yscale="log")
+        dense.set(
+            xlabel="depth of the screen (m)",
+            ylabel="inverse mean square size of the image",
+            yscale="log",
+        )
         for axes in (rays, screen, dense):
             axes.spines[["top", "right"]].set_visible(False)
     return figure

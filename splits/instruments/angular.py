@@ -20,6 +20,11 @@ BIAS = 8.0
 for a reflectance near 1/2; see `splits.instruments.estimators`."""
 
 
+BAND = 4
+"""Degrees whose power is compared with that of as many below, to tell what lies beyond."""
+SLOWEST = 0.95
+"""Largest ratio of these powers to go on with."""
+
 LEAST = 0.05
 """Part of an even spread of light below which relative errors are not asked for."""
 
@@ -64,12 +69,15 @@ class Estimate:
         same of the part of these that met no grain.
     degree : int, shape (2, wavelengths)
         Largest degree of a polynomial that was kept.
+    beyond : float, shape (2, wavelengths, directions)
+        Part of the standard errors that stands for detail finer than the polynomials (1/sr).
     """
 
     mean: np.ndarray
     stderr: np.ndarray
     sums: np.ndarray
     degree: np.ndarray
+    beyond: np.ndarray
 
     def scattered(self) -> np.ndarray:
         """Return the reflectance and the transmittance of light that met a grain."""
@@ -158,6 +166,7 @@ def estimate(
     mean, stderr = np.zeros((2, 2, wavelengths, directions))
     sums = np.zeros((4, 2, wavelengths))
     degree = np.zeros((2, wavelengths), dtype=int)
+    beyond = np.zeros((2, wavelengths, directions))
     variance: list[Shares] = []
     for column in range(wavelengths):
         drawn = [i for i, e in enumerate(ensembles) if column in e.place]
@@ -176,8 +185,10 @@ def estimate(
         # Classes may have the same detail, or each its own.
         apart = _detail(rest, symmetric, basis).sum(axis=0)
         dropped = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
+        beyond[:, column] = _finer(together.sum(axis=1), symmetric, angles)
         mean[:, column] = values.mean(axis=0)
         stderr[:, column] = np.hypot(_stderr(values), np.sqrt(dropped)[:, np.newaxis])
+        stderr[:, column] = np.hypot(stderr[:, column], beyond[:, column])
         sums[:, :, column] = (
             whole.mean(axis=0), _stderr(whole), straight.mean(axis=0), _stderr(straight),
         )  # fmt: skip
@@ -189,7 +200,7 @@ def estimate(
         degree[:, column] = np.where(keep, basis.degree, 0).max(axis=(0, -1))
     missed = BIAS * bias[:, np.newaxis] * mean
     sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
-    return Estimate(mean, np.hypot(stderr, missed), sums, degree), variance
+    return Estimate(mean, np.hypot(stderr, missed), sums, degree, beyond), variance
 
 
 def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
@@ -202,6 +213,35 @@ def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
         dropped = dropped[..., : basis.per_m[0]]
     variance = dropped.var(axis=0, ddof=1) / len(dropped)
     return np.maximum((dropped.mean(axis=0) ** 2 - variance).sum(axis=-1), 0.0) / np.pi
+
+
+def _finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
+    """Return what detail finer than the polynomials may add, shape (2, directions).
+
+    What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
+    band to band of degrees as it fell last: where they add up to a peak, finer ones would; and
+    anywhere else their mean square over the hemisphere counts.  Of a lobe much narrower than the
+    polynomials this is a lower bound.
+    """
+    values = angles.values
+    if symmetric:
+        coefficients = coefficients[..., : angles.basis.per_m[0]]
+        values = values[:, : angles.basis.per_m[0]]
+    degree = angles.basis.degree[: coefficients.shape[-1]]
+    mean = coefficients.mean(axis=0)
+    variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
+    power = mean**2 - variance
+    fine = degree > degree.max() - BAND
+    coarse = (degree > degree.max() - 2 * BAND) & ~fine
+    last, before = power[..., fine].sum(axis=-1), power[..., coarse].sum(axis=-1)
+    noise = np.sqrt(2.0 * (variance[..., fine] ** 2).sum(axis=-1))
+    seen = last > PENALTY * noise + np.finfo(float).tiny
+    fall = np.clip(last / np.maximum(before, np.finfo(float).tiny), 0.0, SLOWEST)
+    everywhere = np.sqrt(np.where(seen, last * fall / (1.0 - fall), 0.0) / np.pi)
+    fall = np.sqrt(fall)
+    there = np.abs(mean[..., fine] @ values[:, fine].T)
+    there *= np.where(seen, fall / (1.0 - fall), 0.0)[:, np.newaxis]
+    return np.hypot(there, everywhere[:, np.newaxis])
 
 
 def _stderr(groups: np.ndarray) -> np.ndarray:

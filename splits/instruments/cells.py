@@ -116,7 +116,13 @@ def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
     missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
     shape = (2, len(bias), polar * azimuth)
     stderr = np.hypot(stderr, missed).reshape(shape)
-    return Estimate(mean.reshape(shape), stderr, sums, np.zeros((2, len(bias)), dtype=int))
+    return Estimate(
+        mean.reshape(shape),
+        stderr,
+        sums,
+        np.zeros((2, len(bias)), dtype=int),
+        np.zeros(shape),
+    )
 
 
 def stokes_of_cells(ensembles: Sequence[Cells]) -> dict[str, tuple[np.ndarray, np.ndarray]]:

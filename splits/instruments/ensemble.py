@@ -87,6 +87,8 @@ class Ensemble:
         Grains met per metre.
     analog : bool
         Whether absorption is a coin toss, so that any ray might have been absorbed.
+    fading : bool
+        Whether a ray's weight may fall for another reason than absorption by materials.
     levels : sequence of float
         Absorption from which wavelengths have rays of their own, at most as many as `LEVELS`; an
         analog ensemble has one level only.
@@ -110,10 +112,12 @@ class Ensemble:
         served: np.ndarray,
         attenuation: float,
         analog: bool = False,
+        fading: bool = False,
         levels: Sequence[float] = LEVELS,
     ) -> None:
         self.absorption = absorption
         self.analog = analog
+        self.fading = fading
         self.count = np.zeros(len(absorption))
         self.moments = np.zeros((2, 3, len(absorption)))
         self.least = np.full(len(absorption), np.inf)
@@ -165,7 +169,7 @@ class Ensemble:
         largest = np.concatenate([largest, largest.max(axis=0, keepdims=True)])
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
-        tossed = self.analog & (self.absorption.max(axis=1) > 0.0)
+        tossed = self.fading | (self.analog & (self.absorption.max(axis=1) > 0.0))
         smallest[2] = np.where(tossed | (self.count == 0.0), 0.0, self.least)
         n = self.count + 2.0
         mean = (total + largest + smallest) / n

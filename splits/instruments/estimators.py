@@ -71,7 +71,9 @@ def spectral(
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.tracer.attenuation)
+        Ensemble(
+            number, m, absorption, w > 0.0, runner.tracer.attenuation, False, runner.tracer.fading
+        )
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     levels = [(e, level) for e in ensembles for level in e.levels]
@@ -172,7 +174,10 @@ def analog(
     one = np.ones(1, dtype=bool)
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
-        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.tracer.attenuation, True)
+        tracer = runner.tracer
+        ensemble = Ensemble(
+            number, m, alpha[np.newaxis], one, tracer.attenuation, True, tracer.fading
+        )
         level = ensemble.levels[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:

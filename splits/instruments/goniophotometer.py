@@ -101,7 +101,8 @@ def goniophotometer(
         `polar_deg` and `azimuth_deg` do not count.
     max_rays : int
         A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
-        first.
+        first: "error", "rays", or "degree" where the light goes into lobes too narrow for the
+        polynomials, which no rays mend; take cells then.
     threads : int, optional
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
@@ -120,7 +121,9 @@ def goniophotometer(
         sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
         standard errors ``…_stderr``.  Local estimation and cells of a polarized medium add
         ``brdf_q``, ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for
-        unpolarized incidence, Q > 0 along the plane that holds the normal.
+        unpolarized incidence, Q > 0 along the plane that holds the normal.  Over a diffuse bottom
+        the BTDF is that of light that arrives there, at angles within the layer; local estimation
+        leaves it out.
 
     Raises
     ------
@@ -150,6 +153,7 @@ def goniophotometer(
     paths: Sequence[Paths] = ()
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress, orders=True)
     stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    unheard: list[str] | None = None
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
         collected, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
@@ -162,6 +166,7 @@ def goniophotometer(
             heard = listen(medium, incidence, polar, azimuth, goal, runner)
             result, reached = heard.estimate(len(wavelengths)), heard.reached
             stokes = heard.stokes(len(wavelengths)) if heard.polarized else {}
+            unheard = None if heard.below else ["btdf", "btdf_stderr"]
         else:
             paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
     seen = counted(polar, azimuth)
@@ -181,7 +186,9 @@ def goniophotometer(
         "ensembles": len(nodes.index),
         "kernel": runner.kernels(paths) or "scalar",
     }
-    return _dataset(result, stokes, wavelengths, polar, azimuth, facts)
+    dataset = _dataset(result, stokes, wavelengths, polar, azimuth, facts)
+    # A bottom hears light at other angles than detectors outside would.
+    return dataset if unheard is None else dataset.drop_vars(unheard)
 
 
 def _expand(
@@ -209,6 +216,8 @@ def _expand(
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
             return ensembles, result, "error"
+        if goal.rays is None and _too_fine(result, goal, seen):
+            return ensembles, result, "degree"
         if have.sum() >= limit:
             return ensembles, result, "rays"
         missed = BIAS * nodes.bias[:, np.newaxis]
@@ -225,6 +234,14 @@ def counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Tell in which directions the error counts: all of them if only steeper ones are wanted."""
     low = polar <= STEEPEST_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
+
+
+def _too_fine(result: Estimate, goal: Goal, seen: np.ndarray) -> bool:
+    """Tell whether only detail finer than the polynomials keeps a run from its goal."""
+    side = goal.side
+    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+    rest = np.sqrt(np.maximum(stderr**2 - result.beyond[side][:, seen] ** 2, 0.0))
+    return bool((rest <= goal.relative_stderr * scale).all())
 
 
 def _error(result: Estimate, side: int, seen: np.ndarray) -> float:

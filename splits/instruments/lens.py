@@ -19,6 +19,8 @@ from splits.transport.lens import refract_ring
 from splits.transport.rough_surface import heights_and_slopes
 from splits.transport.wave_sums import LANES
 
+LEAST_CAUGHT = 0.5
+"""Share of a ring that must reach a screen for a realisation to count there."""
 OVER = ("crest", "trough", "origin")
 SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is looked for."""
@@ -63,8 +65,9 @@ def lens(
     -------
     xarray.Dataset
         Over ``screen_depth``: ``contraction``, the root mean square distance of the rays from their
-        centre over the radius of the ring, and ``concentration``, the inverse of its mean square,
-        by which light is denser than without waves; means over realisations with standard errors.
+        centre over the radius of the ring, and ``concentration``, the inverse of its mean square:
+        1 without waves, and how much smaller, by area, an image that stays a ring has become; over
+        realisations that let half of the ring through, with standard errors.
         Over ``realisation``, too: ``caught``, the share of rays that reach the screen without
         meeting the surface again; the others do not count.  Of the first realisation, over ``ray``:
         ``path``, where it met the surface, ``place`` on the screens (m) and whether it is ``seen``.
@@ -75,7 +78,8 @@ def lens(
         For a value outside its range, or a layer with a smooth surface.
     """
     begun = time.perf_counter()
-    depths = _check_depths(screen_depth_m)
+    check_layer(medium)
+    depths = check_depths("screen_depth_m", screen_depth_m)
     radius = in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
     one_of("over", over, OVER)
     width = in_range("half_width_m", half_width_m, 0.0, 1e6, "m", open_low=over != "origin")
@@ -85,6 +89,8 @@ def lens(
     if waves is None and medium.surface is None:
         raise refuse("surface", None, "given: a lens needs waves")
     given = None if waves is None else plane_waves(waves)
+    if given is not None and realisations > 1:
+        raise refuse("realisations", realisations, "1 for given waves")
     angle = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realisations, depths.size))
     caught = np.empty_like(contraction)
@@ -101,15 +107,24 @@ def lens(
             start = landed[:, :3] - (x0, y0, z0)
             shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
             reached = seen
+    enough = caught >= LEAST_CAUGHT
+    if not enough.any(axis=0).all():
+        raise refuse(
+            "screen_depth_m", float(depths[~enough.any(axis=0)][0]),
+            f"where a surface lets at least {LEAST_CAUGHT:g} of the ring through",
+            "a smaller ring, or other depths",
+        )  # fmt: skip
     facts = {
         **run_facts("Statistical lens", "lens", medium, begun, seed),
         "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
         "rays": rays * realisations,
     }  # fmt: skip
+    size = _mean(contraction, enough)
+    density = _inverse(*_mean(contraction**2, enough))
     at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
     variables = {
-        **quantity("contraction", at, *_mean(contraction), "size of the image over the ring's"),
-        **quantity("concentration", at, *_inverse(*_mean(contraction**2)), "density of light"),
+        **quantity("contraction", at, *size, "size of the image over the ring's"),
+        **quantity("concentration", at, *density, "inverse mean square size of the image"),
         **quantity("caught", ("realisation", at), caught, None, "share of rays on the screen"),
         **quantity("path", ("ray", "point"), start, None, "point of the surface", "m"),
         **quantity("place", by_ray, shown, None, "place on the screen", "m"),
@@ -144,6 +159,9 @@ def plane_waves(waves: Any) -> np.ndarray:
     found = np.zeros((4, -(-len(table) // LANES) * LANES))
     found[:, : len(table)] = table.T
     found[1:] /= 2.0 * np.pi
+    # Bounds of the surface add up amplitudes.
+    found[3] += 0.5 * (found[0] < 0.0)
+    found[0] = np.abs(found[0])
     return found
 
 
@@ -174,11 +192,16 @@ def _spread(place: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.sqrt(square)
 
 
-def _mean(values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the mean over realisations with its standard error, of one without."""
-    count = len(values)
-    stderr = values.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else None
-    return values.mean(axis=0), stderr
+def _mean(values: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over realisations that count with its standard error, of one without."""
+    count = counted.sum(axis=0)
+    mean = np.where(counted, values, 0.0).sum(axis=0) / count
+    if len(values) == 1:
+        return mean, None
+    square = np.where(counted, (values - mean) ** 2, 0.0).sum(axis=0)
+    # A single one says nothing of its scatter: as far off as it is large.
+    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
+    return mean, np.where(count > 1, stderr, mean)
 
 
 def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
@@ -187,13 +210,20 @@ def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, n
     return inverse, None if stderr is None else stderr * inverse**2
 
 
-def _check_depths(values: Any) -> np.ndarray:
+def check_layer(medium: Any) -> None:
+    """Refuse what has no surface to look at."""
+    if not isinstance(medium, Layer):
+        given = getattr(medium, "kind", medium)
+        raise refuse("medium", given, "a layer, see splits.Layer")
+
+
+def check_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), or refuse them."""
     try:
         depths = np.atleast_1d(np.asarray(values, dtype=float))
     except (TypeError, ValueError):
-        raise refuse("screen_depth_m", values, "numbers in metres") from None
+        raise refuse(key, values, "numbers in metres") from None
     good = depths.ndim == 1 and depths.size > 0 and np.isfinite(depths).all()
     if not good or depths[0] <= 0.0 or (np.diff(depths) <= 0.0).any():
-        raise refuse("screen_depth_m", depths.tolist(), "increasing from above 0")
+        raise refuse(key, depths.tolist(), "increasing from above 0")
     return depths

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.angular import Estimate
+from splits.instruments.angular import Estimate, reference
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import layer
@@ -22,13 +22,13 @@ from splits.transport.local import Detectors
 from splits.transport.scene import UNLIMITED
 from splits.transport.stokes import fresnel_amplitudes
 
-_STREAMS = 6_000_000
+_STREAMS = 7_000_000
 """First stream number: one seed gives other numbers here than in the other instruments."""
 PILOT = 128
 """Batches of the first round."""
 _GROWTH = 8.0
-_LEAST = 1e-3
-"""Part of the largest value below which relative errors are not asked for."""
+CHUNK = 4096
+"""Batches that wait for a thread at most."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Heard:
     reached : str
         "error" or "rays".
     polarized : bool
+    below : bool
+        Whether there was something to hear below.
     """
 
     mean: np.ndarray
@@ -64,6 +66,13 @@ class Heard:
     rays: int
     reached: str
     polarized: bool
+    below: bool
+
+    def error(self, side: int) -> float:
+        """Return the largest error of one side relative to `angular.reference`."""
+        result = self.estimate(1)
+        scale, stderr = reference(result)[side, 0], result.stderr[side, 0]
+        return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
     def estimate(self, wavelengths: int) -> Estimate:
         """Return BRDF and BTDF, the same at so many wavelengths."""
@@ -73,7 +82,8 @@ class Heard:
         mean, stderr = (
             np.repeat(x[:, np.newaxis, :, 0], wavelengths, axis=1) for x in (self.mean, self.stderr)
         )
-        return Estimate(mean, stderr, sums, np.zeros((2, wavelengths), dtype=int))
+        degree = np.zeros((2, wavelengths), dtype=int)
+        return Estimate(mean, stderr, sums, degree, np.zeros_like(mean))
 
     def stokes(self, wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
@@ -82,7 +92,7 @@ class Heard:
                 np.repeat(self.mean[np.newaxis, side, :, place], wavelengths, axis=0),
                 np.repeat(self.stderr[np.newaxis, side, :, place], wavelengths, axis=0),
             )
-            for side, function in enumerate(("brdf", "btdf"))
+            for side, function in enumerate(("brdf", "btdf")[: 1 + self.below])
             for place, name in ((1, "q"), (2, "u"), (3, "v"))
         }
 
@@ -148,49 +158,93 @@ def listen(
         )  # fmt: skip
     scene = medium.turbid(float(np.cos(np.radians(incidence_deg))), False, False)
     detectors = detectors_at(medium, polar, azimuth)
-    count = detectors.sums.size
-    total, square = np.zeros((2, count + 4))
-    seed, report, side = runner.seed, runner.report, goal.side
+    if goal.side == 1 and not detectors.below:
+        raise refuse(
+            "target", "btdf", "brdf with estimator = local", "the layer has no open lower face"
+        )
+    sums = _Sums(detectors.sums.shape)
     begun = time.perf_counter()
 
     def hear(batch: int) -> np.ndarray:
-        sums, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
+        heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
         work = np.array([_STREAMS, batch * BATCH, BATCH, UNLIMITED])
         stokes = np.zeros(6) if medium.polarized else None
-        heard = detectors._replace(sums=sums)
-        layer.hear(seed, work, scene, medium.phase, stokes, heard, totals)
-        return np.concatenate([sums.ravel(), totals.ravel()]) / BATCH
+        told = detectors._replace(sums=heard)
+        layer.hear(runner.seed, work, scene, medium.phase, stokes, told, totals)
+        return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
 
-    batches = 0
-    wanted = PILOT if goal.rays is None else max(2, -(-goal.rays // BATCH))
+    # Peaked phase functions speak rarely, and loudly.
+    g = abs(medium.phase.g)
+    pilot = int(PILOT * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
+    wanted = pilot if goal.rays is None else max(2, -(-goal.rays // BATCH))
     most = max(2, goal.max_rays // BATCH) if goal.rays is None else wanted
-    with ThreadPoolExecutor(runner.threads) as pool:
+    silent = not (scene.albedo > 0.0 and scene.extinction > 0.0) and scene.bottom <= 0.0
+    pool = ThreadPoolExecutor(runner.threads)
+    try:
         while True:
-            for sums in pool.map(hear, range(batches, wanted)):
-                total += sums
-                square += sums**2
-            batches = wanted
-            mean = total / batches
-            variance = np.maximum(square / batches - mean**2, 0.0) / (batches - 1)
-            (mean, totals), (stderr, of_totals) = (
-                (x[:count].reshape(detectors.sums.shape), x[count:].reshape(2, 2))
-                for x in (mean, np.sqrt(variance))
-            )
-            error = _relative(mean[side, :, 0], stderr[side, :, 0])
-            done = goal.rays is None and error <= goal.relative_stderr
-            if done or batches >= most:
-                reached = "error" if done else "rays"
-                rays = batches * BATCH
-                return Heard(mean, stderr, totals, of_totals, rays, reached, medium.polarized)
-            more = 1.05 * batches * (error / goal.relative_stderr) ** 2
-            wanted = int(min(max(more, batches + 1), _GROWTH * batches, most))
-            if report:
+            while sums.batches < wanted:
+                for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
+                    sums.add(one)
+            certain = not runner.tracer.fading and scene.bottom == 1.0
+            result = sums.result(detectors.below, medium.polarized, silent, certain)
+            error = result.error(goal.side)
+            nothing = not silent and not result.mean[goal.side].any()
+            done = goal.rays is None and error <= goal.relative_stderr and not nothing
+            if done or sums.batches >= most or (nothing and sums.batches >= 64 * pilot):
+                return replace(result, reached="error" if done else "rays")
+            factor = _GROWTH if nothing else 1.05 * (error / goal.relative_stderr) ** 2
+            more = sums.batches * factor
+            wanted = int(min(max(more, sums.batches + 1), _GROWTH * sums.batches, most))
+            if runner.report:
                 spent = time.perf_counter() - begun
-                left = spent * (more / batches - 1.0)
-                report(Progress(wanted * BATCH, error, goal.relative_stderr, spent, left))
+                left = spent * (more / sums.batches - 1.0)
+                progress = Progress(wanted * BATCH, error, goal.relative_stderr, spent, left)
+                runner.report(progress)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _relative(mean: np.ndarray, stderr: np.ndarray) -> float:
-    """Return the largest error relative to the value, or to a part of the largest value."""
-    scale = np.maximum(mean, _LEAST * mean.max(initial=0.0))
-    return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
+class _Sums:
+    """What batches heard, added up in their order.
+
+    Attributes
+    ----------
+    batches : int
+    total, square, largest : float, shape (numbers,)
+        Sums, sums of squares, and largest magnitude of what a batch heard.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+        self.batches = 0
+        self.total, self.square, self.largest = np.zeros((3, int(np.prod(shape)) + 4))
+
+    def add(self, one: np.ndarray) -> None:
+        """Add what one batch heard."""
+        self.batches += 1
+        self.total += one
+        self.square += one**2
+        np.maximum(self.largest, np.abs(one), out=self.largest)
+
+    def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Heard:
+        """Return means and standard errors.
+
+        As if one more batch had come that heard as much as the loudest so far; and where nothing
+        was heard, one ray, unless there is nothing to hear (`silent`), or nothing to go astray
+        (`certain`).
+        """
+        n, rays = self.batches, self.batches * BATCH
+        mean = self.total / n
+        variance = np.maximum((self.square + self.largest**2) / (n + 1) - mean**2, 0.0) / n
+        count = int(np.prod(self.shape))
+        (heard, totals), (stderr, of_totals) = (
+            (x[:count].reshape(self.shape), x[count:].reshape(2, 2))
+            for x in (mean, np.sqrt(variance))
+        )
+        if not silent:
+            stderr[0, :, 0][heard[0, :, 0] == 0.0] = 1.0 / (np.pi * rays)
+            if below:
+                stderr[1, :, 0][heard[1, :, 0] == 0.0] = 1.0 / (np.pi * rays)
+        if not certain:
+            of_totals = np.maximum(of_totals, 1.0 / rays)
+        return Heard(heard, stderr, totals, of_totals, rays, "", polarized, below)

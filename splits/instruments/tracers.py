@@ -34,12 +34,15 @@ class Tracer(Protocol):
         Scatterings to expect per metre.
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
+    fading : bool
+        Whether weights may fall for another reason than absorption by materials.
     stokes : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """
 
     attenuation: float
     upright: bool
+    fading: bool
     stokes: tuple[int, ...]
 
     def features(self, level: Level) -> Features | None:
@@ -113,6 +116,7 @@ class GrainTracer:
         self.scene = (medium.grains(), slab, medium.readings.rules(analog))
         self.attenuation = self.scene[0].attenuation
         self.upright = not diffuse and cosine == 1.0
+        self.fading = False
         self.stokes: tuple[int, ...] = ()
         self.materials = len(medium.materials())
         self.seed = seed
@@ -202,6 +206,7 @@ class LayerTracer:
         self.scene = (medium.turbid(cosine, diffuse, analog), medium.phase, medium.fields())
         self.attenuation = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         self.upright = not diffuse and cosine == 1.0
+        self.fading = self.scene[0].albedo < 1.0
         first = layer.EXIT_STOKES
         self.stokes: tuple[int, ...] = ()
         if medium.polarized:

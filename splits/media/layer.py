@@ -53,7 +53,7 @@ class Layer:
     opaque : bool
         Nothing comes back from below the surface: particles and bottom do not count.
     depth_m : float
-        Geometric thickness (m), above 0; of an infinite layer, its mean free path.
+        Geometric thickness (m), 1e-9 to 1e6; of an infinite layer, its mean free path.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class Layer:
             ("max_polarization", 0.0, 1.0),
         ):
             put(name, in_range(name, getattr(self, name), low, high))
-        put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e6, "m", open_low=True))
+        put("depth_m", in_range("depth_m", self.depth_m, 1e-9, 1e6, "m"))
         if self.bottom_albedo is not None:
             put("bottom_albedo", in_range("bottom_albedo", self.bottom_albedo, 0.0, 1.0))
         for name in ("polarized", "opaque"):
@@ -163,7 +163,8 @@ class Layer:
             depth = math.inf
             if albedo == 1.0:
                 reach = max(1.0, 1.0 / (1.0 - self.phase.g))
-                depth, bottom = DEEP * reach / self.extinction_per_m, 1.0
+                rough = 0.0 if self.surface is None else CLEARANCE * self.surface.rms_height_m
+                depth, bottom = DEEP * reach / self.extinction_per_m + rough, 1.0
         return Turbid(
             depth, self.extinction_per_m, albedo, self.refractive_index,
             bottom, cos_incidence, diffuse, analog,
@@ -195,9 +196,11 @@ class Layer:
         rough = {} if surface is None else surface.describe()
         if isinstance(self.phase_function, Mapping):
             inputs["phase_function"] = "tabulated"
+            inputs |= {f"phase_{key}": self.phase_function[key] for key in ("cosine", "density")}
         return {
             **inputs,
             "asymmetry": self.phase.g,
+            "max_polarization": self.phase.polarizing,
             "surface": "smooth" if surface is None else "rough",
             **{f"surface_{key}": value for key, value in rough.items()},
             "extinction_per_m": self.extinction_per_m,
@@ -208,7 +211,7 @@ def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
     """Return a tabulated phase function, or refuse it."""
     allowed = "a mapping with equally long lists cosine and density"
     if set(given) != {"cosine", "density"}:
-        raise refuse("phase_function", sorted(given), allowed)
+        raise refuse("phase_function", [str(key) for key in given], allowed)
     columns = []
     for key in ("cosine", "density"):
         if not isinstance(given[key], (Sequence, np.ndarray)):
@@ -222,6 +225,7 @@ def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
         raise refuse("phase_function", (cosine.shape, density.shape), allowed)
     if cosine.size < 2 or cosine[0] != -1.0 or cosine[-1] != 1.0 or (np.diff(cosine) <= 0.0).any():
         raise refuse("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
-    if not np.isfinite(density).all() or (density < 0.0).any() or not density.any():
-        raise refuse("phase_function.density", density.tolist(), "at least 0, not all of them 0")
+    good = np.isfinite(density).all() and (density >= 0.0).all() and (density <= 1e100).all()
+    if not good or not density.max() > 1e-100:
+        raise refuse("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
     return tabulated(cosine, density, polarizing)

@@ -110,8 +110,9 @@ class SurfaceField:
     waves : int
         M, 1 to 100 000.
     band_limit_per_m : float, optional
-        Largest wave number (1/m), from k0/1000 to infinity; heights keep their σ.  Only
-        "exponential" needs one: its slopes, and reflectance, depend on it.
+        Largest wave number (1/m), from k0/1000 to infinity; heights keep their σ.  Without one
+        the slopes of "exponential", which needs it, and more slowly those of
+        "exponential_printed" grow with the number of waves, and reflectance moves with them.
     spectrum : mapping, optional
         Columns ``wave_number_per_m``, rising, and ``density``, the isotropic spectral density p up
         to a factor, linear in between: p(λ) λ dλ is the share of the variance.
@@ -286,7 +287,9 @@ class RoughSurface:
         inputs: dict[str, Any] = {}
         for key in (f.name for f in fields(SurfaceField) if f.name != "spectrum"):
             values = [getattr(field, key) for field in self.fields]
-            inputs[key] = [math.nan if value is None else value for value in values]
+            # Without a band limit waves have none; fields with a table have no k0.
+            none = math.inf if key == "band_limit_per_m" else 0.0
+            inputs[key] = [none if value is None else value for value in values]
         inputs["correlation"] = ", ".join(inputs["correlation"])
         tables = [field.spectrum for field in self.fields if field.spectrum is not None]
         for key in _SPECTRUM if tables else ():

@@ -213,7 +213,8 @@ def trace(state, layer, phase, fields, waves, bounds, polar, detectors, most):
     low, high = 0.0, 0.0
     if fields is not None:
         low, high = draw_waves(state, fields, waves, bounds)
-        z = high
+        # Rays aim at the origin of the mean surface.
+        x, z = high * dx / dz, high
     while True:
         legs += 1
         side = -1.0 if inside else 1.0

@@ -17,9 +17,6 @@ from splits.transport.jit import kernel
 from splits.transport.phase import phase_density
 from splits.transport.stokes import rotated_to, scattered_towards
 
-FAINTEST = 1e-12
-"""Share of light that reflections between the faces leave, at which they are cut off."""
-
 
 class Detectors(NamedTuple):
     """Directions in which light is heard, and what it goes through to get there.
@@ -62,16 +59,33 @@ def sent(phase, dx, dy, dz, polar, tx, ty, tz, px, py):
 
 
 @kernel
-def returned(face, polar, i, q, u, v):
-    """Return I, Q, U, V after reflection by a face."""
+def round_trips(face, polar, through, odd, i, q, u, v):
+    """Return I, Q, U, V added up over 1, 3, … or over 2, 4, … reflections between two faces.
+
+    Every reflection and the way through the layer after it multiply I + Q and I − Q by R_p t and
+    R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s* (`stokes.fresnel_amplitudes`): geometric
+    series.
+    """
     if polar is None:
-        return face[0] * i, 0.0, 0.0, 0.0
-    return (
-        face[0] * i + face[1] * q,
-        face[1] * i + face[0] * q,
-        face[2] * u + face[3] * v,
-        face[2] * v - face[3] * u,
-    )
+        x = face[0] * through
+        return i * _series(x, odd), 0.0, 0.0, 0.0
+    p = 0.5 * (i + q) * _series((face[0] + face[1]) * through, odd)
+    s = 0.5 * (i - q) * _series((face[0] - face[1]) * through, odd)
+    x, y = face[2] * through, -face[3] * through
+    # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
+    square_x, square_y = x * x - y * y, 2.0 * x * y
+    top_x, top_y = (x, y) if odd else (square_x, square_y)
+    below_x, below_y = 1.0 - square_x, -square_y
+    per = 1.0 / (below_x * below_x + below_y * below_y)
+    c = (top_x * below_x + top_y * below_y) * per
+    d = (top_y * below_x - top_x * below_y) * per
+    return p + s, p - s, c * u - d * v, c * v + d * u
+
+
+@kernel
+def _series(x, odd):
+    """Return the sum of all odd or of all even powers of x."""
+    return (x if odd else x * x) / ((1.0 - x) * (1.0 + x))
 
 
 @kernel
@@ -115,22 +129,13 @@ def listen_particle(detectors, layer, phase, z, dx, dy, dz, weight, polar):
             put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), i, q, u, v)
             if layer.bottom >= 0.0 or face[0] == 0.0:
                 continue
-            # Two smooth faces: light that first went towards this face, and light that first
-            # went away from it, after 2, 4, … and after 1, 3, … reflections.
-            for away in range(2):
-                if away == 1:
-                    i, q, u, v = sent(phase, dx, dy, dz, polar, tx, ty, -up * tz, px, py)
-                    way = layer.depth - way
-                share = weight * math.exp(-layer.extinction * way / tz)
-                count = 0
-                while share * face[0] > FAINTEST * weight and count < 1000:
-                    i, q, u, v = returned(face, polar, i, q, u, v)
-                    share *= through
-                    count += 1
-                    if count % 2 == away:
-                        put(sums, passing, polar, share, i, q, u, v)
-                    if i * share < FAINTEST * weight:
-                        break
+            # Two smooth faces: light that first went towards this one, and light that went away.
+            more = round_trips(face, polar, through, False, i, q, u, v)
+            put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), *more)
+            i, q, u, v = sent(phase, dx, dy, dz, polar, tx, ty, -up * tz, px, py)
+            more = round_trips(face, polar, through, True, i, q, u, v)
+            way = layer.depth - way
+            put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), *more)
 
 
 @kernel

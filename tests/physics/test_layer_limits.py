@@ -183,6 +183,8 @@ def test_collectors_and_local_estimation_see_the_same_polarization():
         ({"phase_function": {"cosine": [-1, 0.5], "density": [1, 1]}}, "increasing from -1 to 1"),
         ({"polarized": "yes"}, "polarized = 'yes'"),
         ({"depth_m": 0.0}, "depth_m = 0.0"),
+        ({"phase_function": {1: 2, "a": 3}}, "cosine and density"),
+        ({"phase_function": {"cosine": [-1, 1], "density": [1e308, 1e308]}}, "0 to 1e100"),
     ],
 )
 def test_bad_layers_are_refused(settings, told):
@@ -198,3 +200,42 @@ def test_instruments_that_count_on_grains_refuse_layers():
         splits.spectrophotometer(splits.Layer(), NM, kernel="lanes")
     with pytest.raises(ValueError, match="estimator = 'local'"):
         splits.goniophotometer(splits.Snow(), NM, estimator="local")
+
+
+def test_what_was_not_heard_is_not_certain():
+    # Hardly a ray enters at 89.9999 degrees, and hardly one meets a particle at 1e-6.
+    for layer, incidence in (
+        (splits.Layer(), 89.9999),
+        (splits.Layer(optical_thickness=1e-6, refractive_index=1.0, bottom_albedo=None), 0.0),
+    ):
+        ds = splits.goniophotometer(
+            layer, NM, incidence, estimator="local", polar_deg=[0.0, 60.0], azimuth_deg=[0.0],
+            max_rays=20_000,
+        )  # fmt: skip
+        assert (ds.brdf_stderr > 0.0).all()
+        assert (ds.reflectance_stderr > 0.0).all()
+    ds = splits.spectrophotometer(
+        splits.Layer(optical_thickness=1e-3, single_scattering_albedo=0.0, bottom_albedo=0.0),
+        NM, 0.0, 0.01,
+    )  # fmt: skip
+    assert float(ds.absorptance_stderr[0]) > 0.0
+
+
+def test_a_bottom_hears_light_that_local_estimation_does_not_tell_of():
+    directions = {"polar_deg": [0.0], "azimuth_deg": [0.0], "estimator": "local"}
+    with pytest.raises(ValueError, match="target = 'btdf'"):
+        splits.goniophotometer(splits.Layer(), NM, 0.0, target="btdf", **directions)
+    ds = splits.goniophotometer(splits.Layer(), NM, 0.0, rays=10_000, **directions)
+    assert "btdf" not in ds and "brdf" in ds
+
+
+def test_lobes_too_narrow_for_polynomials_are_told():
+    layer = splits.Layer(
+        optical_thickness=1.0, asymmetry=0.9, single_scattering_albedo=1.0, bottom_albedo=None
+    )
+    ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
+    assert ds.attrs["stopped_by"] == "degree"
+    cells = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="cells", cells=(60, 8))
+    top = cells.btdf.isel(wavelength=0, polar=0).mean("azimuth")
+    gap = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
+    assert gap < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])

@@ -104,3 +104,41 @@ def test_the_exact_lens():
     ds = lens(water, np.arange(380.0, 410.0, 2.0), 0.2, half_width_m=5.0, waves=waves)
     assert focus_of(ds) == pytest.approx(1.34 / (0.34 * 0.1**2), rel=0.005)
     assert float(ds.caught.min()) == 1.0
+
+
+def test_waves_of_either_sign_are_the_same_surface():
+    water = splits.Layer(refractive_index=1.5)
+    one, other = (
+        lens(water, [5.0, 20.0, 60.0], 1.0, half_width_m=4.0, waves=[wave])
+        for wave in ((3.0, 0.5, 0.0, 0.0), (-3.0, 0.5, 0.0, math.pi))
+    )
+    assert np.array_equal(one.caught, other.caught)
+    assert one.contraction.values == pytest.approx(other.contraction.values, rel=1e-9)
+
+
+def test_a_beam_through_a_rough_surface_is_aimed_at_the_origin():
+    layer = splits.Layer(
+        optical_thickness=math.inf, single_scattering_albedo=0.9, refractive_index=1.3,
+        depth_m=1e-3, surface=gaussian(0.2, length_m=0.1),
+    )  # fmt: skip
+    smooth = splits.Layer(
+        optical_thickness=math.inf, single_scattering_albedo=0.9, refractive_index=1.3,
+        depth_m=1e-3,
+    )  # fmt: skip
+    rough, plain = (
+        splits.bssrdf(m, NM, 60.0, rays=20_000, half_width_m=0.05) for m in (layer, smooth)
+    )
+    middle = []
+    for ds in (rough, plain):
+        part = ds.profile_map.sel(side="reflected").isel(wavelength=0)
+        middle.append(float((part * part.x).sum() / part.sum()))
+    # Heights of 1 cm rms move entries by up to that times tan 60°, to either side.
+    assert abs(middle[0] - middle[1]) < 0.01
+
+
+def test_an_infinite_white_layer_has_room_for_its_surface():
+    layer = splits.Layer(
+        optical_thickness=math.inf, single_scattering_albedo=1.0, asymmetry=0.0, depth_m=0.02,
+        surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0, "correlation": "gaussian"},
+    )  # fmt: skip
+    assert layer.turbid(1.0, False, False).depth > 8.0

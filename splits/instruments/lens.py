@@ -14,7 +14,7 @@ import xarray as xr
 from splits.checks import in_range, one_of, refuse
 from splits.instruments.arguments import check_whole
 from splits.instruments.labels import quantity, run_facts
-from splits.media.layer import Layer
+from splits.media.turbid import SurfaceMedium
 from splits.transport.lens import refract_ring
 from splits.transport.rough_surface import heights_and_slopes
 from splits.transport.wave_sums import LANES
@@ -27,7 +27,7 @@ SEARCH_POINTS = 161
 
 
 def lens(
-    medium: Layer,
+    medium: SurfaceMedium,
     screen_depth_m: Any,
     radius_m: float,
     *,
@@ -42,8 +42,8 @@ def lens(
 
     Parameters
     ----------
-    medium : Layer
-        With a rough surface; only the surface and the refractive index matter.
+    medium : SurfaceMedium
+        A `splits.Layer` with a rough surface; only the surface and the refractive index matter.
     screen_depth_m : array_like
         Distances of screens below the surface under the ring's centre (m), increasing from above 0.
     radius_m : float
@@ -212,7 +212,7 @@ def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, n
 
 def check_layer(medium: Any) -> None:
     """Refuse what has no surface to look at."""
-    if not isinstance(medium, Layer):
+    if not isinstance(medium, SurfaceMedium):
         given = getattr(medium, "kind", medium)
         raise refuse("medium", given, "a layer, see splits.Layer")
 

@@ -11,12 +11,12 @@ from splits.checks import in_range, refuse
 from splits.instruments.arguments import check_whole
 from splits.instruments.labels import quantity, run_facts
 from splits.instruments.lens import check_layer
-from splits.media.layer import Layer
+from splits.media.turbid import SurfaceMedium
 from splits.transport.rough_surface import heights_and_slopes
 
 
 def surface_map(
-    medium: Layer,
+    medium: SurfaceMedium,
     half_width_m: float,
     *,
     points: int = 201,
@@ -27,8 +27,8 @@ def surface_map(
 
     Parameters
     ----------
-    medium : Layer
-        With a rough surface.
+    medium : SurfaceMedium
+        A `splits.Layer` with a rough surface.
     half_width_m : float
         Half the side of the square shown (m).
     points : int

@@ -63,3 +63,18 @@ class TurbidMedium(Protocol):
 
 
 Medium = GranularMedium | TurbidMedium
+
+
+@runtime_checkable
+class SurfaceMedium(TurbidMedium, Protocol):
+    """A layer, as instruments see it that look at its surface alone."""
+
+    @property
+    def refractive_index(self) -> float:
+        """Of what is below the surface, relative to the medium above."""
+        ...
+
+    @property
+    def surface(self) -> Any:
+        """The `splits.media.rough_surface.RoughSurface`, None where it is smooth."""
+        ...

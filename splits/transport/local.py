@@ -114,7 +114,7 @@ def listen_particle(detectors, layer, phase, z, dx, dy, dz, weight, polar):
     weight : float
         After scattering.
     polar : float64[6] or None
-        See `splits.transport.layer.meet_face`.
+        See `splits.transport.encounters.meet_face`.
     """
     for k in range(detectors.toward.shape[0]):
         tx, ty, tz = detectors.toward[k]

@@ -53,7 +53,7 @@ def ensembles(medium, wavelengths, attenuation):
 def spectrum(medium, incidence, wavelengths, kernel, seed):
     """Return R and T, their standard errors, and the seconds that it took on two threads."""
     runner = Runner(medium, incidence, seed, 2, False, kernel)
-    work = ensembles(medium, wavelengths, runner.grains.attenuation)
+    work = ensembles(medium, wavelengths, runner.tracer.attenuation)
     begun = time.perf_counter()
     runner.trace([(e, e.levels[0], RAYS) for e in work], 1.0, 0.0)
     seconds = time.perf_counter() - begun
@@ -85,10 +85,10 @@ def alone(optics):
 
 def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
-    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.grains.attenuation)
+    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.attenuation)
     each = [e.levels[0].optics for e in work]
-    features = runner.features(work[0].levels[0])
-    scene = runner.grains, runner.slab, runner.rules
+    features = runner.tracer.features(work[0].levels[0])
+    scene = runner.tracer.scene
 
     def exits(items, optics):
         rows = exit_rows(sum(rays for *_, rays, _ in items), 3)
@@ -112,14 +112,14 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 def test_a_path_does_not_depend_on_lane_or_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([900.0]), runner.grains.attenuation)
+    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.attenuation)
     optics = ensemble.levels[0].optics
-    features = runner.features(ensemble.levels[0])
+    features = runner.tracer.features(ensemble.levels[0])
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
         work = np.array([[0, first, rays, UNLIMITED]])
-        scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
+        scene = (*runner.tracer.scene, alone(optics), rows, features)
         _, lost = lanes.batch(3, work, *scene)
         assert not lost
         return rows
@@ -138,7 +138,7 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
 
     def moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        work = ensembles(medium, wavelengths, runner.grains.attenuation)
+        work = ensembles(medium, wavelengths, runner.tracer.attenuation)
         runner.prepare(work)
         runner.trace([(e, e.levels[0], batches * BATCH) for e in work], 1.0, 0.0)
         return np.stack([e.moments for e in work])
@@ -148,13 +148,13 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
         parts = {}
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            work = ensembles(medium, wavelengths, runner.grains.attenuation)
+            work = ensembles(medium, wavelengths, runner.tracer.attenuation)
             runner.prepare(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
                     ((tally,), _), *_ = runner.tallies([(e, e.levels[0], batch * BATCH, 1)])
                     parts[number, batch] = tally
-        work = ensembles(medium, wavelengths, runner.grains.attenuation)
+        work = ensembles(medium, wavelengths, runner.tracer.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
             work[number].add(work[number].levels[0], [tally])
         return np.stack([e.moments for e in work])
@@ -170,11 +170,13 @@ def test_light_is_neither_lost_nor_made(positions):
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     runner = Runner(medium, 60.0, 5, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([600.0]), runner.grains.attenuation)
+    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.attenuation)
     optics = ensemble.levels[0].optics
-    features = runner.features(ensemble.levels[0])._replace(positions=True if positions else None)
+    features = runner.tracer.features(ensemble.levels[0])._replace(
+        positions=True if positions else None
+    )
     rows = exit_rows(3000, 3)
-    scene = (runner.grains, runner.slab, runner.rules, alone(optics), rows, features)
+    scene = (*runner.tracer.scene, alone(optics), rows, features)
     _, lost = lanes.batch(5, np.array([[0, 0, 3000, UNLIMITED]]), *scene)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()

@@ -1,7 +1,7 @@
 """Light that snow, sand and rough layers send back.
 
-A *medium* (`Snow`, `Sand`) under a virtual *instrument* (`spectrophotometer`, `goniophotometer`,
-`bssrdf`) gives a labelled dataset with standard errors.
+A *medium* (`Snow`, `Sand`, `Layer`) under a virtual *instrument* (`spectrophotometer`,
+`goniophotometer`, `bssrdf`, …) gives a labelled dataset with standard errors.
 
 Examples
 --------

@@ -19,6 +19,8 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import one_of, refuse, suggestion
 from splits.experiments.sections import (
     FIGURES,
+    OF_ONE_POINT,
+    QUANTITIES,
     SURFACES,
     FigureSection,
     FitSection,
@@ -143,6 +145,12 @@ class Experiment(Section):
                     "instrument.estimator", instrument.estimator,
                     "local or cells for figure.kind = 'polarization'",
                 )  # fmt: skip
+        told = "wavelength_nm" in self.instrument.model_fields_set
+        if layer and not told and self.instrument.kind not in (*SURFACES, "refractive_index"):
+            raise refuse(
+                "instrument.wavelength_nm", None, "given for a layer, for example [550]",
+                "layers have no colour: one wavelength says all",
+            )  # fmt: skip
 
     def _check_fit(self, kind: str) -> None:
         """Refuse what does not go with a fit, or a figure of one without it."""
@@ -178,6 +186,20 @@ class Experiment(Section):
                 self.figure.kind,
                 f"one of {', '.join(known)} for instrument.kind = {instrument.kind!r}",
             )
+        if "quantity" in self.figure.model_fields_set:
+            for quantity in self.figure.quantity:
+                one_of("figure.quantity", quantity, QUANTITIES.get(instrument.kind, ()))
+        bottoms = [s.get("bottom_albedo", 0.5) for _, s, _ in self.settings()]
+        heard = instrument.estimator == "local" and "btdf" in self.figure.quantity
+        if heard and any(bottom is not None for bottom in bottoms):
+            raise refuse("figure.quantity", "btdf", "brdf over a bottom with local estimation")
+        free = [parameter for parameter in self.grid if parameter not in self.figure.at]
+        kind = self.figure.kind or known[0]
+        if kind in OF_ONE_POINT and len(free) > (kind == "lobes"):
+            raise refuse(
+                "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
+                f"kind {kind}", "it shows one point of the grid; the dataset holds all",
+            )  # fmt: skip
         if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
             raise refuse(
                 "instrument.half_width_m", None, "given where there is a grid",
@@ -205,6 +227,8 @@ class Experiment(Section):
     def drawing(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.figures.draw`, with a kind that fits."""
         usual = FIGURES[self.instrument.kind][0]
+        if usual == "spectra" and self.grid and self.instrument.wavelengths().size == 1:
+            usual = "points"
         return {**self.figure.model_dump(mode="json"), "kind": self.figure.kind or usual}
 
     def tables(self) -> list[str]:

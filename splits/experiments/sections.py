@@ -46,6 +46,13 @@ FIGURES = {
     "lens": ("lens",),
 }
 """Kinds of figures that show what an instrument measures, the usual one first."""
+OF_ONE_POINT = ("spread", "lobes", "cells", "surface", "lens")
+"""Kinds of figures that show one point of a grid; of lobes, one parameter may vary."""
+QUANTITIES = {
+    "spectrophotometer": ("reflectance", "transmittance", "absorptance"),
+    "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor"),
+}
+"""What figures of an instrument may show."""
 Quantity = Literal[
     "reflectance", "transmittance", "absorptance",
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor",

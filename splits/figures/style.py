@@ -34,7 +34,7 @@ LABELS = {
     "hematite_ratio": "hematite / iron oxide",
     "magnetite": "magnetite by mass",
     "texture": "texture",
-    "refractive_index": "mineral data",
+    "refractive_index": "refractive index",
     "size_tail": "tail by mass",
 }
 

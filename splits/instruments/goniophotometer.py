@@ -210,14 +210,18 @@ def _expand(
     levels = [(e, level) for e in ensembles for level in e.levels]
     limit = goal.rays or goal.max_rays
     runner.trace([(e, level, ROUND) for e, level in levels], 1.0, goal.relative_stderr)
+    reached: list[tuple[float, float]] = []
     while True:
         result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
         error = _error(result, goal.side, seen)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
             return ensembles, result, "error"
-        if goal.rays is None and _too_fine(result, goal, seen):
+        # Eight times the rays should divide a statistical error by nearly three.
+        idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)
+        if goal.rays is None and (idle or _too_fine(result, goal, seen)):
             return ensembles, result, "degree"
+        reached.append((float(have.sum()), error))
         if have.sum() >= limit:
             return ensembles, result, "rays"
         missed = BIAS * nodes.bias[:, np.newaxis]

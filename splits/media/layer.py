@@ -93,12 +93,17 @@ class Layer:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        if isinstance(self.optical_thickness, str):
+            raise refuse(
+                "optical_thickness", self.optical_thickness, "a number from 0 to 1e+06",
+                "or infinite: .inf in YAML, math.inf in Python",
+            )  # fmt: skip
         if self.optical_thickness != math.inf:
             put(
                 "optical_thickness",
                 in_range(
                     "optical_thickness", self.optical_thickness, 0.0, 1e6,
-                    hint="or infinite; .inf in YAML",
+                    hint="or infinite: .inf in YAML, math.inf in Python",
                 ),
             )  # fmt: skip
         for name, low, high in (

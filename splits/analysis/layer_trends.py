@@ -59,7 +59,7 @@ def _volume(plane: xr.Dataset) -> dict[str, object]:
     """Compare a surface with a volume below it with the surface alone."""
     both, alone = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
     return beyond(
-        "very rough glass: BRDF (1/sr) that the volume adds to the surface's, least",
+        "very rough glass: BRDF (1/sr) that the volume adds, where least significant",
         "Fig 3",
         (both.brdf - alone.brdf).values,
         np.hypot(both.brdf_stderr, alone.brdf_stderr).values,

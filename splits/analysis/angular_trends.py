@@ -26,12 +26,11 @@ def peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     plane : xarray.Dataset
         From `splits.analysis.directions.principal_plane`, of one wavelength.
     """
-    forward = plane.sel(angle=slice(*FORWARD))
-    top = forward.isel(angle=forward.brdf.argmax("angle"))
+    top, top_error = _top(plane)
     nadir = plane.sel(angle=0.0)
-    ratio = top.brdf / nadir.brdf
-    error = ratio * np.hypot(top.brdf_stderr / top.brdf, nadir.brdf_stderr / nadir.brdf)
-    return np.asarray(ratio.values - 1.0), np.asarray(error.values)
+    ratio = top / nadir.brdf.values
+    error = ratio * np.hypot(top_error / top, (nadir.brdf_stderr / nadir.brdf).values)
+    return np.asarray(ratio - 1.0), np.asarray(error)
 
 
 def spread(plane: xr.Dataset, steepest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -131,24 +130,37 @@ def _wavelength(plane: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _grain_size(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Compare the forward peaks of fine grains with those of the others."""
+    """Compare the forward peaks of fine grains with those of the others.
+
+    At 600 nm their heights above the nadir, too: coarse grains lose light through the sample.
+    """
+    uniform = "Fig 20, struck_size: uniform"
     rows = []
-    for name, sign, word, place in (
-        ("fig20_grain_size", -1.0, "smallest", "Fig 20"),
-        ("fig21_grain_size", +1.0, "largest", "Fig 21"),
+    for name, sign, place, statement, measure in (
+        ("fig20_grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _top),
+        ("fig20_struck_uniform", -1.0, uniform, "fine grains have the smallest peak", _top),
+        ("fig20_grain_size", -1.0, "Fig 20", "fine grains' peak is least above the nadir", peak),
+        ("fig20_struck_uniform", -1.0, uniform, "fine grains' peak is least above the nadir", peak),
+        ("fig21_grain_size", +1.0, "Fig 21", "fine grains have the largest peak", _top),
     ):
-        plane = planes[name].isel(wavelength=0).sel(angle=slice(*FORWARD))
-        top = plane.isel(angle=plane.brdf.argmax("angle"))
-        value, error = top.brdf.values, top.brdf_stderr.values
+        plane = planes[name].isel(wavelength=0)
+        value, error = measure(plane)
         rows.append(
             beyond(
-                f"fine grains have the {word} forward peak at {float(plane.wavelength):g} nm",
+                f"forward, {float(plane.wavelength):g} nm: {statement}",
                 place,
                 sign * (value[-1] - value[:-1]),
                 np.hypot(error[-1], error[:-1]),
             )
         )
     return rows
+
+
+def _top(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the BRDF at the forward peak and its error."""
+    forward = plane.sel(angle=slice(*FORWARD))
+    top = forward.isel(angle=forward.brdf.argmax("angle"))
+    return top.brdf.values, top.brdf_stderr.values
 
 
 def _facetness(plane: xr.Dataset) -> dict[str, object]:

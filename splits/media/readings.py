@@ -50,11 +50,14 @@ class TransportReadings:
     boundary_fresnel : {"yes", "no"}
         Fresnel reflection and refraction at the extended boundaries where water fills the pores
         (SPLITS 4.3.1).
-    grain_on_last_leg : {"reject", "keep"}
-        A new grain that lies across the leg just travelled (SPLITS 4.3.3).
-    grain_across_boundary : {"reject", "keep"}
-        A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2).  If kept, a ray
-        that leaves a grain outside the sample counts as standing on the boundary there.
+    grain_on_last_leg : {"reject", "keep", "skip"}
+        A new grain that lies across the leg just travelled: drawn again from the same origin,
+        distance included (SPLITS 4.3.3), kept, or left out, so that the next distance counts
+        from its place.
+    grain_across_boundary : {"reject", "keep", "skip"}
+        A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2), likewise.  If
+        kept, a ray that leaves a grain outside the sample counts as standing on the boundary
+        there.  If skipped, grains are as rare near the boundaries as whole grains are.
     """
 
     entry: str = "uniform"
@@ -90,8 +93,8 @@ class TransportReadings:
             facets=FACETS[self.facets],
             wrong_side=WRONG_SIDE[self.wrong_side],
             boundary_fresnel=self.boundary_fresnel == "yes",
-            reject_on_last_leg=FATE[self.grain_on_last_leg],
-            reject_across_boundary=FATE[self.grain_across_boundary],
+            on_last_leg=FATE[self.grain_on_last_leg],
+            across_boundary=FATE[self.grain_across_boundary],
             analog=analog,
         )
 

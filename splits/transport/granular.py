@@ -2,7 +2,7 @@
 
 SPLITS section 4.3 and SPLITSnow section 3.1: only the grain that the ray meets exists.  Distance,
 type, size, shape, orientation and entry point are drawn; a grain that crosses a boundary or
-lies on the leg just travelled is drawn again from the same origin; between its two extended
+lies on the leg just travelled is drawn again; between its two extended
 boundaries the slab reaches to infinity sideways.
 """
 
@@ -18,7 +18,7 @@ from splits.transport.fresnel import interface, refracted
 from splits.transport.grain import draw_pore, grain_walk
 from splits.transport.jit import entry, kernel
 from splits.transport.rng import from_table, pick, start_stream, uniform, unit_circle
-from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.scene import DRY_PORE, KEPT, SKIPPED, WET_PORE
 from splits.transport.spheroid import (
     PROJECTED,
     axial_position,
@@ -116,7 +116,8 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then size, shape and entry point; a grain
     that crosses an extended boundary or lies on the last leg is replaced by a new draw, distance
-    included, from the same origin.
+    included, from the same origin.  Skipping such grains instead thins the Poisson process of
+    grains along the ray.
 
     Parameters
     ----------
@@ -139,8 +140,9 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         Entry point, major axis, outward normal, see `splits.transport.spheroid`.
     """
     g1, g2, g3, lx, ly, lz, last = last_leg
+    skipped = 0.0
     for _ in range(MAX_REJECTIONS):
-        leg = -math.log(uniform(state)) / grains.attenuation
+        leg = skipped - math.log(uniform(state)) / grains.attenuation
         if leg >= to_boundary:
             return no_grain(to_boundary)
         kind = 0
@@ -161,14 +163,18 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         q1, q2, q3, w1, w2, w3, n1, n2, n3 = entry_point(
             dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
-        if rules.reject_across_boundary and crosses(
+        if rules.across_boundary != KEPT and crosses(
             z + leg * dz, q3, w3, axial, minor, major, slab.depth
         ):
+            if rules.across_boundary == SKIPPED:
+                skipped = leg
             continue
-        if rules.reject_on_last_leg and last > 0.0 and cuts_segment(
+        if rules.on_last_leg != KEPT and last > 0.0 and cuts_segment(
             q1, q2, q3, w1, w2, w3, minor, flattening,
             -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
         ):  # fmt: skip
+            if rules.on_last_leg == SKIPPED:
+                skipped = leg
             continue
         return leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
     return no_grain(-1.0)

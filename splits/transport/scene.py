@@ -23,10 +23,17 @@ LOBE = 0
 MIRRORED = 1
 """A ray sent to the wrong side of the macroscopic surface is mirrored in that surface."""
 
+KEPT = 0
+"""A grain that does not fit is taken as it is."""
+REDRAWN = 1
+"""A grain that does not fit is drawn again from the ray's origin, distance included."""
+SKIPPED = 2
+"""A grain that does not fit is left out: the next distance counts from its place."""
+
 ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
 WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
-FATE = {"reject": True, "keep": False}
+FATE = {"reject": REDRAWN, "keep": KEPT, "skip": SKIPPED}
 
 
 class Grains(NamedTuple):
@@ -96,8 +103,8 @@ class Rules(NamedTuple):
     facets: int
     wrong_side: int
     boundary_fresnel: bool
-    reject_on_last_leg: bool
-    reject_across_boundary: bool
+    on_last_leg: int
+    across_boundary: int
     analog: bool
 
 

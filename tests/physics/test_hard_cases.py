@@ -152,6 +152,9 @@ def test_a_beam_goes_straight_through_grains_of_index_1(incidence, kernel):
 READINGS = [
     {"grain_across_boundary": "keep"},
     {"grain_on_last_leg": "keep"},
+    {"grain_across_boundary": "skip"},
+    {"grain_on_last_leg": "skip"},
+    {"grain_across_boundary": "skip", "grain_on_last_leg": "skip"},
     {"entry": "projected"},
     {"facets": "unweighted"},
     {"facets": "any"},

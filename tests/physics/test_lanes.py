@@ -207,7 +207,9 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
     put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
     put(LAYER=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
     put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
-    scene = rows.Scene(np.float32(1e-3), np.float32(1.0), np.float32(0.0), 0, 0, False, True, True)
+    scene = rows.Scene(
+        np.float32(1e-3), np.float32(1.0), np.float32(0.0), 0, 0, False, True, True, False, False
+    )
 
     def cosines():
         q, d = (table[np.array(which) // LANES].astype(float) for which in (AT, ALONG))

@@ -39,10 +39,10 @@ def _next_grain(state, z, dx, dy, dz, to_boundary, grains, slab, rules, last_leg
     return leg, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
 
 
-def next_grains(count, z, d, snow, slab=DEEP, last_leg=NO_LEG):
-    """Draw next grains far from a boundary ahead; vectors as (count, 3)."""
+def next_grains(count, z, d, snow, slab=DEEP, last_leg=NO_LEG, ahead=5e3):
+    """Draw next grains, the boundary ahead at a distance (m); vectors as (count, 3)."""
     out = draw(
-        _next_grain, count, z, *d, 5e3, snow.grains(), slab, snow.readings.rules(), last_leg,
+        _next_grain, count, z, *d, ahead, snow.grains(), slab, snow.readings.rules(), last_leg,
         width=12,
     )  # fmt: skip
     return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:]
@@ -195,7 +195,7 @@ def test_no_grain_lies_on_the_last_leg_unless_kept(name):
     g, back, length = np.array(last_leg[:3]), np.array(last_leg[3:6]), last_leg[6]
     d = np.array([0.1, 0.0, math.sqrt(0.99)])
     least = {}
-    for fate in ("reject", "keep"):
+    for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e4, readings={"grain_on_last_leg": fate})
         leg, minor, flattening, q, w, _ = next_grains(
             scaled(20_000), -5e3, d, snow, last_leg=last_leg
@@ -203,7 +203,7 @@ def test_no_grain_lies_on_the_last_leg_unless_kept(name):
         # Both ends of the last leg as seen from the grain's centre.
         end = real_point(q, w, minor, flattening) - leg[:, None] * d - g
         least[fate] = nearest(end - length * back, end, w, minor, flattening)
-    assert least["reject"].min() >= 1.0
+    assert min(least["reject"].min(), least["skip"].min()) >= 1.0
     assert (least["keep"] < 1.0).mean() > {"reversal": 0.5, "beyond a grain": 0.3}[name]
 
 
@@ -212,13 +212,41 @@ def test_no_grain_crosses_a_boundary_unless_kept(z):
     slab = Slab(1e-3, 0.0, 1.0, False)
     d = np.array([0.8, 0.0, 0.6])
     share = {}
-    for fate in ("reject", "keep"):
+    for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e-3, readings={"grain_across_boundary": fate})
-        leg, minor, flattening, q, w, _ = next_grains(scaled(20_000), z, d, snow, slab)
+        # Refused grains are drawn again for ever, unless the ray may reach the boundary.
+        ahead = -z / d[2] if fate == "skip" else 5e3
+        drawn = next_grains(scaled(20_000), z, d, snow, slab, ahead=ahead)
+        leg, minor, flattening, q, w, _ = (values[drawn[0] < ahead] for values in drawn)
         centre = z + leg * d[2] - real_point(q, w, minor, flattening)[:, 2]
         # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.
         major = minor / (1.0 - flattening)
         half = np.sqrt(minor**2 + (major**2 - minor**2) * w[:, 2] ** 2)
         share[fate] = ((centre + half > 1e-15) | (centre - half < -1e-3 - 1e-15)).mean()
-    assert share["reject"] == 0.0
+    assert share["reject"] == share["skip"] == 0.0
     assert share["keep"] > 0.2
+
+
+def test_skipped_grains_thin_the_process_of_grains():
+    """Spheres of radius a whose poles lie a (1 − n_z) above their points of entry.
+
+    With n_z uniform, or its square for projected entry, they fit at depth s < a with probability
+    s/a, or 1 − (1 − s/a)²; the integral of that is the optical thickness of the way down.
+    """
+    a, depth = 2e-4, 1e4
+    p = {}
+    for entry in ("uniform", "projected"):
+        snow = splits.Snow(
+            depth_m=depth, grain_size_um=(400, 400), sphericity=(1.0, 1.0, 1.0, 0.0),
+            density_kg_m3=450, readings={"grain_across_boundary": "skip", "entry": entry},
+        )  # fmt: skip
+        leg = next_grains(COUNT, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
+
+        def law(s, entry=entry, per_metre=1.0 / snow.mean_grain_distance_m):
+            x = np.minimum(s / a, 1.0)
+            within = x**2 / 2.0 if entry == "uniform" else x**2 - x**3 / 3.0
+            beyond = np.maximum(s - a, 0.0)
+            return -np.expm1(-per_metre * (a * within + beyond))
+
+        p[entry] = p_of_values(leg, law)
+    judge_p(p)

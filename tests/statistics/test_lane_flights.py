@@ -30,7 +30,7 @@ def deep_scene(medium, variant):
     grains, rules = medium.grains(), medium.readings.rules()
     scene = rows.Scene(
         single(1.0 / grains.attenuation), single(DEPTH), single(0.0), rules.entry, rules.facets,
-        False, False, False,
+        False, False, False, False, False,
     )  # fmt: skip
     tables = (
         grains.curvature.astype(single),

@@ -70,6 +70,8 @@ def test_features_are_those_of_the_scene(scene):
         ("wrong_side", "mirrored", True),
         ("grain_on_last_leg", "keep", False),
         ("grain_across_boundary", "keep", False),
+        ("grain_on_last_leg", "skip", True),
+        ("grain_across_boundary", "skip", True),
     ],
 )
 def test_readings_other_than_the_default_are_variants(reading, value, variant):

@@ -27,6 +27,7 @@ TABLE_EXPERIMENTS = [
     "fig14_density",
     "fig24b_aviris",
     "letcher2022",
+    "readings_table3",
 ]
 # Experiments whose numbers the SPLITS tables are made of.
 SAND_EXPERIMENTS = [
@@ -54,6 +55,7 @@ ANGULAR_EXPERIMENTS = [
     "fig18_wavelength",
     "fig19_incidence",
     "fig20_grain_size",
+    "fig20_struck_uniform",
     "fig21_grain_size",
     "fig22_facetness",
     "sand_fig11_brdf",

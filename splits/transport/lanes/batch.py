@@ -69,6 +69,7 @@ from splits.transport.lanes.rows import (
     N_WET,
     ORDER,
     PORE_PATH,
+    SKIP_LEG,
     STATE,
     STATUS,
     STRIDE,
@@ -85,7 +86,7 @@ from splits.transport.lanes.rows import (
 )  # fmt: skip
 from splits.transport.lanes.surface import surface
 from splits.transport.rng import start_stream
-from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.scene import DRY_PORE, KEPT, SKIPPED, WET_PORE
 from splits.transport.tally import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
@@ -135,7 +136,9 @@ def launch(state, words, lane, seed, work, item, number, slab, rules, optics, co
     if wet and rules.boundary_fresnel:
         n1, n2 = optics.n[item, DRY_PORE], optics.n[item, WET_PORE]
         passed, dx, dy, dz = boundary(words, lane, dx, dy, dz, n1, n2, optics.k[item, WET_PORE])
-    for row in (X, Y, Z, GX, GY, GZ, LX, LY, PORE_PATH, COAT_PATH, CORE_PATH, DEPTH, TRIES, KEEP):
+    for row in (
+        X, Y, Z, GX, GY, GZ, LX, LY, PORE_PATH, COAT_PATH, CORE_PATH, DEPTH, TRIES, KEEP, SKIP_LEG,
+    ):  # fmt: skip
         state[row + lane] = ZERO
     state[LZ + lane] = -ONE
     state[LAST + lane] = -ONE
@@ -314,8 +317,10 @@ def batch(seed, work, grains, slab, rules, optics, exits, features):
         rules.entry,
         rules.facets,
         rules.wrong_side != 0,
-        rules.reject_on_last_leg,
-        rules.reject_across_boundary,
+        rules.on_last_leg != KEPT,
+        rules.across_boundary != KEPT,
+        rules.on_last_leg == SKIPPED,
+        rules.across_boundary == SKIPPED,
     )
     tables = (
         grains.curvature.astype(np.float32),

@@ -11,7 +11,7 @@ from splits.transport import facets, spheroid
 from splits.transport.fresnel import interface
 from splits.transport.jit import entry
 from splits.transport.lanes.rows import Features
-from splits.transport.scene import DRY_PORE, LOBE, WET_PORE, Grains, Optics, Rules, Slab
+from splits.transport.scene import DRY_PORE, LOBE, SKIPPED, WET_PORE, Grains, Optics, Rules, Slab
 
 FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
@@ -72,7 +72,7 @@ def features_for(
         spheroid.UNIFORM,
         facets.PROJECTED,
         LOBE,
-    )
+    ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
     return Features(
         wet=_feature(slab.saturation > 0.0),
         faceted=_feature(bool((grains.facetness > 0.0).any())),

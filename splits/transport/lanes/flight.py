@@ -57,6 +57,7 @@ from splits.transport.lanes.rows import (
     QZ,
     SIDE,
     SIGMA,
+    SKIP_LEG,
     STATUS,
     STRIDE,
     TRIAL,
@@ -197,6 +198,9 @@ def flights(state, words, first, features, scene):
         lx, ly, lz, last = state[LX + i], state[LY + i], state[LZ + i], state[LAST + i]
         z = state[Z + i]
         leg = -logarithm(u_leg) * scene.mean_leg
+        if features.variant is not None:
+            skipped = state[SKIP_LEG + i]
+            leg += skipped
         # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
         height = fused(leg, dz, min(max(z + gz, -scene.depth), ZERO))
         outside = (height > ZERO) | (height < -scene.depth)
@@ -215,20 +219,21 @@ def flights(state, words, first, features, scene):
         qx, qy, qz, wx, wy, wz, _, _, _ = entry_point(
             dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
-        refused = scene.reject_across_boundary & crosses(
+        across = scene.refuse_across_boundary & crosses(
             height, qz, wz, axial, minor, major, scene.depth
         )
-        refused = refused | (
-            scene.reject_on_last_leg
-            & cuts_segment(
-                qx, qy, qz, wx, wy, wz, minor, flattening,
-                fused(-leg, dx, -gx), fused(-leg, dy, -gy), fused(-leg, dz, -gz), lx, ly, lz, last,
-            )
+        backwards = scene.refuse_on_last_leg & cuts_segment(
+            qx, qy, qz, wx, wy, wz, minor, flattening,
+            fused(-leg, dx, -gx), fused(-leg, dy, -gy), fused(-leg, dz, -gz), lx, ly, lz, last,
         )  # fmt: skip
         # The trial of the axial position comes before all else that a draw can lead to, so that
         # its failures leave no trace in distances, shapes and types.
         going = active & placed & (not absorbed)
-        fits = going & (not outside) & (not refused)
+        fits = going & (not outside) & (not across) & (not backwards)
+        if features.variant is not None:
+            skips = scene.skip_across_boundary if across else scene.skip_on_last_leg & backwards
+            skipped = leg if going & skips else skipped
+            state[SKIP_LEG + i] = ZERO if fits | (going & outside) else skipped
         state[KEEP + i] = ONE if active & (not placed) else ZERO
         tries = state[TRIES + i]
         tries = tries + ONE if active & (not fits) else ZERO

@@ -35,8 +35,9 @@ STRIDE = 2 * VECTOR
     DEPTH, LIMIT, WEIGHT,
     # Lengths (m) in wet pores, in coating and in core since they were last put down.
     PORE_PATH, COAT_PATH, CORE_PATH,
-    # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept.
-    NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP,
+    # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept;
+    # distance to the last grain left out.
+    NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP, SKIP_LEG,
     # What decides these: positions in their tables, and the number read at the second; a number for
     # the type, and its choice.
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
@@ -49,8 +50,8 @@ STRIDE = 2 * VECTOR
     M_IN_DRY, M_IN_WET, M_OUT_DRY, M_OUT_WET,
     C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
     K_IN_DRY, K_IN_WET, K_OUT_WET,
-) = (LANES * row for row in range(67))  # fmt: skip
-STATE = 67 * LANES
+) = (LANES * row for row in range(68))  # fmt: skip
+STATE = 68 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
 """Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far;
@@ -78,7 +79,8 @@ class Features(NamedTuple):
     mixed : True or None
         Several types, or coatings; includes `absorbing`.
     variant : True or None
-        Readings of the papers other than the default in entry point, facets or wrong side.
+        Readings of the papers other than the default in entry point, facets or wrong side, or
+        grains that are skipped.
     positions : True or None
         Horizontal positions are tracked.
     orders : True or None
@@ -109,5 +111,7 @@ class Scene(NamedTuple):
     entry: np.int32
     facets: np.int32
     mirrored: np.bool_
-    reject_on_last_leg: np.bool_
-    reject_across_boundary: np.bool_
+    refuse_on_last_leg: np.bool_
+    refuse_across_boundary: np.bool_
+    skip_on_last_leg: np.bool_
+    skip_across_boundary: np.bool_

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
-from splits.figures.directions import NAMES, collectors, lobes, principal_planes
+from splits.figures.directions import NAMES, collectors, principal_planes
 from splits.figures.fits import fits
+from splits.figures.lobes import lobes
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
 from splits.figures.polarization import polarization
@@ -64,14 +65,13 @@ def draw(
     if section["kind"] == "refractive_index":
         return refractive_indices(dataset)
     if section["kind"] == "points":
-        return points(dataset, section["quantity"][0], section["at"], section["legend"])
+        return points(dataset, section["quantity"], section["at"], section["legend"])
     if section["kind"] == "fit":
         return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":
         return swatches(at_points(dataset, section["at"]))
     if section["kind"] == "principal_plane":
-        quantity = section["quantity"][0]
-        quantity = quantity if quantity in NAMES else "brdf"
+        quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]
         return principal_planes(
             dataset, quantity, section["at"], section["legend"], section["ylim"]
         )

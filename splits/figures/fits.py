@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-
 import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, parameter_label, style, value_label
+from splits.figures.lines import Lines
+from splits.figures.style import BAND, style, value_label
 
 
 def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
@@ -22,7 +21,7 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
         Title of the legend; the grid's parameters by default.
     """
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
-    combinations = list(itertools.product(*(dataset[d].values for d in dims)))
+    lines = Lines(dataset, dims)
     samples = dataset.sample.values
     highest = max(
         float(dataset.measured.max()),
@@ -37,24 +36,23 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
             top, bottom = panels[:, column]
             part = dataset.sel(sample=sample)
             x = part.wavelength.values
-            for labels, colour in zip(
-                combinations, colours(len(combinations), dims[0] if dims else None), strict=True
-            ):
-                one = part.sel(dict(zip(dims, labels, strict=True)))
+            for line in lines.all:
+                one = part.sel(line.labels)
                 y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
-                name = " · ".join(map(value_label, labels)) or "model"
-                text = f"{name}: {float(one.rmse):.4f}"
-                top.plot(x, y, color=colour, lw=1.4, label=text)
-                top.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
+                text = f"{line.text or 'model'}: {float(one.rmse):.4f}"
+                top.plot(x, y, label=text, **line.look())
+                top.fill_between(x, y - error, y + error, color=line.colour, alpha=0.25, lw=0)
                 off = y - one.measured.values
-                bottom.plot(x, off, color=colour, lw=1.4)
-                bottom.fill_between(x, off - error, off + error, color=colour, alpha=0.25, lw=0)
+                bottom.plot(x, off, **line.look())
+                bottom.fill_between(
+                    x, off - error, off + error, color=line.colour, alpha=0.25, lw=0
+                )
             measured = part.measured.isel(dict.fromkeys(dims, 0)).values
             top.plot(x, measured, "ks", ms=3.5, label="measured")
             bottom.axhline(0.0, color="black", lw=0.8)
-            top.set_title(value_label(sample))
+            top.set_title(value_label(sample, "sample"))
             top.set_ylim(0.0, 1.12 * highest)
-            title = legend or " · ".join(map(parameter_label, dims)) or "model"
+            title = legend or lines.title() or "model"
             top.legend(title=f"{title}: misfit", frameon=False, fontsize=8, title_fontsize=8)
             bottom.set_xlabel("wavelength (nm)")
             for axes in (top, bottom):

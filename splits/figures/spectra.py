@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.style import BAND, colours, parameter_label, style, value_label
+from splits.figures.lines import Lines
+from splits.figures.style import BAND, style
 
-STYLES = ("-", "--", ":", "-.")
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
     "water": "#c8553d",
@@ -64,59 +63,43 @@ def spectra(
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
+    lines = Lines(dataset, dims)
     with style():
-        lines = math.prod(dataset.sizes[d] for d in dims)
-        width = 6.4 if lines <= 6 else 8.8
         figure, panels = plt.subplots(
-            len(quantity), 1, figsize=(width, 3.9 * len(quantity)), squeeze=False, sharex=True
-        )
+            len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True,
+            layout="constrained",
+        )  # fmt: skip
+        shown = []
         for axes, name in zip(panels[:, 0], quantity, strict=True):
-            _lines(axes, dataset, name, dims)
+            _lines(axes, dataset, name, lines)
             if measured is not None and name in measured:
-                _measured(axes, measured, name)
+                shown = [_measured(axes, measured, name)]
             axes.set_ylabel(_label(dataset[name]))
             axes.set_ylim(ylim or (0.0, None))
             axes.margins(x=0.01)
             axes.spines[["top", "right"]].set_visible(False)
-            entries = len(axes.get_legend_handles_labels()[0])
-            if entries and axes is panels[0, 0]:
-                # A long legend stands beside the curves, not on them.
-                place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if entries > 6 else {}
-                axes.legend(
-                    title=legend or " · ".join(map(parameter_label, dims)) or None,
-                    frameon=False,
-                    **place,
-                )
         panels[-1, 0].set_xlabel("wavelength (nm)")
-        figure.tight_layout()
+        lines.legend(figure, list(panels[:, 0]), legend, extra=shown)
     return figure
 
 
-def _lines(axes: Axes, dataset: xr.Dataset, name: str, dims: list[str]) -> None:
-    combinations = list(itertools.product(*(dataset[d].values for d in dims)))
-    # Colour tells the first parameter, the line's style all others.
-    shades = colours(dataset.sizes[dims[0]], dims[0]) if dims else colours(1)
-    for number, labels in enumerate(combinations):
-        row, other = divmod(number, len(combinations) // len(shades))
-        colour = shades[row]
-        part = dataset.sel(dict(zip(dims, labels, strict=True)))
+def _lines(axes: Axes, dataset: xr.Dataset, name: str, lines: Lines) -> None:
+    for line in lines.all:
+        part = dataset.sel(line.labels)
         x, y = part.wavelength.values, part[name].values
         error = BAND * part[f"{name}_stderr"].values
-        text = " · ".join(map(value_label, labels)) or ("model" if not dims else None)
-        # The first is what the others are compared with: it lies on top of them.
-        axes.plot(
-            x, y, color=colour, ls=STYLES[other % len(STYLES)], lw=1.4, label=text,
-            zorder=2.0 + 1.0 / (1 + number),
-        )  # fmt: skip
-        axes.fill_between(x, np.maximum(y - error, 0.0), y + error, color=colour, alpha=0.25, lw=0)
+        axes.plot(x, y, label=line.text or "model", **line.look())
+        axes.fill_between(
+            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0
+        )
 
 
-def _measured(axes: Axes, table: pd.DataFrame, name: str) -> None:
+def _measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
     y = table[name]
     span = None
     if f"{name}_min" in table:
         span = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
-    axes.errorbar(
+    return axes.errorbar(  # type: ignore[return-value]
         table["wavelength_nm"], y, span, fmt="s", color="black", ms=4, capsize=3, label="measured"
     )
 

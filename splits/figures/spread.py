@@ -11,6 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.lines import FEW, beside
 from splits.figures.style import BAND, colours, style
 
 FAINTEST = 0.25
@@ -51,7 +52,11 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
         left.set(xscale="log", yscale="log", xlabel="distance from the entry (mm)")
         left.set_ylabel("light leaving per area (m⁻²)")
         left.spines[["top", "right"]].set_visible(False)
-        left.legend(frameon=False)
+        handles, _ = left.get_legend_handles_labels()
+        if len(handles) > FEW:
+            beside(figure, handles, None)
+        else:
+            left.legend(frameon=False)
         first = dataset.isel(wavelength=0).sel(side="reflected")
         values = first.profile_map.transpose("y", "x").values
         lit = values[values > 0.0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,11 +17,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 Colour = tuple[float, float, float] | str
+Dash = str | tuple[int, tuple[int, ...]]
 
 BAND = 2.0
 """Error bands and bars reach this many standard errors to either side."""
 
 LABELS = {
+    "wavelength": "wavelength (nm)",
     "grain_size_um": "grain size (µm)",
     "facetness": "mean facetness",
     "sphericity": "mean sphericity",
@@ -33,15 +36,74 @@ LABELS = {
     "iron_oxide": "hematite and goethite by mass",
     "hematite_ratio": "hematite / iron oxide",
     "magnetite": "magnetite by mass",
-    "texture": "texture",
-    "refractive_index": "refractive index",
+    "partition": "pure / mixed / coated",
+    "roundness": "roundness (mean, sd)",
     "size_tail": "tail by mass",
+    "readings": "reading",
 }
+"""How figures name parameters whose own names would not do."""
+
+WORDS = {
+    "bottom_albedo": {"None": "no bottom"},
+    "surface": {"None": "smooth"},
+    "polarized": {"0": "no", "1": "yes"},
+    "opaque": {"0": "no", "1": "yes"},
+    "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},
+}
+"""Values of parameters that are not numbers to a reader."""
+PLAIN = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
+BETWEEN = {"texture": " / ", "partition": " / ", "roundness": ", "}
+"""What stands between the numbers of a value, where they are not the ends of a range."""
+NOMINAL = ("medium", "refractive_index", "readings", "sample", "phase_function", "polarized")
+"""Parameters whose values have no order."""
+_NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def parameter_label(parameter: str) -> str:
     """Return how a figure names a parameter of the grid."""
     return LABELS.get(parameter, parameter.replace("_", " "))
+
+
+def value_label(value: object, parameter: str | None = None) -> str:
+    """Return how a figure names a value of the grid.
+
+    Parameters
+    ----------
+    value : number or str
+        Ranges and other tuples as labels of a grid have them: "300-750".
+    parameter : str, optional
+        Whose value it is.
+
+    Returns
+    -------
+    str
+        A word or a number as print has it: 10⁻⁵ and not 1e-05.
+    """
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    text = f"{value:g}" if number else str(value)
+    word = WORDS.get(parameter or "", {}).get(text) or PLAIN.get(text)
+    if word:
+        return word
+    if re.fullmatch(f"-?{_NUMBER}(-{_NUMBER})*", text):
+        between = BETWEEN.get(parameter or "", "–")
+        sign = "−" if text.startswith("-") else ""
+        return sign + between.join(map(_printed, re.findall(_NUMBER, text)))
+    if whole := re.fullmatch(f"({_NUMBER})([+-])({_NUMBER})j", text):
+        real, sign, imaginary = whole.groups()
+        return f"{_printed(real)} {sign.replace('-', '−')} {_printed(imaginary)}i"
+    return text.replace("_", " ")
+
+
+def _printed(number: str) -> str:
+    """Return a number without an e for its power of ten."""
+    if 0.0 < float(number) < 1e-3 and "e" not in number:
+        number = f"{float(number):e}"
+    mantissa, _, power = number.partition("e")
+    if not power:
+        return number
+    tens = "10" + str(int(power)).translate(_SUPERSCRIPT)
+    return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
 
 
 SUFFIXES = (".png", ".svg")
@@ -54,25 +116,15 @@ def style() -> Iterator[None]:
         yield
 
 
-def value_label(value: object) -> str:
-    """Return how a figure names a value of the grid."""
-    if isinstance(value, (int, float, np.number)):
-        return f"{value:g}"
-    return str(value).replace("_", " ")
-
-
-NOMINAL = ("medium", "refractive_index", "readings", "sample")
-"""Parameters whose values have no order."""
-
-
-def colours(count: int, parameter: str | None = None) -> list[tuple[float, float, float]]:
-    """Return colours that can be told apart; a scale of them for few values that have an order."""
-    if parameter not in NOMINAL and count <= 6:
-        shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 1.0, count + 3)[1:-2])
+def colours(count: int, parameter: str | None = None) -> list[Colour]:
+    """Return colours that can be told apart: a scale of them for values that have an order."""
+    if parameter not in NOMINAL:
+        places = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
+        shades = matplotlib.colormaps["viridis"](places)
         return [(r, g, b) for r, g, b, _ in shades.tolist()]
     import seaborn  # takes as long to import as all the rest
 
-    return list(seaborn.color_palette("colorblind" if count <= 10 else "husl", count))
+    return list(seaborn.color_palette("colorblind", count))
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:

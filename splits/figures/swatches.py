@@ -40,12 +40,12 @@ def swatches(dataset: xr.Dataset) -> Figure:
             for j in range(rows):
                 code = table["srgb"].iloc[i * rows + j]
                 ink = "black" if light[i, j] > 50.0 else "white"
-                axes.text(i, j, f"{code}\nL* {light[i, j]:.1f}", color=ink, fontsize=7,
+                axes.text(i, j, f"{code}\nL* {light[i, j]:.1f}", color=ink, fontsize=8,
                           ha="center", va="center")  # fmt: skip
-        names = [value_label(v) for v in dataset[dims[0]].values]
+        names = [value_label(v, dims[0]) for v in dataset[dims[0]].values]
         axes.set_xticks(range(columns), names, rotation=15 if columns > 3 else 0)
         if len(dims) == 2:
-            axes.set_yticks(range(rows), [value_label(v) for v in dataset[dims[1]].values])
+            axes.set_yticks(range(rows), [value_label(v, dims[1]) for v in dataset[dims[1]].values])
             axes.set_ylabel(parameter_label(dims[1]))
         else:
             axes.set_yticks([])

@@ -1,0 +1,156 @@
+"""Figures of directions: halves, beams, gaps, nothing to see, surfaces."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.figures import collectors, lobes, polarization, principal_planes
+
+POLAR = np.arange(0.0, 90.0, 5.0)
+AZIMUTH = np.arange(0.0, 360.0, 30.0)
+
+
+@pytest.fixture(autouse=True)
+def _closed():
+    yield
+    plt.close("all")
+
+
+def dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH):
+    """Return BRDFs that lean forward, and BTDFs of half their size."""
+    coords = {
+        **{k: np.array(v) for k, v in (grid or {}).items()},
+        "wavelength": np.array(wavelength), "polar": polar, "azimuth": azimuth,
+    }  # fmt: skip
+    shape = tuple(len(v) for v in coords.values())
+    forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
+    values = np.broadcast_to(0.3 + 0.1 * forward, shape)
+    names = {"brdf": 1.0, "btdf": 0.5, "brdf_q": -0.2}
+    variables = {}
+    for name, factor in names.items():
+        variables[name] = (tuple(coords), factor * values)
+        variables[f"{name}_stderr"] = (tuple(coords), np.full(shape, 1e-3))
+    attributes = {"incidence_deg": 40.0, "estimator": estimator}
+    return xr.Dataset(variables, coords, attributes)
+
+
+def curves(axes, labels):
+    return [one for one in axes.lines if one.get_label() in labels]
+
+
+def test_beams_are_explained():
+    figure = principal_planes(dataset())
+    polar = figure.axes[0]
+    beam = polar.lines[-1]
+    np.testing.assert_allclose(beam.get_xdata(), np.radians(-40.0))
+    (text,) = polar.get_legend().get_texts()
+    assert text.get_text() == "towards the source"
+    assert "BRDF (sr⁻¹)" in [t.get_text() for t in polar.texts]
+
+
+def test_several_beams_have_the_colours_of_their_lines():
+    made = dataset({"incidence_deg": [0.0, 30.0, 60.0]})
+    polar, flat = principal_planes(made).axes
+    *_, one, two, three = polar.lines
+    assert np.degrees(two.get_xdata()[0]) == pytest.approx(-30.0)
+    assert [b.get_color() for b in (one, two, three)] == [c.get_color() for c in flat.lines]
+
+
+def test_transmitted_light_goes_down():
+    up, down = principal_planes(dataset(), ["brdf", "btdf"]).axes[::2]
+    for polar, sign in ((up, 1.0), (down, -1.0)):
+        angle, radius = polar.lines[0].get_data()
+        # Angles count from the top of the plot, clockwise.
+        assert (sign * np.cos(angle) >= 0.0).all()
+        # Forward is to the right in both halves.
+        right = np.sin(angle) > 0.5
+        assert radius[right].mean() > radius[np.sin(angle) < -0.5].mean()
+        ends = (-90.0, 90.0) if sign > 0.0 else (90.0, 270.0)
+        assert (polar.get_thetamin(), polar.get_thetamax()) == pytest.approx(ends)
+    (text,) = down.get_legend().get_texts()
+    assert text.get_text() == "straight on"
+    np.testing.assert_allclose(down.lines[-1].get_xdata(), np.radians(180.0 - 40.0))
+
+
+def test_every_quantity_asked_for_has_its_panels():
+    figure = principal_planes(dataset(), ["brdf", "btdf"])
+    assert [axes.get_ylabel() for axes in figure.axes[1::2]] == ["BRDF (sr⁻¹)", "BTDF (sr⁻¹)"]
+    brdf, btdf = (axes.lines[0].get_ydata() for axes in figure.axes[1::2])
+    np.testing.assert_allclose(btdf, 0.5 * brdf)
+
+
+def test_where_nothing_is_transmitted_the_panels_say_so():
+    made = dataset()
+    made["btdf"] = 0.0 * made.btdf
+    for axes in principal_planes(made, ["btdf"]).axes:
+        assert "nothing is transmitted" in [text.get_text() for text in axes.texts]
+    for axes in principal_planes(made).axes:
+        assert not any("nothing" in text.get_text() for text in axes.texts)
+
+
+CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
+
+
+def test_lines_of_cells_do_not_cross_the_zenith():
+    made = dataset(polar=CELLS, estimator="cells")
+    for figure in (principal_planes(made), polarization(made)):
+        for axes in figure.axes:
+            angle, value = axes.lines[0].get_data()
+            gap = np.flatnonzero(np.isnan(value))
+            assert gap.size == 1 and angle[gap[0]] == 0.0
+    for estimator in ("expansion", "local"):
+        line = principal_planes(dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
+        assert np.isfinite(line.get_ydata()).all()
+
+
+def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
+    fine = dataset(polar=CELLS, estimator="cells", azimuth=np.arange(0.0, 360.0, 10.0))
+    (axes,) = collectors(fine).axes
+    assert len(axes.lines) == 3
+    for line in axes.lines:
+        angle, value = line.get_data()
+        assert np.isnan(value[angle == 0.0]).all() and np.isfinite(value[angle != 0.0]).all()
+    order = [line.get_zorder() for line in axes.lines]
+    assert order == sorted(order, reverse=True), "large cells come first and lie on top"
+
+
+def test_a_cell_at_the_zenith_leaves_no_gap():
+    line = principal_planes(dataset(estimator="cells")).axes[1].lines[0]
+    assert np.isfinite(line.get_ydata()).all()
+
+
+def test_titles_of_lobes_do_not_overlap():
+    grid = {"grain_size_um": ["100-200", "800-1200"], "iron_oxide": [0.01, 0.02, 0.03]}
+    figure = lobes(dataset(grid, wavelength=(600.0, 1300.0)))
+    figure.draw_without_rendering()
+    titles = [axes.title for axes in figure.axes if axes.get_title()]
+    assert len(titles) == 12
+    assert titles[0].get_text().splitlines() == [
+        "grain size (µm): 100–200", "hematite and goethite by mass: 0.01", "wavelength (nm): 600",
+    ]  # fmt: skip
+    boxes = [title.get_window_extent() for title in titles]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.x1 for box in boxes)
+
+
+def test_degrees_of_polarization_are_left_out_in_the_dark():
+    made = dataset()
+    made["brdf"] = made.brdf.where(made.polar < 60.0, 0.0)
+    right = polarization(made).axes[1]
+    angle, degree = right.lines[0].get_data()
+    np.testing.assert_allclose(degree[np.abs(angle) < 60.0], 0.2)
+    assert np.isnan(degree[np.abs(angle) >= 60.0]).all()
+
+
+def test_many_directions_leave_their_panels_free():
+    grid = {"incidence_deg": np.arange(0.0, 90.0, 10.0), "density_kg_m3": [200.0, 400.0]}
+    figure = principal_planes(dataset(grid))
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 1 + 9 + 1 + 2
+    box = legend.get_window_extent()
+    assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
+    assert box.x1 <= figure.bbox.x1 + 1.0 and box.y0 >= 0.0

@@ -1,0 +1,210 @@
+"""Labels, colours and dashes of figures, and legends that cover nothing."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from splits.figures import draw, points, spectra
+from splits.figures.lines import DASHES, Lines
+from splits.figures.style import colours, value_label
+
+X = np.linspace(400.0, 1000.0, 13)
+
+
+@pytest.fixture(autouse=True)
+def _closed():
+    yield
+    plt.close("all")
+
+
+def dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):
+    """Return constant spectra over a grid, 0.01 apart."""
+    coords = {**{k: np.array(v) for k, v in grid.items()}, "wavelength": np.array(wavelength)}
+    shape = tuple(len(v) for v in coords.values())
+    count = int(np.prod(shape[:-1], dtype=int))
+    base = value + 0.01 * np.arange(count).reshape(*shape[:-1], 1)
+    variables = {}
+    for name in quantities:
+        variables[name] = (tuple(coords), np.broadcast_to(base, shape), {"long_name": f"a {name}"})
+        variables[f"{name}_stderr"] = (tuple(coords), np.full(shape, 1e-3))
+    return xr.Dataset(variables, coords)
+
+
+def lines(grid, **options):
+    return Lines(dataset(grid), list(grid), **options)
+
+
+def entries(legend):
+    return [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("value", "parameter", "text"),
+    [
+        ("None", "bottom_albedo", "no bottom"),
+        ("None", "surface", "smooth"),
+        (None, "other", "none"),
+        ("0", "polarized", "no"),
+        ("1", "opaque", "yes"),
+        (True, None, "yes"),
+        ("False", None, "no"),
+        (1e-5, None, "10⁻⁵"),
+        ("1e-05", "bottom_albedo", "10⁻⁵"),
+        (2.5e-7, None, "2.5 × 10⁻⁷"),
+        (1e-4, "size_tail", "10⁻⁴"),
+        (0.002, "depth_m", "0.002"),
+        (2e6, None, "2 × 10⁶"),
+        (float("inf"), "optical_thickness", "∞"),
+        (-5.0, "temperature_c", "−5"),
+        ("300-750", "grain_size_um", "300–750"),
+        ("0-0.15-0.85", "texture", "0 / 0.15 / 0.85"),
+        ("0.5-0.1", "roundness", "0.5, 0.1"),
+        ("1.31+1e-7j", "refractive_index", "1.31 + 10⁻⁷i"),
+        ("henyey_greenstein", "phase_function", "Henyey–Greenstein"),
+        ("keep_on_last_leg", "readings", "keep on last leg"),
+        ("10019201", "medium", "10019201"),
+    ],
+)
+def test_values_are_named_as_print_has_them(value, parameter, text):
+    assert value_label(value, parameter) == text
+
+
+@pytest.mark.parametrize(
+    "sizes", [(), (1,), (5,), (1, 5), (2, 4), (2, 9), (9, 3), (3, 3, 3), (12,), (14, 2)]
+)
+def test_no_two_lines_look_the_same(sizes):
+    grid = {f"p{i}": np.arange(float(n)) for i, n in enumerate(sizes)}
+    for dashed in (False, True):
+        looks = [(one.colour, one.dash) for one in lines(grid, dashed=dashed).all]
+        assert len(set(looks)) == len(looks) == np.prod(sizes, dtype=int)
+
+
+def test_many_names_without_order_have_safe_colours_and_dashes():
+    made = lines({"readings": [f"r{i}" for i in range(13)]}).all
+    assert len({(one.colour, one.dash) for one in made}) == 13
+    assert {one.colour for one in made} == set(colours(10, "readings"))
+    assert {one.dash for one in made} == set(DASHES[:2])
+
+
+def test_colours_of_ordered_values_get_lighter():
+    for count in (2, 5, 12):
+        light = [0.2126 * r + 0.7152 * g + 0.0722 * b for r, g, b in colours(count)]
+        assert (np.diff(light) > 0.0).all()
+        assert light[-1] < 0.75, "the lightest is still seen on white"
+
+
+def test_the_default_is_black_and_on_top():
+    made = lines({"readings": ["a", "default", "b"]}).all
+    default, others = made[1], (made[0], made[2])
+    assert default.colour == "black" and default.default
+    assert all(one.zorder < default.zorder and one.colour != "black" for one in others)
+    assert all(one.look()["lw"] < default.look()["lw"] for one in others)
+    assert [one.colour for one in others] == colours(2, "readings")
+
+
+def test_few_lines_have_their_legend_on_free_axes():
+    figure = spectra(dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
+    (axes,) = figure.axes
+    assert not figure.legends
+    assert entries(axes.get_legend()) == ["no bottom", "10⁻⁵", "0.5"]
+    assert axes.get_legend().get_title().get_text() == "bottom albedo"
+
+
+def test_a_legend_that_would_cover_lines_stands_beside():
+    zigzag = dataset({"saturation": [0.0, 0.5, 1.0]})
+    zigzag["reflectance"] = xr.where(np.arange(X.size) % 2 == 0, 1.0, 0.01) + 0.0 * (
+        zigzag.reflectance
+    )
+    figure = spectra(zigzag)
+    assert figure.axes[0].get_legend() is None
+    (legend,) = figure.legends
+    assert entries(legend) == ["0", "0.5", "1"]
+
+
+def whole(figure):
+    """Return whether legends are within the figure and not on its axes."""
+    figure.draw_without_rendering()
+    boxes = [legend.get_window_extent() for legend in figure.legends]
+    inside = all(
+        box.x0 >= -1.0 and box.y0 >= -1.0 and box.x1 <= figure.bbox.x1 + 1.0
+        and box.y1 <= figure.bbox.y1 + 1.0
+        for box in boxes
+    )  # fmt: skip
+    panels = [axes.get_window_extent() for axes in figure.axes]
+    return inside and not any(box.overlaps(panel) for box in boxes for panel in panels)
+
+
+def test_many_lines_of_two_parameters_name_each_value_once():
+    figure = spectra(dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]}))
+    (legend,) = figure.legends
+    names = [str(i) for i in range(9)]
+    assert entries(legend) == ["density (kg m⁻³)", *names, "depth (m)", "0.1", "0.2", "0.3"]
+    assert whole(figure)
+    assert figure.axes[0].get_window_extent().height > 0.6 * figure.bbox.height
+
+
+def test_very_many_values_have_a_colour_bar():
+    grid = {"grain_size_um": [f"{i}00-{i + 1}00" for i in range(1, 25)], "depth_m": [0.1, 0.2]}
+    figure = spectra(dataset(grid))
+    axes, bar = figure.axes
+    assert bar.get_ylabel() == "grain size (µm)"
+    ticks = [text.get_text() for text in bar.get_yticklabels()]
+    assert 5 <= len(ticks) <= 10 and ticks[0] == "100–200"
+    assert len(axes.lines) == 48
+    assert entries(figure.legends[0]) == ["depth (m)", "0.1", "0.2"]
+    assert whole(figure)
+
+
+def test_forty_readings_fit_beside():
+    figure = spectra(dataset({"readings": [f"reading number {i}" for i in range(40)]}))
+    assert len(entries(figure.legends[0])) == 40
+    assert whole(figure)
+
+
+def test_measured_values_are_in_the_legend():
+    table = pd.DataFrame({"wavelength_nm": [500.0], "reflectance": [0.5]})
+    figure = spectra(dataset({}, value=0.2), measured=table)
+    assert entries(figure.axes[0].get_legend()) == ["model", "measured"]
+
+
+SECTION = {"kind": "points", "at": {}, "legend": None}
+
+
+def test_points_draw_every_quantity():
+    made = dataset(
+        {"density_kg_m3": [100.0, 200.0]}, [500.0, 600.0, 700.0],
+        quantities=("reflectance", "transmittance"),
+    )  # fmt: skip
+    made["transmittance"] = 0.1 * made.transmittance
+    figure = draw(made, {**SECTION, "quantity": ["reflectance", "transmittance"]})
+    assert [axes.get_xlabel() for axes in figure.axes] == ["a reflectance", "a transmittance"]
+    for axes, name in zip(figure.axes, ("reflectance", "transmittance"), strict=True):
+        drawn = [one.lines[0].get_xdata() for one in axes.containers]
+        np.testing.assert_array_equal(drawn, made[name].transpose("wavelength", ...))
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["100", "200"]
+    assert entries(figure.legends[0]) == ["500", "600", "700"]
+    assert whole(figure)
+
+
+def test_points_show_what_is_asked_of_grains_at_one_wavelength():
+    made = dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
+    long_name = {"long_name": "mean distance"}
+    made["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)
+    (axes,) = points(made).axes
+    assert axes.get_xlabel() == "a reflectance"
+    (axes,) = points(made, ["mean_grain_distance"]).axes
+    assert axes.get_xlabel() == "mean distance (mm)"
+    np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0])
+
+
+def test_points_are_read_against_the_default():
+    made = dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
+    (axes,) = points(made).axes
+    through = [one.get_xdata()[0] for one in axes.lines if one.get_linestyle() == "--"]
+    np.testing.assert_allclose(through, made.reflectance.sel(readings="default"))
+    (axes,) = points(dataset({"readings": ["a", "b"]}, [500.0])).axes
+    assert not any(one.get_linestyle() == "--" for one in axes.lines)

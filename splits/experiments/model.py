@@ -145,6 +145,10 @@ class Experiment(Section):
                     "instrument.estimator", instrument.estimator,
                     "local or cells for figure.kind = 'polarization'",
                 )  # fmt: skip
+        if layer and "mean_grain_distance" in self.figure.quantity:
+            raise refuse(
+                "figure.quantity", "mean_grain_distance", "left out: layers have no grains"
+            )
         told = "wavelength_nm" in self.instrument.model_fields_set
         if layer and not told and self.instrument.kind not in (*SURFACES, "refractive_index"):
             raise refuse(

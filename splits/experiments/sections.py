@@ -49,12 +49,17 @@ FIGURES = {
 OF_ONE_POINT = ("spread", "lobes", "cells", "surface", "lens")
 """Kinds of figures that show one point of a grid; of lobes, one parameter may vary."""
 QUANTITIES = {
-    "spectrophotometer": ("reflectance", "transmittance", "absorptance"),
+    "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor"),
 }
 """What figures of an instrument may show."""
+SHOWN = {
+    "lobes": "brdf", "cells": "brdf", "polarization": "brdf", "swatches": "reflectance",
+    "fit": "reflectance",
+}  # fmt: skip
+"""What kinds of figures show that do not let one choose."""
 Quantity = Literal[
-    "reflectance", "transmittance", "absorptance",
+    "reflectance", "transmittance", "absorptance", "mean_grain_distance",
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
 ]  # fmt: skip
 
@@ -178,6 +183,15 @@ class FigureSection(Section):
     @classmethod
     def _one_or_more(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _fitting(self) -> FigureSection:
+        shown = SHOWN.get(self.kind or "")
+        if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
+            raise refuse("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")
+        if "mean_grain_distance" in self.quantity and self.kind != "points":
+            raise refuse("figure.kind", self.kind, "points for mean_grain_distance")
+        return self
 
 
 class FitSection(Section):

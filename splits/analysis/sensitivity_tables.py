@@ -74,7 +74,8 @@ def sensitivity_table(
                     s = pair_sensitivity(ranges, dimension, low, high, quantity)
                     chosen = _same(low, pair["low"]) and _same(high, pair["high"])
                     rows.append(_row(name, quantity, "default", low, high, chosen, s))
-            for reading in readings.readings.values:
+            # The experiment over ranges holds the default readings.
+            for reading in readings.readings.values[readings.readings.values != "default"]:
                 part = at_points(readings, {"readings": str(reading)})
                 low, high = part[dimension].values[[0, -1]]
                 s = pair_sensitivity(part, dimension, low, high, quantity)

@@ -91,8 +91,8 @@ def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
 def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():
     ranges = spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
     readings = xr.concat(
-        [spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 2,
-        dim=pd.Index(["a", "b"], name="readings"),
+        [spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
+        dim=pd.Index(["default", "a", "b"], name="readings"),
     )
     table = sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
     assert len(table) == 2 * (3 + 2)

@@ -25,7 +25,7 @@ def sensitivity_bars(dataset: xr.Dataset) -> Figure:
         for i, quantity in enumerate(dataset.quantity.values):
             part = dataset.sel(quantity=quantity)
             at = x + (i - 0.5) * width
-            colour = colours(2)[i]
+            colour = colours(2, "sample")[i]
             axes.bar(at, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
             axes.errorbar(
                 at, part.msi, BAND * part.msi_stderr, fmt="none", ecolor="black", capsize=3

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.figures import draw, points, spectra
+from splits.figures import draw, points, spectra, spread
 from splits.figures.lines import DASHES, Lines
 from splits.figures.style import colours, value_label
 
@@ -208,3 +208,21 @@ def test_points_are_read_against_the_default():
     np.testing.assert_allclose(through, made.reflectance.sel(readings="default"))
     (axes,) = points(dataset({"readings": ["a", "b"]}, [500.0])).axes
     assert not any(one.get_linestyle() == "--" for one in axes.lines)
+
+
+def test_beams_of_many_wavelengths_have_their_legend_beside():
+    radius, side = np.geomspace(1e-4, 1e-1, 8), ["reflected", "transmitted"]
+    for count in (2, 5):
+        x = 600.0 + 100.0 * np.arange(count)
+        made = xr.Dataset(
+            {
+                "profile": (("wavelength", "side", "radius"), np.ones((count, 2, 8))),
+                "profile_stderr": (("wavelength", "side", "radius"), np.full((count, 2, 8), 0.01)),
+                "profile_map": (("wavelength", "side", "x", "y"), np.ones((count, 2, 3, 3))),
+            },
+            {"wavelength": x, "side": side, "radius": radius, "x": np.arange(3.0),
+             "y": np.arange(3.0)},
+        )  # fmt: skip
+        figure = spread(made)
+        assert len(figure.legends) == (count == 5)
+        assert whole(figure)

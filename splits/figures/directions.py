@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from splits.analysis.directions import merged_cells, principal_plane
 from splits.dataset import at_points
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, Colour, colours, style
+from splits.figures.style import BAND, Colour, colours, style, value_label
 
 STEEPEST_DEG = 82.5
 """Angle from the normal up to which directions are drawn; errors are held up to there."""
@@ -65,7 +65,8 @@ def principal_planes(
             flat = figure.add_subplot(len(quantity), 2, 2 * row + 2)
             flats.append(flat)
             down = name == "btdf"
-            for one in lines.all:
+            dark = not (plane[name] > 0.0).any()
+            for one in () if dark else lines.all:
                 line = part_of(plane, one.labels)
                 angle = line.angle.values
                 value, error = line[name].values, BAND * line[f"{name}_stderr"].values
@@ -76,7 +77,10 @@ def principal_planes(
                 flat.plot(angle, value, label=one.text, **one.look())
                 flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
             half_circle(polar, ylim[1] if ylim else None, down)
-            _beams(polar, plane, lines, down)
+            if dark:
+                _say_dark(plane, name, polar, flat)
+            else:
+                _beams(polar, plane, lines, down)
             # Outside the half circle, where the radii have their numbers.
             polar.text(
                 0.5, 0.86 if down else 0.14, NAMES[name], transform=polar.transAxes, ha="center",
@@ -85,16 +89,20 @@ def principal_planes(
             flat.set(xlabel=VIEWING, ylabel=NAMES[name], ylim=ylim or (0.0, None))
             flat.set_xticks(np.arange(-90, 91, 30))
             flat.spines[["top", "right"]].set_visible(False)
-            if not (plane[name] > 0.0).any():
-                word = "transmitted" if down else "reflected"
-                for axes in (polar, flat):
-                    axes.text(
-                        0.5, 0.5, f"nothing is {word}", transform=axes.transAxes, ha="center",
-                        va="center",
-                    )  # fmt: skip
-                    axes.set_yticks([])
         lines.legend(figure, flats, legend, INSIDE)
     return figure
+
+
+def _say_dark(plane: xr.Dataset, name: str, *panels: Axes) -> None:
+    """Write into panels that no light went their way, and what it is below."""
+    text = "nothing transmitted" if name == "btdf" else "nothing reflected"
+    bound = BAND * float(plane[f"{name}_stderr"].max())
+    if bound > 0.0:
+        text += f":\nbelow {value_label(float(f'{bound:.1g}'))}"
+        text += " sr⁻¹" if "sr⁻¹" in NAMES[name] else ""
+    for axes in panels:
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
+        axes.set_yticks([])
 
 
 def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:

@@ -85,8 +85,14 @@ def test_every_quantity_asked_for_has_its_panels():
 def test_where_nothing_is_transmitted_the_panels_say_so():
     made = dataset()
     made["btdf"] = 0.0 * made.btdf
-    for axes in principal_planes(made, ["btdf"]).axes:
-        assert "nothing is transmitted" in [text.get_text() for text in axes.texts]
+    figure = principal_planes(made, ["btdf"])
+    for axes in figure.axes:
+        said = "nothing transmitted:\nbelow 0.002 sr⁻¹"
+        assert said in [text.get_text() for text in axes.texts]
+        assert not axes.collections, "no band fills the panel"
+    made["btdf_stderr"] = 0.0 * made.btdf
+    flat = principal_planes(made, ["btdf"]).axes[1]
+    assert [text.get_text() for text in flat.texts] == ["nothing transmitted"]
     for axes in principal_planes(made).axes:
         assert not any("nothing" in text.get_text() for text in axes.texts)
 

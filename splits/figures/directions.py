@@ -94,11 +94,11 @@ def principal_planes(
 
 
 def _say_dark(plane: xr.Dataset, name: str, *panels: Axes) -> None:
-    """Write into panels that no light went their way, and what it is below."""
+    """Write into panels that no light went their way, and within what error."""
     text = "nothing transmitted" if name == "btdf" else "nothing reflected"
     bound = BAND * float(plane[f"{name}_stderr"].max())
     if bound > 0.0:
-        text += f":\nbelow {value_label(float(f'{bound:.1g}'))}"
+        text += f"\nwithin {value_label(float(f'{bound:.1g}'))}"
         text += " sr⁻¹" if "sr⁻¹" in NAMES[name] else ""
     for axes in panels:
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")

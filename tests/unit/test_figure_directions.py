@@ -87,7 +87,7 @@ def test_where_nothing_is_transmitted_the_panels_say_so():
     made["btdf"] = 0.0 * made.btdf
     figure = principal_planes(made, ["btdf"])
     for axes in figure.axes:
-        said = "nothing transmitted:\nbelow 0.002 sr⁻¹"
+        said = "nothing transmitted\nwithin 0.002 sr⁻¹"
         assert said in [text.get_text() for text in axes.texts]
         assert not axes.collections, "no band fills the panel"
     made["btdf_stderr"] = 0.0 * made.btdf

@@ -26,14 +26,7 @@ from splits.transport.spheroid import (
     cuts_segment,
     entry_point,
 )
-from splits.transport.tally import (
-    EXIT_DIRECTION,
-    EXIT_LENGTH,
-    EXIT_ORDER,
-    EXIT_POSITION,
-    EXIT_SIDE,
-    EXIT_WEIGHT,
-)
+from splits.transport.tally import EXIT_LENGTH, record
 
 ABSORBED = 0
 REFLECTED = 1
@@ -373,14 +366,6 @@ def batch(seed, work, grains, slab, rules, optics, exits):
             return legs, True
         if fate == ABSORBED:
             continue
-        row = exits[ray]
-        row[EXIT_SIDE] = 0.0 if fate == REFLECTED else 1.0
-        row[EXIT_WEIGHT] = purse[WEIGHT]
-        row[EXIT_ORDER] = order
-        row[EXIT_DIRECTION] = dx
-        row[EXIT_DIRECTION + 1] = dy
-        row[EXIT_DIRECTION + 2] = dz
-        row[EXIT_POSITION] = x
-        row[EXIT_POSITION + 1] = y
-        row[EXIT_LENGTH : EXIT_LENGTH + materials] = length
+        record(exits[ray], fate == REFLECTED, x, y, dx, dy, dz, purse[WEIGHT], order)
+        exits[ray, EXIT_LENGTH : EXIT_LENGTH + materials] = length
     return legs, False

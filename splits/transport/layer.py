@@ -29,14 +29,7 @@ from splits.transport.rough_surface import (
 )
 from splits.transport.rough_surface import LOST as LOST_AT_SURFACE
 from splits.transport.stokes import rotated_to
-from splits.transport.tally import (
-    EXIT_DIRECTION,
-    EXIT_LENGTH,
-    EXIT_ORDER,
-    EXIT_POSITION,
-    EXIT_SIDE,
-    EXIT_WEIGHT,
-)
+from splits.transport.tally import EXIT_LENGTH, record
 
 OPEN = -1.0
 """In place of the bottom's albedo: the layer ends at a smooth face to the outer medium."""
@@ -262,14 +255,7 @@ def batch(seed, work, layer, phase, fields, waves, bounds, polar, exits):
         if fate == ABSORBED:
             continue
         row = exits[ray]
-        row[EXIT_SIDE] = 0.0 if fate == REFLECTED else 1.0
-        row[EXIT_WEIGHT] = weight
-        row[EXIT_ORDER] = order
-        row[EXIT_DIRECTION] = dx
-        row[EXIT_DIRECTION + 1] = dy
-        row[EXIT_DIRECTION + 2] = dz
-        row[EXIT_POSITION] = x
-        row[EXIT_POSITION + 1] = y
+        record(row, fate == REFLECTED, x, y, dx, dy, dz, weight, order)
         row[EXIT_LENGTH] = way
         if polar is not None:
             # Straight up or down, every plane holds the normal.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from splits.transport.elementary import exponential
-from splits.transport.jit import ONE, ZERO, entry
+from splits.transport.jit import ONE, ZERO, entry, kernel
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
@@ -31,6 +31,16 @@ def exit_rows(rays: int, materials: int) -> np.ndarray:
     rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
+
+
+@kernel
+def record(row, reflected, x, y, dx, dy, dz, weight, order):
+    """Write where and how a ray left into its row; path lengths are left to the caller."""
+    row[EXIT_SIDE] = 0.0 if reflected else 1.0
+    row[EXIT_WEIGHT] = weight
+    row[EXIT_ORDER] = order
+    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = dx, dy, dz
+    row[EXIT_POSITION], row[EXIT_POSITION + 1] = x, y
 
 
 @entry

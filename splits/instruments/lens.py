@@ -138,14 +138,6 @@ def lens(
     return xr.Dataset(variables, coordinates, facts)
 
 
-def focus_of(dataset: xr.Dataset) -> float:
-    """Return the depth at which the ring is smallest (m), between screens by a parabola."""
-    size = dataset.contraction.values
-    at = int(np.clip(size.argmin(), 1, size.size - 2))
-    fit = np.polyfit(dataset.screen_depth.values[at - 1 : at + 2], size[at - 1 : at + 2] ** 2, 2)
-    return float(-0.5 * fit[1] / fit[0])
-
-
 def plane_waves(waves: Any) -> np.ndarray:
     """Return given waves as kernels take them, or refuse them; see `lens`."""
     try:

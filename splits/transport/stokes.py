@@ -310,23 +310,6 @@ def reflected_polarized(dx, dy, dz, ex, ey, ez, q, u, v, nx, ny, nz, n1, n2):
 
 
 @kernel
-def refracted_polarized(dx, dy, dz, ex, ey, ez, q, u, v, nx, ny, nz, n1, n2):
-    """Return the share of light that a smooth interface lets through, and what it becomes.
-
-    Parameters and results are those of `reflected_polarized`; where the share is 0, light comes
-    back as it went in, unpolarised.
-    """
-    cos_i, sx, sy, sz, q, u = _incidence(dx, dy, dz, ex, ey, ez, q, u, nx, ny, nz)
-    _, _, _, _, plus, minus, root, ratio, cos_t = fresnel_amplitudes(n1, n2, cos_i)
-    if plus == 0.0:
-        return 0.0, dx, dy, dz, ex, ey, ez, 0.0, 0.0, 0.0
-    dx, dy, dz, ex, ey, ez, qt, ut, vt = _refracted(
-        dx, dy, dz, nx, ny, nz, sx, sy, sz, q, u, v, plus, minus, root, cos_i, ratio, cos_t
-    )
-    return plus + minus * q, dx, dy, dz, ex, ey, ez, qt, ut, vt
-
-
-@kernel
 def reflect_or_refract_polarized(state, dx, dy, dz, ex, ey, ez, q, u, v, nx, ny, nz, n1, n2):
     """Reflect light at a smooth interface with the probability R₊ + R₋ q, or refract it.
 

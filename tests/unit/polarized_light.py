@@ -1,0 +1,41 @@
+"""Polarised light at random and its coherency tensor, for tests of Stokes vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+from chi2 import scaled
+
+GEOMETRIES = scaled(50_000) // 1000 * 4
+IDENTITY = np.eye(3)
+
+
+def random_units(rng, count):
+    x = rng.normal(size=(count, 3))
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def random_light(rng, pure=False):
+    """Return a direction, a reference and q, u, v, of complete or of any polarization."""
+    d, e = random_units(rng, 2)
+    e = np.cross(d, e)
+    degree = 1.0 if pure else rng.random()
+    return d, e / np.linalg.norm(e), degree * random_units(rng, 1)[0]
+
+
+def coherency(q, u, v):
+    """Return the mean of E E* in the frame (e, f) of light of intensity 1."""
+    return 0.5 * np.array([[1 + q, u - 1j * v], [u + 1j * v, 1 - q]])
+
+
+def frame(d, e):
+    return np.stack([e, np.cross(d, e)], axis=1)
+
+
+def stokes_of(c, d, e):
+    """Return I, Q, U, V of a coherency tensor, mean E E* in space."""
+    (ee, ef), (_, ff) = frame(d, e).T @ c @ frame(d, e)
+    return np.array([(ee + ff).real, (ee - ff).real, 2.0 * ef.real, -2.0 * ef.imag])
+
+
+def assert_frame(d, e, within=4e-15):
+    assert abs(d @ d - 1.0) < within and abs(e @ e - 1.0) < within and abs(d @ e) < within

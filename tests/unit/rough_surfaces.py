@@ -1,0 +1,37 @@
+"""Rough surfaces that tests share, and their heights in plain NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splits.media.rough_surface import RoughSurface
+from splits.transport import rough_surface as kernels
+from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
+
+GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
+EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}
+PRINTED = {"rms_height_m": 2.0, "wave_number_per_m": 0.1, "correlation": "exponential_printed"}
+TABLE = {"wave_number_per_m": [0.5, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
+SPECTRUM = {"rms_height_m": 0.3, "correlation": "spectrum", "spectrum": TABLE}
+SURFACES = {
+    "gaussian": GAUSSIAN,
+    "exponential": EXPONENTIAL,
+    "printed": PRINTED,
+    "spectrum": SPECTRUM,
+    "two scales": [PRINTED, GAUSSIAN | {"rms_height_m": 0.05, "wave_number_per_m": 20.0}],
+}
+
+
+def realised(surface, number=0):
+    """Return waves and bounds of a realisation."""
+    waves = RoughSurface.of(surface).realisation(7, number)
+    bounds = np.empty(kernels.BOUNDS_SHAPE)
+    low, high = kernels.set_bounds(waves, bounds)
+    assert -low == high > 0.0
+    return waves, bounds
+
+
+def summed(waves, x, y):
+    """Return the heights that a sum in plain NumPy has."""
+    turns = np.multiply.outer(waves[KX], x) + np.multiply.outer(waves[KY], y)
+    return np.tensordot(waves[AMPLITUDE], np.cos(2.0 * np.pi * (turns.T - waves[PHASE]).T), axes=1)

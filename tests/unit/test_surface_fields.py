@@ -1,0 +1,157 @@
+"""Rough surfaces as users say them: refusals, correlations and slopes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from rough_surfaces import GAUSSIAN, PRINTED, SPECTRUM, TABLE
+from scipy import integrate, special
+
+from splits.media.rough_surface import LAWS, RoughSurface, SurfaceField
+from splits.transport import rough_surface as kernels
+
+BAD = [
+    ("rms_height_m", -0.1, "in [0, 1e+06] m"),
+    ("rms_height_m", "1e-1", "this is text, not a number"),
+    ("wave_number_per_m", 0.0, "in [1e-09, 1e+09] 1/m"),
+    ("wave_number_per_m", None, "in [1e-09, 1e+09] 1/m"),
+    ("correlation", "gausian", "did you mean gaussian?"),
+    ("waves", 0, "a whole number from 1 to 100000"),
+    ("waves", 100_001, "a whole number from 1 to 100000"),
+    ("waves", 8.0, "a whole number from 1 to 100000"),
+    ("waves", True, "a whole number from 1 to 100000"),
+    ("band_limit_per_m", 0.0, "at least 0.001 1/m"),
+    ("band_limit_per_m", float("nan"), "at least 0.001 1/m"),
+    ("band_limit_per_m", None, "name the finest waves that light shall see, or infinity"),
+    ("spectrum", TABLE, 'left out unless correlation is "spectrum"'),
+]
+BAD_TABLES = [
+    (None, "spectrum = None: must be a mapping"),
+    ({"wave_number_per_m": [1.0, 2.0]}, "must be a mapping"),
+    (TABLE | {"density": [1.0, 2.0]}, "must be a mapping"),
+    (TABLE | {"density": [1.0, "x", 2.0]}, "must be a mapping"),
+    (TABLE | {"density": [1.0, -1.0, 2.0]}, "spectrum.density = .*0 or more"),
+    (TABLE | {"density": [0.0, 0.0, 0.0]}, "spectrum.density = .*0 or more"),
+    (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*rising"),
+    ({"wave_number_per_m": [1.0], "density": [1.0]}, "two rows"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+    good = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "band_limit_per_m": 10.0}
+    with pytest.raises(ValueError, match=f"^{key} = ") as caught:
+        SurfaceField(**good | {key: value})
+    assert repr(value) in str(caught.value) and allowed in str(caught.value)
+
+
+@pytest.mark.parametrize(("table", "message"), BAD_TABLES)
+def test_bad_spectra_are_refused(table, message):
+    with pytest.raises(ValueError, match=message):
+        SurfaceField(0.1, correlation="spectrum", spectrum=table)
+
+
+@pytest.mark.parametrize("key", ["wave_number_per_m", "band_limit_per_m"])
+def test_a_spectrum_needs_no_scale_and_no_limit(key):
+    with pytest.raises(ValueError, match=rf"{key} = 1.0: must be left out"):
+        SurfaceField(**SPECTRUM | {key: 1.0})
+
+
+def test_refusals_say_which_field():
+    with pytest.raises(ValueError, match=r"^surface\[1\]\.waves = 0"):
+        RoughSurface([GAUSSIAN, GAUSSIAN | {"waves": 0}])
+    with pytest.raises(ValueError, match=r"^surface\.waves = 0"):
+        RoughSurface(GAUSSIAN | {"waves": 0})
+    with pytest.raises(ValueError, match="did you mean rms_height_m"):
+        RoughSurface({"rms_heigth_m": 1.0})
+    with pytest.raises(ValueError, match=r"surface\.rms_height_m = None"):
+        RoughSurface({"waves": 3})
+    for bad in ("sea", 3.0, []):
+        with pytest.raises(ValueError, match=r"^surface = .*one field, or a list of fields"):
+            RoughSurface.of(bad)
+
+
+def test_surfaces_come_from_yaml():
+    text = """
+    - {rms_height_m: 11.25, wave_number_per_m: 0.025, waves: 500, band_limit_per_m: .inf}
+    - {rms_height_m: 0.2, wave_number_per_m: 3, correlation: gaussian}
+    """
+    surface = RoughSurface.of(yaml.safe_load(text))
+    assert RoughSurface.of(surface) is surface
+    assert surface == RoughSurface(surface.fields)
+    assert surface.rms_height_m == pytest.approx(math.hypot(11.25, 0.2), rel=1e-15)
+    facts = surface.describe()
+    assert facts["waves"] == [500, 64]
+    assert facts["band_limit_per_m"] == [math.inf, math.inf]
+    assert facts["correlation"] == "exponential, gaussian"
+    assert facts["rms_slope"] == math.inf
+    assert RoughSurface(SPECTRUM).describe()["spectrum_density"] == TABLE["density"]
+    with pytest.raises(AttributeError):
+        surface.fields = ()
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("limit", [0.5, 3.0, 10.0])
+def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit):
+    field = SurfaceField(0.3, 2.0, name, band_limit_per_m=2.0 * limit)
+    numbers = RoughSurface(field).numbers()
+
+    def drawn(u):
+        return kernels.wave_number(numbers, 0, u)
+
+    # At probability 1 the whole band is drawn.
+    assert drawn(1.0) == pytest.approx(2.0 * limit, rel=1e-6)
+    for r in (0.0, 0.3, 2.0):
+        mean = integrate.quad(lambda u, r=r: special.j0(drawn(u) * r), 0, 1, limit=2000)[0]
+        assert field.correlation_at(r) == pytest.approx(mean, abs=1e-8)
+    square = integrate.quad(lambda u: drawn(u) ** 2, 0, 1, limit=2000)[0]
+    assert RoughSurface(field).rms_slope() == pytest.approx(0.3 * math.sqrt(square), rel=1e-8)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_far_limit_is_none(name):
+    r = np.array([0.0, 0.1, 1.0, 3.0])
+    near, far = (
+        SurfaceField(1.0, 2.0, name, band_limit_per_m=limit).correlation_at(r)
+        for limit in (2e5, math.inf)
+    )
+    # What the limit cuts off exp(−k0 r) is a share of k0/limit.
+    np.testing.assert_allclose(near, far, atol=1.1e-5)
+
+
+def test_the_printed_law_is_not_exponential():
+    assert RoughSurface(PRINTED).correlation(10.0) == pytest.approx(0.7615975857, abs=1e-9)
+    assert RoughSurface(PRINTED).rms_slope() == math.inf
+
+
+def test_correlation_and_slope_of_a_spectrum():
+    k = np.linspace(0.0, 14.0, 2001)
+    field = SurfaceField(
+        0.5, correlation="spectrum",
+        spectrum={"wave_number_per_m": k, "density": np.exp(-0.25 * k * k)},
+    )  # fmt: skip
+    r = np.array([[0.0, 0.5], [1.0, 2.0]])
+    np.testing.assert_allclose(RoughSurface(field).correlation(r), np.exp(-r * r), atol=3e-6)
+    assert RoughSurface(field).rms_slope() == pytest.approx(1.0, rel=1e-4)
+
+
+def test_gaps_in_a_spectrum_stay_empty():
+    table = {"wave_number_per_m": [0, 1, 2, 3, 4, 5], "density": [0, 0, 1, 0, 0, 0]}
+    quantiles = SurfaceField(1.0, correlation="spectrum", spectrum=table).quantiles
+    assert 1.0 <= quantiles[0] < 1.01 and 2.99 < quantiles[-1] <= 3.0
+    assert (np.diff(quantiles) > 0.0).all()
+
+
+def test_fields_superpose():
+    r = np.array([0.0, 0.1, 1.0])
+    one, other = RoughSurface(PRINTED), RoughSurface(GAUSSIAN)
+    both = RoughSurface([PRINTED, GAUSSIAN])
+    shares = np.array([4.0, 0.25]) / 4.25
+    np.testing.assert_allclose(
+        both.correlation(r), shares @ [one.correlation(r), other.correlation(r)], rtol=1e-14
+    )
+    plane = RoughSurface(GAUSSIAN | {"rms_height_m": 0})
+    assert (plane.correlation(r) == 1.0).all() and plane.rms_slope() == 0.0

@@ -207,16 +207,10 @@ class Table:
         **facts: float,
     ) -> None:
         """Add a method; of several spectra, the root mean square or largest of each number."""
-        for spectrum in spectra:
-            given = efficiency.deviations(spectrum, self.reference)
-            if not np.isnan(error):
-                given |= efficiency.stated_errors(spectrum)
-            for key, value in given.items():
-                before = facts.get(key, 0.0)
-                if key.endswith("_largest"):
-                    facts[key] = max(before, value)
-                else:
-                    facts[key] = float(np.sqrt(before**2 + value**2 / len(spectra)))
+        stated = efficiency.stated_errors if not np.isnan(error) else lambda _: {}
+        facts |= efficiency.combined(
+            [efficiency.deviations(one, self.reference) | stated(one) for one in spectra]
+        )
         row = {
             "medium": self.medium,
             "method": method,
@@ -229,23 +223,7 @@ class Table:
             "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
         }
         self.rows.append(row)
-        self.say(row)
-
-    @staticmethod
-    def say(row: dict[str, Any]) -> None:
-        """Print a row."""
-        parts = [f"{row['medium']}, {efficiency.METHODS[row['method']]}"]
-        if not np.isnan(row["error"]):
-            parts.append(f"error {row['error']:g}")
-        line = f"{', '.join(parts)}: {row['seconds']:.4g} s ({row['how']})"
-        if not np.isnan(row["stderr_largest"]):
-            line += f", stated {row['stderr_largest']:.2g} (rms {row['stderr_rms']:.2g})"
-        if not np.isnan(row["deviation_rms"]):
-            line += f", off by rms {row['deviation_rms']:.2g}, at most "
-            line += f"{row['deviation_largest']:.2g}"
-        if not np.isnan(row["deviation_z"]):
-            line += f", rms z {row['deviation_z']:.2f}"
-        print(line, flush=True)
+        print(efficiency.sentence(row), flush=True)
 
 
 NUMBERS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
@@ -281,16 +259,14 @@ def add_papers(
     scale: float,
 ) -> None:
     """Add both forms of the papers' algorithm from runs that stopped by themselves."""
-    stderr = np.stack([spectrum[f"{name}_stderr"].values for name in efficiency.QUANTITIES])
-    stderr = stderr * np.sqrt(rays / rays.max())
+    shared = spectrum * xr.DataArray(np.sqrt(rays / rays.max()), dims="wavelength")
     table.add(
         UNIFORM,
         PARTLY,
         scale * float((seconds / rays).sum() * rays.max()),
         scale * float(rays.max() * len(rays)),
         error,
-        stderr_largest=float(stderr.max()),
-        stderr_rms=float(np.sqrt((stderr**2).mean(axis=1)).max()),
+        **efficiency.stated_errors(shared),
     )
     table.add(ADAPTIVE, PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum])
 

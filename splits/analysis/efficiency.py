@@ -6,6 +6,9 @@ merit is 1/(error² · time), and the ratio of two is the ratio of their times a
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -116,6 +119,37 @@ def deviations(dataset: xr.Dataset, reference: xr.Dataset) -> dict[str, float]:
         "deviation_largest": float(np.abs(off).max()),
         "deviation_z": z,
     }
+
+
+def combined(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return what repeated runs say together of `stated_errors` and `deviations`.
+
+    Of numbers called largest it is the largest, of all others the root mean square.
+    """
+    found: dict[str, float] = {}
+    for run in runs:
+        for key, value in run.items():
+            before = found.get(key, 0.0)
+            if key.endswith("_largest"):
+                found[key] = max(before, value)
+            else:
+                found[key] = float(np.sqrt(before**2 + value**2 / len(runs)))
+    return found
+
+
+def sentence(row: Mapping[str, Any]) -> str:
+    """Return one line that says what a row of the table holds."""
+    parts = [f"{row['medium']}, {METHODS[row['method']]}"]
+    if not np.isnan(row["error"]):
+        parts.append(f"error {row['error']:g}")
+    line = f"{', '.join(parts)}: {row['seconds']:.4g} s ({row['how']})"
+    if not np.isnan(row["stderr_largest"]):
+        line += f", stated {row['stderr_largest']:.2g} (rms {row['stderr_rms']:.2g})"
+    if not np.isnan(row["deviation_rms"]):
+        line += f", off by rms {row['deviation_rms']:.2g}, at most {row['deviation_largest']:.2g}"
+    if not np.isnan(row["deviation_z"]):
+        line += f", rms z {row['deviation_z']:.2f}"
+    return line
 
 
 def with_merits(table: pd.DataFrame) -> pd.DataFrame:

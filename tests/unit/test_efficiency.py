@@ -125,6 +125,18 @@ def test_stated_errors():
     assert stated["stderr_rms"] == pytest.approx(0.001 * np.sqrt(11.0 / 3.0))
 
 
+def test_repeated_runs_count_by_their_largest_or_their_mean_square():
+    runs = [
+        {"deviation_largest": 0.03, "deviation_rms": 3.0},
+        {"deviation_largest": 0.01, "deviation_rms": 4.0},
+    ]
+    assert efficiency.combined(runs) == {
+        "deviation_largest": 0.03,
+        "deviation_rms": pytest.approx(12.5**0.5),
+    }
+    assert efficiency.combined([]) == {}
+
+
 def test_figure_has_a_panel_per_medium_and_opens_what_is_scaled(table):
     both = pd.concat([table, table.assign(medium="sand")])
     figure = speed_against_error(both)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,6 +13,23 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.style import BAND, colours, style
+
+_EXPECTED: dict[str, Any] = {"color": "0.6", "lw": 0.8, "ls": "--"}
+"""The look of lines to compare with."""
+_BOTH = np.array([-1.0, 1.0])
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _panels(width: float, count: int, plan: int, **settings: Any) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its panels, side by side; one of them shows x and y from above."""
+    figure, panels = plt.subplots(1, count, figsize=(width, 3.9), layout="constrained", **settings)
+    panels[plan].set(xlabel="x (m)", ylabel="y (m)")
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, panels
 
 
 def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
@@ -28,9 +46,7 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     with style():
-        figure, (left, right) = plt.subplots(
-            1, 2, figsize=(8.8, 3.9), width_ratios=(1.35, 1.0), layout="constrained"
-        )
+        figure, (left, right) = _panels(8.8, 2, plan=0, width_ratios=(1.35, 1.0))
         reach = float(np.abs(height).max())
         light = LightSource(azdeg=315, altdeg=35)
         shaded = light.shade(
@@ -39,27 +55,19 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
         )  # fmt: skip
         extent = (x[0], x[-1], y[0], y[-1])
         left.imshow(shaded, origin="lower", extent=extent, interpolation="bilinear")
-        left.set(xlabel="x (m)", ylabel="y (m)")
+        left.spines[:].set_visible(True)
         scale = plt.cm.ScalarMappable(plt.Normalize(-reach, reach), "Blues_r")
         figure.colorbar(scale, ax=left, label="height (m)", shrink=0.85)
         slopes = np.sort(dataset.rms_slope.values)
         share = (np.arange(slopes.size) + 0.5) / slopes.size
         right.step(slopes, share, where="mid", color="black", lw=1.2)
-        right.axvline(np.median(slopes), color="0.6", lw=0.8, ls="--")
+        right.axvline(np.median(slopes), **_EXPECTED)
         wide = slopes[-1] > 10.0 * slopes[0]
         right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
         right.set_xscale("log" if wide else "linear")
         right.set_ylabel("share of realisations below")
         right.set_title(f"median {np.median(slopes):.3g}", fontsize=10)
-        right.spines[["top", "right"]].set_visible(False)
     return figure
-
-
-_BOTH = np.array([-1.0, 1.0])
-
-
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
@@ -80,9 +88,7 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
     far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
     shown = sorted({0, best, far})
     with style():
-        figure, (rays, screen, dense) = plt.subplots(
-            1, 3, figsize=(11.0, 3.9), layout="constrained"
-        )
+        figure, (rays, screen, dense) = _panels(11.0, 3, plan=1)
         start = dataset.path.values
         for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
             seen = (dataset.seen.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
@@ -103,7 +109,7 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
         middle = np.array([np.mean(_ends(dataset.place.values[shown][seen, i])) for i in (0, 1)])
         half = 0.58 * max(np.ptp(dataset.place.values[shown][seen, i]) for i in (0, 1))
         screen.set(xlim=middle[0] + half * _BOTH, ylim=middle[1] + half * _BOTH)
-        screen.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        screen.set_aspect("equal")
         figure.legend(
             *screen.get_legend_handles_labels(), title="depth of the screen", frameon=False,
             loc="outside upper center", ncols=3, markerscale=3.0,
@@ -114,12 +120,10 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             error = BAND * dataset.concentration_stderr.values
             low = np.maximum(value - error, 0.0)
             dense.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
-        dense.axhline(1.0, color="0.6", lw=0.8, ls="--")
+        dense.axhline(1.0, **_EXPECTED)
         dense.set(
             xlabel="depth of the screen (m)",
             ylabel="inverse mean square size of the image",
             yscale="log",
         )
-        for axes in (rays, screen, dense):
-            axes.spines[["top", "right"]].set_visible(False)
     return figure

@@ -1,4 +1,4 @@
-"""What every granular medium hands to an instrument."""
+"""What all media hand to an instrument, and what granular ones do."""
 
 from __future__ import annotations
 
@@ -28,13 +28,33 @@ class Interface(NamedTuple):
     far: int
 
 
-class GranularMedium(Protocol):
-    """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
+class Described(Protocol):
+    """What all media tell instruments: their materials and all of their inputs."""
 
     @property
     def kind(self) -> str:
         """What sort of medium this is, as configuration files name it."""
         ...
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials; of grains, after those of dry and wet pores."""
+        ...
+
+    def interfaces(self) -> Sequence[Interface]:
+        """Return the pairs of materials whose contrast depends on wavelength."""
+        ...
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials)."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return all inputs and derived quantities, for a dataset's attributes."""
+        ...
+
+
+class GranularMedium(Described, Protocol):
+    """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
 
     @property
     def depth_m(self) -> float:
@@ -53,20 +73,4 @@ class GranularMedium(Protocol):
 
     def grains(self) -> Grains:
         """Return the table of particle types."""
-        ...
-
-    def materials(self) -> tuple[str, ...]:
-        """Return the names of the materials: dry pores, wet pores, then those of grains."""
-        ...
-
-    def interfaces(self) -> Sequence[Interface]:
-        """Return the pairs of materials that meet at the surfaces of grains."""
-        ...
-
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return complex refractive indices, shape (wavelengths, materials)."""
-        ...
-
-    def describe(self) -> dict[str, Any]:
-        """Return all inputs and derived quantities, for a dataset's attributes."""
         ...

@@ -1,26 +1,18 @@
-"""What a layer of small particles hands to an instrument, and what all media do."""
+"""What a layer of small particles hands to an instrument."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-
-from splits.media.granular import GranularMedium, Interface
+from splits.media.granular import Described, GranularMedium
 from splits.transport.layer import Turbid
 from splits.transport.phase import Phase
 from splits.transport.rough_surface import Fields
 
 
 @runtime_checkable
-class TurbidMedium(Protocol):
+class TurbidMedium(Described, Protocol):
     """A layer of particles far smaller than their distances, as instruments see it."""
-
-    @property
-    def kind(self) -> str:
-        """What sort of medium this is, as configuration files name it."""
-        ...
 
     @property
     def extinction_per_m(self) -> float:
@@ -43,22 +35,6 @@ class TurbidMedium(Protocol):
 
     def fields(self) -> Fields | None:
         """Return the rough surface, None where it is smooth."""
-        ...
-
-    def materials(self) -> tuple[str, ...]:
-        """Return the names of the materials."""
-        ...
-
-    def interfaces(self) -> Sequence[Interface]:
-        """Return the pairs of materials whose contrast depends on wavelength."""
-        ...
-
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return complex refractive indices, shape (wavelengths, materials)."""
-        ...
-
-    def describe(self) -> dict[str, Any]:
-        """Return all inputs and derived quantities, for a dataset's attributes."""
         ...
 
 

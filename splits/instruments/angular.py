@@ -187,10 +187,10 @@ def estimate(
         dropped = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
         beyond[:, column] = _finer(together.sum(axis=1), symmetric, angles)
         mean[:, column] = values.mean(axis=0)
-        stderr[:, column] = np.hypot(_stderr(values), np.sqrt(dropped)[:, np.newaxis])
+        stderr[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped)[:, np.newaxis])
         stderr[:, column] = np.hypot(stderr[:, column], beyond[:, column])
         sums[:, :, column] = (
-            whole.mean(axis=0), _stderr(whole), straight.mean(axis=0), _stderr(straight),
+            whole.mean(axis=0), stderr_of(whole), straight.mean(axis=0), stderr_of(straight),
         )  # fmt: skip
         # Nothing seen is not certainty: as if one more ray had come, from no matter where.
         unseen = 1.0 / min(ensembles[i].counts()[-1] for i in drawn)
@@ -244,7 +244,8 @@ def _finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndar
     return np.hypot(there, everywhere[:, np.newaxis])
 
 
-def _stderr(groups: np.ndarray) -> np.ndarray:
+def stderr_of(groups: np.ndarray) -> np.ndarray:
+    """Return the standard error of the mean of groups of rays."""
     return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))
 
 
@@ -260,6 +261,12 @@ def reference(result: Estimate) -> np.ndarray:
     """
     even = result.scattered()[..., np.newaxis] / np.pi
     return np.maximum(result.mean, LEAST * even)
+
+
+def largest_error(result: Estimate, side: int, seen: np.ndarray | slice = slice(None)) -> float:
+    """Return the largest relative error of one side; wavelengths without light do not count."""
+    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+    return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 
 def rays_wanted(

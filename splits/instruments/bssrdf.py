@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, one_of
-from splits.instruments.angular import missed_of_totals
+from splits.instruments.angular import missed_of_totals, stderr_of
 from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
 from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
@@ -21,7 +21,7 @@ from splits.instruments.tracers import KERNELS
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
-from splits.transport.scene import Optics
+from splits.transport.scene import shared_optics
 
 QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Parts of the light that leave within the quantile radii."""
@@ -167,8 +167,7 @@ class _Spread:
         self.weights = weights[served]
         self.half_width = half_width
         self.cells = cells
-        lightest = self.absorption.min(axis=0)
-        optics = Optics(index.real.copy(), index.imag.copy(), lightest)
+        optics = shared_optics(index, self.absorption)
         self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
         self.radial = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
         self.moment = np.zeros((GROUPS, 2, len(self.absorption)))
@@ -257,7 +256,7 @@ def _dataset(
     cell = (2.0 * half_width / CELLS) ** 2
     # Nothing seen is not certainty: as if one more ray had come.
     unseen = max(1.0 / e.levels[0].rays for e in ensembles)
-    certain = np.where(share.mean(axis=0) > 0.0, _stderr(share), unseen)
+    certain = np.where(share.mean(axis=0) > 0.0, stderr_of(share), unseen)
     certain = np.hypot(certain, missed_of_totals(bias, share.mean(axis=0)))
     results = {
         "share": ("share of light", "1", (), share.mean(axis=0), certain),
@@ -270,7 +269,7 @@ def _dataset(
             quantile, _jackknife(_quantiles(left_out, QUANTILES)),
         ),
         "profile": (
-            "light leaving per area", "m-2", ("radius",), profile.mean(axis=0), _stderr(profile),
+            "light leaving per area", "m-2", ("radius",), profile.mean(axis=0), stderr_of(profile),
         ),
         "profile_map": (
             "light leaving per area", "m-2", ("x", "y"),
@@ -295,7 +294,3 @@ def _dataset(
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
-
-
-def _stderr(groups: np.ndarray) -> np.ndarray:
-    return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))

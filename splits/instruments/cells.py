@@ -14,7 +14,7 @@ from splits.instruments.angular import BIAS, Estimate, missed_of_totals
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.directions import count_cells
-from splits.transport.scene import Optics
+from splits.transport.scene import shared_optics
 
 _STREAMS = 5_000_000
 """First stream number: one seed gives other numbers here than in the other instruments."""
@@ -65,8 +65,7 @@ class Cells:
         self.sums = np.zeros((len(self.parts), 2, 2, len(absorption), *shape))
         self.straight = np.zeros((2, 2, len(absorption)))
         served = weights > 0.0
-        lightest = absorption[served].min(axis=0)
-        optics = Optics(index.real.copy(), index.imag.copy(), lightest)
+        optics = shared_optics(index, absorption[served])
         self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
 
     def size(self) -> int:

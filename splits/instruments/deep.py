@@ -24,7 +24,7 @@ from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
-from splits.transport.scene import Optics, Slab
+from splits.transport.scene import Slab, shared_optics
 
 BATCH = 64
 """Families per batch: the grain of parallel work."""
@@ -113,7 +113,7 @@ def deep_transmittance(
     results = np.zeros((5, len(wavelengths)))
     with ThreadPoolExecutor(threads) as pool:
         for row, guess in enumerate(first_guess):
-            optics = Optics(index[row].real.copy(), index[row].imag.copy(), absorption[row])
+            optics = shared_optics(index[row], absorption[row : row + 1])
             source = _Source(pool, seed, (grains, slab, rules, optics))
             number = _STREAMS + (STAGES + 1) * row
             rate = _SAFE * guess

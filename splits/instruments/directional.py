@@ -16,7 +16,7 @@ import numpy as np
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.directions import Basis, expand
-from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.scene import UNLIMITED, shared_optics
 
 CLASSES = (2, 8, 32, UNLIMITED)
 """Largest order of scattering of each class."""
@@ -79,7 +79,7 @@ class Directional:
         rows = len(self.place)
         self.sums = np.zeros((GROUPS, len(classes), 2, rows, basis.scale.size))
         self.straight = np.zeros((GROUPS, 2, rows))
-        optics = Optics(index.real.copy(), index.imag.copy(), self.absorption.min(axis=0))
+        optics = shared_optics(index, self.absorption)
         first = _STREAMS + number * len(classes)
         self.levels = [
             Level(first + i, optics, served, min(3.0 * most, 400.0), most)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.scene import UNLIMITED, Optics, shared_optics
 from splits.transport.tally import tally
 
 LEVELS = (-1.0, 0.002, 0.01, 0.06)
@@ -127,8 +127,7 @@ class Ensemble:
             part = served & (strength >= threshold)
             if not part.any() or (self.levels and part.sum() == self.levels[-1].served.sum()):
                 continue
-            # Roulette may only use what holds for every wavelength that listens.
-            optics = Optics(index.real.copy(), index.imag.copy(), absorption[part].min(axis=0))
+            optics = shared_optics(index, absorption[part])
             guess = _FIRST_LEGS / 2**step
             self.levels.append(Level(number * len(LEVELS) + step, optics, part, guess))
 

@@ -10,7 +10,15 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, one_of, refuse
-from splits.instruments.angular import BIAS, Estimate, angles_of, estimate, rays_wanted, reference
+from splits.instruments.angular import (
+    BIAS,
+    Estimate,
+    angles_of,
+    estimate,
+    largest_error,
+    rays_wanted,
+    reference,
+)
 from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
 from splits.instruments.cells import (
     CELLS_OF_5_DEG,
@@ -170,7 +178,7 @@ def goniophotometer(
         else:
             paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
     seen = counted(polar, azimuth)
-    worst = _error(result, side, seen | (estimator == "local"))
+    worst = largest_error(result, side, seen | (estimator == "local"))
     facts = {
         **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,
@@ -213,7 +221,7 @@ def _expand(
     reached: list[tuple[float, float]] = []
     while True:
         result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
-        error = _error(result, goal.side, seen)
+        error = largest_error(result, goal.side, seen)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
             return ensembles, result, "error"
@@ -246,12 +254,6 @@ def _too_fine(result: Estimate, goal: Goal, seen: np.ndarray) -> bool:
     scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
     rest = np.sqrt(np.maximum(stderr**2 - result.beyond[side][:, seen] ** 2, 0.0))
     return bool((rest <= goal.relative_stderr * scale).all())
-
-
-def _error(result: Estimate, side: int, seen: np.ndarray) -> float:
-    """Return the largest relative error of one side; wavelengths without light do not count."""
-    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
-    return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 
 def _share_out(wanted: np.ndarray, have: np.ndarray, limit: int, fixed: bool) -> np.ndarray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.angular import Estimate, reference
+from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import layer
@@ -70,9 +70,7 @@ class Heard:
 
     def error(self, side: int) -> float:
         """Return the largest error of one side relative to `angular.reference`."""
-        result = self.estimate(1)
-        scale, stderr = reference(result)[side, 0], result.stderr[side, 0]
-        return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
+        return largest_error(self.estimate(1), side)
 
     def estimate(self, wavelengths: int) -> Estimate:
         """Return BRDF and BTDF, the same at so many wavelengths."""

@@ -18,7 +18,7 @@ from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.scattering import scatter
-from splits.transport.scene import DRY_PORE, WET_PORE, Optics
+from splits.transport.scene import DRY_PORE, WET_PORE, Optics, shared_optics
 
 BATCH = 2048
 """Rays per batch: the grain of parallel work."""
@@ -207,8 +207,7 @@ def _trace(
         for node, (m, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
             served = weight > 0.0
             part = absorption[served]
-            # Roulette may only use what holds for every wavelength that listens.
-            optics = Optics(m.real.copy(), m.imag.copy(), part.min(axis=0))
+            optics = shared_optics(m, part)
             sums = np.zeros((3, orders, len(part)))
             shift = np.zeros((4, len(part)))
             jobs = [(node, first, optics, part) for first in range(0, rays, BATCH)]

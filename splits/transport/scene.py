@@ -123,3 +123,15 @@ class Optics(NamedTuple):
     n: np.ndarray
     k: np.ndarray
     absorption: np.ndarray
+
+
+def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
+    """Return what paths take that serve several wavelengths.
+
+    Parameters
+    ----------
+    index : complex, shape (materials,)
+    absorption : float, shape (wavelengths, materials)
+        Roulette may only use what holds for every wavelength that listens.
+    """
+    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0))

@@ -76,6 +76,17 @@ def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
                 np.atleast_1d(height_error[i]),
             )
         )
+    side, nadir = plane.sel(angle=60.0), plane.sel(angle=0.0)
+    ratio = (side.brdf / nadir.brdf).values
+    error = ratio * np.hypot(side.brdf_stderr / side.brdf, nadir.brdf_stderr / nadir.brdf).values
+    rows.append(
+        beyond(
+            "forward side, 60° over the nadir, higher at 30° than at 0° and at 60°: smallest step",
+            "Fig 19",
+            np.diff(ratio),
+            np.hypot(error[1:], error[:-1]),
+        )
+    )
     rows.append(
         beyond(
             "forward peak higher at 60° than at 30°, 600 nm",

@@ -11,7 +11,13 @@ import xarray as xr
 
 from splits.checks import in_range, one_of
 from splits.instruments.angular import missed_of_totals, stderr_of
-from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
+from splits.instruments.arguments import (
+    check_beam,
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
 from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
 from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
@@ -106,6 +112,7 @@ def bssrdf(
     ----------
     Nicodemus et al. (1977), section III; SPLITSnow section 4.1.
     """
+    check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_beam(incidence_deg)
     one_of("kernel", kernel, KERNELS)

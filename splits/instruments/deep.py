@@ -13,6 +13,7 @@ import xarray as xr
 from splits.checks import in_range
 from splits.instruments.arguments import (
     check_incidence,
+    check_medium,
     check_threads,
     check_wavelengths,
     check_whole,
@@ -20,7 +21,6 @@ from splits.instruments.arguments import (
 from splits.instruments.labels import quantity, run_facts, wavelength_axis
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
-from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
@@ -95,7 +95,7 @@ def deep_transmittance(
     RuntimeError
         If a ray found no grain that fits where it was.
     """
-    granular_only("deep_transmittance", medium)
+    check_medium(medium, GranularMedium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 0.001, 0.5)

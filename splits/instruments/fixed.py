@@ -14,7 +14,12 @@ from typing import Any
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
+from splits.instruments.arguments import (
+    check_incidence,
+    check_medium,
+    check_wavelengths,
+    check_whole,
+)
 from splits.instruments.ensemble import Ensemble
 from splits.instruments.nodes import nodes_at
 from splits.instruments.runner import Runner
@@ -64,6 +69,7 @@ def fixed_spectrum(
     ValueError
         For a value outside its range.
     """
+    check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     rows = _check_rows(node_rows, len(wavelengths))
     check_whole("rays_per_node", rays_per_node, 1)

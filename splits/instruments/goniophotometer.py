@@ -19,7 +19,13 @@ from splits.instruments.angular import (
     rays_wanted,
     reference,
 )
-from splits.instruments.arguments import check_beam, check_threads, check_wavelengths, check_whole
+from splits.instruments.arguments import (
+    check_beam,
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
 from splits.instruments.cells import (
     CELLS_OF_5_DEG,
     Cells,
@@ -143,6 +149,7 @@ def goniophotometer(
     SPLITSnow section 4.1, Eq 7; Budak & Grimailo 2020, Eqs 4-5; Nicodemus et al. (1977) for the
     terms.
     """
+    check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_beam(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)

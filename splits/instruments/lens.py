@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, one_of, refuse
-from splits.instruments.arguments import check_whole
+from splits.instruments.arguments import check_medium, check_whole
 from splits.instruments.labels import quantity, run_facts
 from splits.media.turbid import SurfaceMedium
 from splits.transport.lens import refract_ring
@@ -32,7 +32,7 @@ def lens(
     radius_m: float,
     *,
     over: str = "crest",
-    half_width_m: float = 0.0,
+    half_width_m: float | None = None,
     rays: int = 360,
     realisations: int = 1,
     seed: int = 1,
@@ -51,7 +51,7 @@ def lens(
     over : {"crest", "trough", "origin"}
         Where the ring stands: over the highest or lowest point within `half_width_m`, or there.
     half_width_m : float
-        Half the side of the square that is searched (m).
+        Half the side of the square that is searched (m); needed but over the origin.
     rays : int
         At least 3, evenly around.
     realisations : int
@@ -78,11 +78,14 @@ def lens(
         For a value outside its range, or a layer with a smooth surface.
     """
     begun = time.perf_counter()
-    check_layer(medium)
+    check_medium(medium, SurfaceMedium)
     depths = check_depths("screen_depth_m", screen_depth_m)
     radius = in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
     one_of("over", over, OVER)
-    width = in_range("half_width_m", half_width_m, 0.0, 1e6, "m", open_low=over != "origin")
+    if half_width_m is None and over != "origin":
+        hint = f'half the side of the square searched for the {over}; over="origin" needs none'
+        raise refuse("half_width_m", None, "given (m)", hint)
+    width = in_range("half_width_m", half_width_m or 0.0, 0.0, 1e6, "m", open_low=over != "origin")
     rays = check_whole("rays", rays, 3)
     realisations = check_whole("realisations", realisations, 1)
     seed = check_whole("seed", seed, 0)
@@ -200,13 +203,6 @@ def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, n
     """Return 1/mean and its standard error to first order."""
     inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
     return inverse, None if stderr is None else stderr * inverse**2
-
-
-def check_layer(medium: Any) -> None:
-    """Refuse what has no surface to look at."""
-    if not isinstance(medium, SurfaceMedium):
-        given = getattr(medium, "kind", medium)
-        raise refuse("medium", given, "a layer, see splits.Layer")
 
 
 def check_depths(key: str, values: Any) -> np.ndarray:

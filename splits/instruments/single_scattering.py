@@ -11,10 +11,9 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of
-from splits.instruments.arguments import check_threads, check_wavelengths, check_whole
+from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
-from splits.instruments.tracers import granular_only
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.scattering import scatter
@@ -132,7 +131,7 @@ def single_scattering(
     standard errors contain the bound on what that misses.
     """
     begun = time.perf_counter()
-    granular_only("single_scattering", medium)
+    check_medium(medium, GranularMedium)
     wavelengths = check_wavelengths(wavelength_nm)
     moments = check_whole("moments", moments, 1)
     rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)

@@ -11,6 +11,7 @@ import xarray as xr
 from splits.checks import in_range, one_of
 from splits.instruments.arguments import (
     check_incidence,
+    check_medium,
     check_threads,
     check_wavelengths,
     check_whole,
@@ -87,6 +88,7 @@ def spectrophotometer(
     SPLITSnow section 4.1, Eq 8: reflectance is the share of rays that leave upwards, n/N (the
     printed 1/π belongs to a radiance, not to a share of rays).
     """
+    check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)

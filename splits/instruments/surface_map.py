@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, refuse
-from splits.instruments.arguments import check_whole
+from splits.instruments.arguments import check_medium, check_whole
 from splits.instruments.labels import quantity, run_facts
-from splits.instruments.lens import check_layer
 from splits.media.turbid import SurfaceMedium
 from splits.transport.rough_surface import heights_and_slopes
 
@@ -53,7 +52,7 @@ def surface_map(
     Budak & Grimailo 2020, Eq 3 and Fig 1.
     """
     begun = time.perf_counter()
-    check_layer(medium)
+    check_medium(medium, SurfaceMedium)
     width = in_range("half_width_m", half_width_m, 0.0, 1e9, "m", open_low=True)
     points = check_whole("points", points, 2)
     realisations = check_whole("realisations", realisations, 2)

@@ -257,9 +257,3 @@ def tracer_of(
     if isinstance(medium, TurbidMedium):
         return LayerTracer(medium, cosine, diffuse, seed, analog, kernel)
     return GrainTracer(medium, cosine, diffuse, seed, analog, kernel, positions, orders)
-
-
-def granular_only(instrument: str, medium: Any) -> None:
-    """Refuse a medium without grains where an instrument counts on them."""
-    if isinstance(medium, TurbidMedium):
-        raise refuse("medium", medium.kind, f"one of grains for {instrument}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class Described(Protocol):
         ...
 
 
+@runtime_checkable
 class GranularMedium(Described, Protocol):
     """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
 

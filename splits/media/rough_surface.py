@@ -153,7 +153,8 @@ class SurfaceField:
             raise refuse(
                 key, None, "given (1/m)",
                 "slopes, about rms_height_m √(k0 limit), grow without end with it and change "
-                "reflectance; name the finest waves that light shall see, or infinity",
+                "reflectance; name the finest waves that light shall see, or infinity; this is for "
+                'the default correlation "exponential", "gaussian" needs none',
             )  # fmt: skip
         if limit is None or limit == math.inf:
             put(key, math.inf)

@@ -1,0 +1,72 @@
+"""What instruments refuse when Python hands it to them: one message, no error from inside."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import splits
+from splits.instruments.fixed import fixed_spectrum
+
+WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "correlation": "gaussian"}
+ROUGH = splits.Layer(surface=WAVES, depth_m=10.0)
+LOOKS = {
+    "spectrophotometer": lambda medium: splits.spectrophotometer(medium, [600]),
+    "goniophotometer": lambda medium: splits.goniophotometer(medium, [600]),
+    "bssrdf": lambda medium: splits.bssrdf(medium, [600]),
+    "fixed_spectrum": lambda medium: fixed_spectrum(medium, [600], 0.0, [0], 1, 1),
+    "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
+    "deep_transmittance": lambda medium: splits.deep_transmittance(medium, [600]),
+    "lens": lambda medium: splits.lens(medium, [1.0], 0.1, half_width_m=1.0),
+    "surface_map": lambda medium: splits.surface_map(medium, 1.0),
+}
+OF_GRAINS = ("single_scattering", "deep_transmittance")
+OF_SURFACES = ("lens", "surface_map")
+
+
+@pytest.mark.parametrize("medium", ["snow", "layer", splits.Snow, splits.Layer, None, [600], 5])
+@pytest.mark.parametrize("instrument", LOOKS)
+def test_what_is_no_medium_is_refused(instrument, medium):
+    allowed = "Layer" if instrument in OF_SURFACES else "Snow"
+    told = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
+    with pytest.raises(ValueError, match=f"^{told}"):
+        LOOKS[instrument](medium)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "medium"),
+    [
+        *((name, ROUGH) for name in OF_GRAINS),
+        *((name, medium) for name in OF_SURFACES for medium in (splits.Snow(), splits.Sand())),
+    ],
+)
+def test_media_that_an_instrument_cannot_look_at_are_refused(instrument, medium):
+    with pytest.raises(ValueError, match=f"^medium = '{medium.kind}': must be splits"):
+        LOOKS[instrument](medium)
+
+
+@pytest.mark.parametrize("medium", ["snow", "Snow", "snwo", splits.Snow])
+def test_a_medium_nearly_right_is_told(medium):
+    with pytest.raises(ValueError, match=re.escape("(did you mean splits.Snow()?)")):
+        splits.spectrophotometer(medium, [600])
+
+
+@pytest.mark.parametrize(
+    ("look", "told"),
+    [
+        (lambda: splits.lens(ROUGH, [1.0], 0.1),
+         r"^half_width_m = None: must be given \(m\) \(half the side of the square searched"),
+        (lambda: splits.goniophotometer(splits.Snow(), [600], rays=1e5),
+         r"^rays = 100000\.0: must be a whole number of at least 1 \(write 100000\)"),
+        (lambda: splits.spectrophotometer(splits.Snow(), [[400, 500]]),
+         r"^wavelength_nm = \[\[400\.0, 500\.0\]\]: must be one row of numbers"),
+        (lambda: splits.spectrophotometer(splits.Snow(), [600], "difuse"),
+         r"^incidence_deg = 'difuse': must be an angle .*did you mean diffuse"),
+        (lambda: splits.Layer(surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0}),
+         r"^surface\.band_limit_per_m = None: must be given .*default correlation"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_or_nearly_right_is_told(look, told):
+    with pytest.raises(ValueError, match=told):
+        look()

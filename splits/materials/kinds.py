@@ -96,7 +96,7 @@ class Tabulated:
 
     def __post_init__(self) -> None:
         w, n, k = self.wavelength_nm, self.n, self.k
-        key = f"refractive index table {self.name}"
+        key = f"refractive_index ({self.name})"
         if not (w.ndim == 1 and w.size >= 2 and w.shape == n.shape == k.shape):
             raise refuse(key, w.shape, "three columns of equal length, at least 2 rows")
         if not (np.isfinite([w, n, k]).all() and (np.diff(w) > 0).all() and w[0] > 0):

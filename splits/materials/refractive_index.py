@@ -100,11 +100,14 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
 def _user_table(key: str, path: Path) -> Tabulated:
     if not path.is_file():
         raise refuse(key, str(path), "an existing CSV file", f"looked for {path.absolute()}")
-    table = pd.read_csv(path, comment="#", skipinitialspace=True)
-    missing = {"wavelength_nm", "n", "k"} - set(table.columns)
-    if missing:
-        raise refuse(key, str(path), "a CSV file with columns wavelength_nm, n, k")
-    columns = [table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k")]
+    try:
+        table = pd.read_csv(path, comment="#", skipinitialspace=True)
+        columns = [table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k")]
+    except (KeyError, ValueError) as error:
+        missing = isinstance(error, KeyError)
+        hint = f"no column {error}" if missing else " ".join(str(error).split())
+        allowed = "a CSV file with columns wavelength_nm, n, k of numbers"
+        raise refuse(key, str(path), allowed, hint) from None
     return Tabulated(path.name, str(path), *columns)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Real
 
@@ -13,10 +14,27 @@ def refuse(key: str, value: object, allowed: str, hint: str = "") -> ValueError:
     return ValueError(f"{key} = {value!r}: must be {allowed}" + (f" ({hint})" if hint else ""))
 
 
+def unknown_key(key: str, known: Iterable[str]) -> ValueError:
+    """Return the error that says that there is no such key, and suggests the nearest."""
+    names = list(known)
+    hint = suggestion(key.rsplit(".", 1)[-1], names)
+    text = f"{key}: unknown key, must be one of {', '.join(names)}"
+    return ValueError(text + (f" ({hint})" if hint else ""))
+
+
+@contextmanager
+def under(place: str) -> Iterator[None]:
+    """Put the place of a section before the key that a refusal within begins with."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}.{error}") from None
+
+
 def number(key: str, value: object, allowed: str = "a finite number") -> float:
     """Return `value` as a float, or refuse it."""
     if isinstance(value, str):
-        raise refuse(key, value, allowed, "this is text, not a number; YAML reads 1.0e-1, not 1e-1")
+        raise refuse(key, value, allowed, "this is text, not a number")
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
         raise refuse(key, value, allowed)
     return float(value)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import pandas as pd
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from splits.checks import refuse, suggestion
-from splits.experiments.model import ConfigError, Experiment, Settings
+from splits.checks import one_of, refuse
+from splits.experiments.messages import line_of
+from splits.experiments.model import SAMPLE, ConfigError, Experiment, Settings
 from splits.experiments.run_fit import check_fit
-from splits.experiments.sections import Section
+from splits.experiments.unused import keywords_given, refuse_unused
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -28,6 +30,14 @@ class _UniqueKeys(yaml.SafeLoader):
                     problem=f"{key} given twice", problem_mark=node.start_mark
                 )
         return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 takes 1e5 for text, which nobody means.
+_UniqueKeys.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    [*"-+.0123456789"],
+)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -64,64 +74,71 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     Raises
     ------
     ConfigError
-        One message that names the file, the key, the value and what is allowed.
+        One line that names the file, the key, the value and what is allowed.
     """
     path = Path(path)
+    try:
+        return _experiment(path, Path(media_folder))
+    except ConfigError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _experiment(path: Path, media: Path) -> Experiment:
+    """Return what an experiment file describes; errors need not name the file."""
     content = {"name": path.stem, **read_yaml(path)}
-    medium = content.get("medium")
-    if isinstance(medium, dict):
-        content["medium"] = _with_base(medium, path, "medium", Path(media_folder))
-    elif "medium" in content:
-        raise ConfigError(f"{path}: medium = {medium!r}: must be a mapping")
-    grid = content.get("grid")
-    if isinstance(grid, dict) and isinstance(grid.get("medium"), (list, dict)):
-        grid["medium"] = _samples(grid["medium"], path, Path(media_folder))
-    experiment = _checked(Experiment, content, path)
-    folder = Path(media_folder).parent / "measured"
-    given = {"figure": experiment.figure.measured}
-    given["fit"] = experiment.fit.measured if experiment.fit else None
-    for section, measured in given.items():
+    given = keywords_given(content)
+    medium, grid = content.get("medium", {}), content.get("grid")
+    if not isinstance(medium, dict):
+        raise refuse("medium", medium, "a mapping of keys to values")
+    if medium:
+        content["medium"] = _with_base(medium, "medium", media)
+    if isinstance(grid, dict) and isinstance(grid.get(SAMPLE), (list, dict)):
+        content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
+    experiment = _checked(Experiment, content)
+    refuse_unused(experiment, given)
+    folder = media.parent / "measured"
+    tables = {"figure": experiment.figure.measured}
+    tables["fit"] = experiment.fit.measured if experiment.fit else None
+    for section, measured in tables.items():
         if measured and not (folder / measured).is_file():
-            known = ", ".join(sorted(p.name for p in folder.glob("*.csv")))
-            raise ConfigError(f"{path}: {section}.measured = {measured!r}: must be one of {known}")
+            one_of(f"{section}.measured", measured, [p.name for p in folder.glob("*.csv")])
     if experiment.fit:
+        if experiment.figure.kind != "fit":
+            raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
         try:
-            if experiment.figure.kind != "fit":
-                raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
-            check_fit(experiment, pd.read_csv(folder / experiment.fit.measured, comment="#"))
+            table = pd.read_csv(folder / experiment.fit.measured, comment="#")
         except ValueError as error:
-            raise ConfigError(f"{path}: {error}") from None
+            hint = " ".join(str(error).split())
+            raise refuse(
+                "fit.measured", experiment.fit.measured, "a table, by commas", hint
+            ) from None
+        check_fit(experiment, table)
     return experiment
 
 
-def _samples(given: Any, path: Path, folder: Path) -> dict[str, Any]:
+def _samples(given: Any, folder: Path) -> dict[str, Any]:
     """Return the media of a grid by label, those given by a file's name read from that file."""
-    named = {str(name): name for name in given} if isinstance(given, list) else given
+    if isinstance(given, list) and not all(isinstance(name, str) for name in given):
+        allowed = "names of files, or a mapping from labels to media"
+        raise refuse(f"grid.{SAMPLE}", given, allowed)
+    named = {name: name for name in given} if isinstance(given, list) else given
     return {
         label: _with_base(
-            {"base": value} if isinstance(value, str) else value,
-            path,
-            f"grid.medium.{label}",
-            folder,
+            {"base": value} if isinstance(value, str) else value, f"grid.{SAMPLE}.{label}", folder
         )
         for label, value in named.items()
     }
 
 
-def _with_base(medium: Any, path: Path, place: str, folder: Path) -> Any:
+def _with_base(medium: Any, place: str, folder: Path) -> Any:
     """Return a medium's settings on top of those of the file that its ``base`` names."""
     if not isinstance(medium, dict) or "base" not in medium:
         return medium
-    base = folder / f"{medium['base']}.yaml"
-    if not base.is_file():
-        known = sorted(p.stem for p in folder.glob("*.yaml"))
-        hint = suggestion(medium["base"], known)
-        raise ConfigError(
-            f"{path}: {place}.base = {medium['base']!r}: must be one of {', '.join(known)}"
-            + (f" ({hint})" if hint else "")
-        )
+    base = one_of(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
     own = {key: value for key, value in medium.items() if key != "base"}
-    return {**read_yaml(base), **own}
+    return {**read_yaml(folder / f"{base}.yaml"), **own}
 
 
 def load_experiments(
@@ -132,18 +149,24 @@ def load_experiments(
     Raises
     ------
     ConfigError
-        For the first file that cannot be run, for a name used twice, or if there is none.
+        With one line for each file that cannot be run or has the name of another, or if there
+        is no file.
     """
     experiments: dict[str, Experiment] = {}
     files: dict[str, Path] = {}
+    refused: list[str] = []
     for path in sorted(Path(folder).rglob("*.y*ml")):
-        experiment = load_experiment(path, media_folder)
-        if experiment.name in experiments:
-            raise ConfigError(
-                f"{path}: name = {experiment.name!r}: already taken by {files[experiment.name]}"
-            )
-        experiments[experiment.name] = experiment
-        files[experiment.name] = path
+        try:
+            experiment = load_experiment(path, media_folder)
+        except ConfigError as error:
+            refused.append(str(error))
+            continue
+        name = experiment.name
+        if name in experiments:
+            refused.append(f"{path}: name = {name!r}: already taken by {files[name]}")
+        experiments[name], files[name] = experiment, path
+    if refused:
+        raise ConfigError("\n".join(refused))
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
@@ -151,43 +174,15 @@ def load_experiments(
 
 def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
     """Check the main configuration, given as a mapping."""
-    return _checked(Settings, content, Path(origin))
+    try:
+        return _checked(Settings, content)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: {error}") from None
 
 
-def _checked(model: type[Model], content: dict[str, Any], path: Path) -> Model:
+def _checked(model: type[Model], content: dict[str, Any]) -> Model:
+    """Return a model of the content, or refuse it in one line."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise ConfigError(f"{path}: {_message(model, first)}") from None
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}") from None
-
-
-def _message(model: type[BaseModel], error: Any) -> str:
-    """Return one line for one pydantic error: key, value, what is allowed."""
-    place = [str(part) for part in error["loc"]]
-    key = ".".join(part for part in place if not part[0].isupper() and part != "function-after")
-    if error["type"] == "extra_forbidden":
-        known = _keys_at(model, place[:-1])
-        hint = suggestion(place[-1], known)
-        text = f"{key}: unknown key, must be one of {', '.join(known)}"
-        return text + (f" ({hint})" if hint else "")
-    if error["type"] == "value_error":
-        return str(error["ctx"]["error"])
-    if error["type"] == "missing":
-        return f"{key}: missing"
-    message = error["msg"][0].lower() + error["msg"][1:]
-    return f"{key} = {error['input']!r}: {message}"
-
-
-def _keys_at(model: type[BaseModel], place: list[str]) -> list[str]:
-    """Return the keys of the section that a location leads to."""
-    for part in place:
-        field = model.model_fields.get(part)
-        if field is None:
-            continue
-        kinds = [field.annotation, *get_args(field.annotation)]
-        sections = [k for k in kinds if isinstance(k, type) and issubclass(k, Section)]
-        model = sections[0] if sections else model
-    return list(model.model_fields)
+        raise ValueError(line_of(model, error)) from None

@@ -10,17 +10,19 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import one_of, refuse, suggestion
+from splits.checks import one_of, refuse, suggestion, unknown_key
 from splits.experiments.sections import (
     FIGURES,
     OF_ONE_POINT,
     QUANTITIES,
+    SEVERAL,
     SURFACES,
     FigureSection,
     FitSection,
@@ -92,7 +94,7 @@ class Experiment(Section):
                 if len(set(labels)) < len(labels):
                     raise refuse(f"grid.{parameter}", values, "different values", "or name them")
                 values = dict(zip(labels, values, strict=True))
-            grid[parameter] = {str(label): v for label, v in values.items()}
+            grid[str(parameter)] = {str(label): v for label, v in values.items()}
         return grid
 
     @model_validator(mode="after")
@@ -104,12 +106,12 @@ class Experiment(Section):
         for place, settings in {"medium": self.medium, **_places(samples)}.items():
             for key in settings:
                 if key not in (*keywords, "kind"):
-                    raise ValueError(_unknown(f"{place}.{key}", keywords))
+                    raise unknown_key(f"{place}.{key}", keywords)
             one_of(f"{place}.kind", settings.get("kind", kind), [kind])
         parameters = [*keywords, "incidence_deg", SAMPLE]
         for parameter in self.grid:
             if parameter not in parameters:
-                raise ValueError(_unknown(f"grid.{parameter}", parameters))
+                raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
         self._check_figure()
         for dimension, label in self.figure.at.items():
@@ -118,10 +120,11 @@ class Experiment(Section):
             if str(label) not in labels and label not in labels.values():
                 raise refuse(f"figure.at.{dimension}", label, "one of " + ", ".join(labels))
         wavelengths = self.instrument.wavelengths()
-        for _, medium, incidence in self.points():
-            if not self.fit:
-                medium.indices(wavelengths)
-            check_incidence(incidence)
+        for labels, medium, incidence in self.points():
+            with self.placed(labels):
+                if not self.fit:
+                    medium.indices(wavelengths)
+                check_incidence(incidence)
             self._check_surface(kind, medium)
         return self
 
@@ -134,7 +137,10 @@ class Experiment(Section):
             given = kind if not layer else "a layer without surface"
             raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
         if instrument.kind in SURFACES and "incidence_deg" in self.grid:
-            raise refuse("grid", "incidence_deg", f"left out for {instrument.kind}")
+            raise refuse(
+                "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
+                f"left out for {instrument.kind}",
+            )  # fmt: skip
         if instrument.estimator == "local" and (rough or not layer):
             raise refuse("instrument.estimator", "local", "left out but for smooth layers")
         if self.figure.kind == "polarization":
@@ -168,6 +174,8 @@ class Experiment(Section):
                 "given",
                 "left out: a fit takes the measured wavelengths",
             )
+        if self.fit and self.instrument.estimator == "analog":
+            raise refuse("instrument.estimator", "analog", "left out: fits share their paths")
         if self.figure.kind == "swatches":
             x = self.instrument.wavelengths()
             if x[0] > 400.0 or x[-1] < 780.0 or np.diff(x).max(initial=0.0) > 10.0:
@@ -225,8 +233,12 @@ class Experiment(Section):
                 "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
             )
         if instrument.kind in ("goniophotometer", "bssrdf"):
-            for _, _, incidence in self.settings():
-                check_beam(incidence)
+            for labels, _, incidence in self.settings():
+                with self.placed(labels):
+                    check_beam(incidence)
+        several = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
+        if instrument.kind == "refractive_index" and several:
+            raise refuse("grid", several, "of one value for refractive_index")
 
     def drawing(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.figures.draw`, with a kind that fits."""
@@ -248,7 +260,35 @@ class Experiment(Section):
     def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         for labels, settings, incidence in self.settings():
-            yield labels, MEDIA[self.medium.get("kind", "snow")](**settings), incidence
+            with self.placed(labels):
+                medium = MEDIA[self.medium.get("kind", "snow")](**settings)
+            yield labels, medium, incidence
+
+    @contextmanager
+    def placed(self, labels: Mapping[str, str]) -> Iterator[None]:
+        """Put before the key of a refusal the section that gives it at a point of the grid."""
+        try:
+            yield
+        except ValueError as error:
+            key = re.split(r"\W", str(error), maxsplit=1)[0]
+            sample = self.grid[SAMPLE][labels[SAMPLE]] if SAMPLE in self.grid else {}
+            if key in self.grid:
+                place = "grid"
+            elif key in sample:
+                place = f"grid.{SAMPLE}.{labels[SAMPLE]}"
+            else:
+                place = "fit" if key in FitSection.model_fields else "medium"
+                place = "instrument" if key in Instrument.model_fields else place
+            hint = f" ({SEVERAL})" if place == "medium" and self._is_several(key) else ""
+            raise ValueError(f"{place}.{error}{hint}") from None
+
+    def _is_several(self, key: str) -> bool:
+        """Tell whether a keyword of the medium holds a list of what a grid takes."""
+        given = self.medium.get(key)
+        usual = getattr(MEDIA[self.medium.get("kind", "snow")], key, None)
+        if not isinstance(given, (list, tuple)) or usual is None:
+            return False
+        return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
 
     def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield what `points` yields, with the medium's keywords in its place."""
@@ -361,9 +401,3 @@ def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
         if not isinstance(settings, Mapping):
             raise refuse(place, settings, "a mapping of the medium's keywords")
     return places
-
-
-def _unknown(key: str, known: list[str]) -> str:
-    name = key.rsplit(".", 1)[-1]
-    hint = suggestion(name, known)
-    return f"{key}: unknown key, must be one of {', '.join(known)}" + (f" ({hint})" if hint else "")

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse
+from splits.checks import in_range, one_of, refuse, under
 from splits.dataset import attributes, provenance
 from splits.experiments.fit import Effort, FitResult, fit
 from splits.experiments.model import Accuracy, Experiment
@@ -111,14 +111,17 @@ def check_fit(experiment: Experiment, measured: pd.DataFrame) -> list[str]:
         )
     known = [str(c) for c in measured.columns if c != "wavelength_nm"]
     samples = [one_of("fit.samples", s, known) for s in section.samples] or known
-    wavelength = check_wavelengths(measured.wavelength_nm.to_numpy(dtype=float))
+    with under("fit.measured"):
+        wavelength = check_wavelengths(measured.wavelength_nm.tolist())
     for sample in samples:
         for x, value in zip(wavelength, measured[sample], strict=True):
             key = f"fit.measured ({sample} at {x:g} nm)"
             in_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
-    for _, settings, _ in experiment.settings():
-        cube = Cube(settings, section.ranges)
-        cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
+    for labels, settings, _ in experiment.settings():
+        with experiment.placed(labels):
+            cube = Cube(settings, section.ranges)
+        with under("fit.measured"):
+            cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
     return samples
 
 

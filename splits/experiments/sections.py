@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
-from splits.checks import in_range, refuse
+from splits.checks import in_range, refuse, under
 from splits.experiments.parameters import checked_ranges
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.goniophotometer import check_angles, check_cells
@@ -33,6 +34,13 @@ ONLY_FOR = {
     "realisations": ("lens", "surface"),
 }
 """Settings that only some instruments know."""
+IGNORED = {
+    "surface": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "lens": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "refractive_index": ("incidence_deg", "error_factor"),
+}
+"""Settings that all others know, but not these instruments."""
+SEVERAL = "several values go under grid"
 SURFACES = ("surface", "lens")
 """Instruments that look at a rough surface alone."""
 REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
@@ -69,9 +77,19 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_switch(cls, value: Any) -> Any:
+        # Nothing here is switched on and off; pydantic would take true for the number 1.
+        if isinstance(value, bool):
+            raise PydanticCustomError("no_switch", "true or false")
+        return value
+
 
 class WavelengthGrid(Section):
     """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     start: float
     stop: float
@@ -90,6 +108,8 @@ class WavelengthGrid(Section):
 
 class Instrument(Section):
     """A virtual instrument and its settings."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     kind: Literal[
         "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens"
@@ -115,7 +135,10 @@ class Instrument(Section):
     @field_validator("incidence_deg", mode="before")
     @classmethod
     def _incidence(cls, value: float | str) -> float | str:
-        return check_incidence(value)
+        with under("instrument"):
+            if isinstance(value, (list, tuple)):
+                raise refuse("incidence_deg", value, "one angle or diffuse", SEVERAL)
+            return check_incidence(value)
 
     @field_validator("error_factor")
     @classmethod
@@ -155,13 +178,30 @@ class Instrument(Section):
             if getattr(self, key) is not None:
                 check_angles(f"instrument.{key}", getattr(self, key), end)
         if self.cells is not None:
-            check_cells(self.cells)
+            with under("instrument"):
+                check_cells(self.cells)
+        self._check_ignored()
         return self
+
+    def _check_ignored(self) -> None:
+        """Refuse settings that would change nothing."""
+        for key in IGNORED.get(self.kind, ()):
+            value = getattr(self, key)
+            if value != type(self).model_fields[key].default:
+                given = value.model_dump() if isinstance(value, BaseModel) else value
+                raise refuse(f"instrument.{key}", given, f"left out for {self.kind}")
+        counted = "rays" if self.rays is not None else "cells" if self.estimator == "cells" else ""
+        if counted and self.error_factor != 1.0:
+            raise refuse(
+                "instrument.error_factor", self.error_factor, f"left out with {counted}",
+                "the number of rays is fixed there, not the error",
+            )  # fmt: skip
 
     def wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""
         grid = self.wavelength_nm
-        return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
+        with under("instrument"):
+            return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
 
 
 class FigureSection(Section):
@@ -209,5 +249,6 @@ class FitSection(Section):
     @field_validator("ranges")
     @classmethod
     def _ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
-        checked_ranges(value)
+        with under("fit"):
+            checked_ranges(value)
         return value

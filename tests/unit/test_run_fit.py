@@ -101,6 +101,7 @@ def test_an_unknown_sample_is_refused(experiment):
     [
         ([8.0] * 13, r"dark at 400 nm\) = 8\.0.*not per cent"),
         ([np.nan] * 13, r"dark at 400 nm\) = nan"),
+        (["x"] * 13, r"dark at 400 nm\) = 'x'.*this is text"),
     ],
 )
 def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
@@ -110,6 +111,26 @@ def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
     table.to_csv(tmp_path / "measured" / "mine.csv", index=False)
     with pytest.raises(ConfigError, match=message):
         load_experiment(tmp_path / "found.yaml", tmp_path / "media")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r": fit\.measured = 'mine\.csv': must be a table"),
+        ("wavelength_nm,a\n1,2,3\n4,5,6,7\n", r": fit\.measured = 'mine\.csv': must be a table"),
+        (
+            "wavelength_nm,a\nblue,0.3\n",
+            r": fit\.measured\.wavelength_nm = \['blue'\]: must be num",
+        ),
+        ("wavelength_nm,a\n100,0.3\n", r": fit\.measured\.wavelength_nm = 100\.0: must be in"),
+        ("wavelength_nm,a\n2600,0.3\n", r": fit\.measured\.wavelength_nm = 2600\.0: must be in"),
+    ],
+)
+def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, message):
+    (tmp_path / "measured" / "mine.csv").write_text(text, "utf-8")
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_experiment(tmp_path / "found.yaml", tmp_path / "media")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_fit_is_the_same_after_a_round_trip(experiment):

@@ -1,4 +1,4 @@
-"""Ten configurations that cannot be run: one clear message each, and nothing is started."""
+"""Configurations that cannot be run: one clear message each, and nothing is started."""
 
 from __future__ import annotations
 
@@ -51,6 +51,20 @@ def test_bad_experiments_are_refused_before_anything_runs(project, what):
     assert allowed in lines[0]
     assert "Traceback" not in run.text
     assert run.jobs() == []
+    assert not (project.folder / "results").exists()
+
+
+def test_all_bad_experiments_are_told_at_once(project):
+    project.put("good", "instrument: {wavelength_nm: [500]}\n")
+    project.put("one", "titel: x\n")
+    project.put("two", "instrument: {wavelength_nm: 500}\n")
+    run = project.snakemake("--cores", 1, "good")
+    assert run.code != 0
+    lines = [line for line in run.text.splitlines() if line.startswith("config/experiments")]
+    assert len(lines) == 2, run.text
+    assert lines[0].startswith("config/experiments/one.yaml: titel: unknown key")
+    assert lines[1].startswith("config/experiments/two.yaml: instrument.wavelength_nm = 500: must")
+    assert "Traceback" not in run.text
     assert not (project.folder / "results").exists()
 
 

@@ -1,0 +1,211 @@
+"""Refusals of experiment files: the key with its full path, the value, what is allowed, a hint."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
+from splits.experiments.load import read_yaml
+
+ROOT = Path(__file__).parents[2]
+MEDIA = ROOT / "config" / "media"
+WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
+ROUGH = {"medium": {"kind": "layer", "depth_m": 100, "surface": WAVES}}
+GLASS = {"kind": "layer", "opaque": True}
+ONE = {"wavelength_nm": [550]}
+WAVELENGTHS = "must be a mapping with start, stop, step or a list of numbers"
+
+
+def told(tmp_path, content):
+    """Return what is said about a file, its path left out."""
+    path = tmp_path / "wrong.yaml"
+    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), "utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(path, MEDIA)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ") and "\n" not in text
+    return text.removeprefix(f"{path}: ")
+
+
+WRONG_TYPES = {
+    "instrument: {wavelength_nm: 550}":
+        f"instrument.wavelength_nm = 550: {WAVELENGTHS} (write [550])",
+    "instrument: {wavelength_nm: blue}": f"instrument.wavelength_nm = 'blue': {WAVELENGTHS}",
+    "instrument: {wavelength_nm: [500, blue]}":
+        "instrument.wavelength_nm[1] = 'blue': must be a number",
+    "instrument: {wavelength_nm: {start: 400, stop: 500}}":
+        "instrument.wavelength_nm.step: missing, must be a number",
+    "instrument: {wavelength_nm: {start: 400, stop: .inf, step: 1}}":
+        "instrument.wavelength_nm.stop = inf: must be a finite number",
+    "instrument: {wavelength_nm: {start: 400, stop: 500, stepp: 1}}":
+        "instrument.wavelength_nm.stepp: unknown key, must be one of start, stop, step, also "
+        "(did you mean step?)",
+    "instrument: {kind: lens, screen_depth_m: 1}":
+        "instrument.screen_depth_m = 1: must be a list of numbers (write [1])",
+    "instrument: {kind: bssrdf, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
+    "instrument: {kind: bssrdf, rays: many}": "instrument.rays = 'many': must be a whole number",
+    "instrument: {kind: bssrdf, rays: true}": "instrument.rays = True: must be a whole number",
+    "instrument: {kind: bssrdf, rays: 0}": "instrument.rays = 0: must be at least 1",
+    "instrument: {kind: goniophotometre}":
+        "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "
+        "bssrdf, refractive_index, surface, lens (did you mean goniophotometer?)",
+    "instrument: {cells: [5]}": "instrument.cells = [5]: must be a list of 2 whole numbers",
+    "instrument: 5": "instrument = 5: must be a mapping of keys to values",
+    "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 numbers",
+    "figure: {at: {saturation: [0]}}": "figure.at.saturation = [0]: must be a number or text",
+    "title: 2024": "title = 2024: must be text (put it into quotes)",
+    "fit: 5": "fit = 5: must be a mapping with measured",
+    "5: 6": "5: unknown key, must be one of name, title, caption, medium, instrument, grid, fit, "
+        "figure",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", WRONG_TYPES)
+def test_wrong_types_are_told_in_words(tmp_path, text):
+    assert told(tmp_path, text) == WRONG_TYPES[text]
+
+
+def test_a_misspelt_figure_is_told(tmp_path):
+    text = told(tmp_path, "figure: {kind: swatchs}")
+    assert text.startswith("figure.kind = 'swatchs': must be one of spectra, points")
+    assert text.endswith("(did you mean swatches?)")
+
+
+@pytest.mark.parametrize("rays", ["1e5", "1.0e5", "1E+5", "100_000"])
+def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
+    path = tmp_path / "made.yaml"
+    path.write_text(f"instrument: {{kind: bssrdf, rays: {rays}}}\n", "utf-8")
+    assert load_experiment(path, MEDIA).instrument.rays == 100_000
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"medium": {"saturation": [0, 0.1]}},
+        {"medium": {"grain_size_um": [[100, 200], [300, 400]]}},
+        {"medium": {"kind": "layer", "polarized": [False, True]}, "instrument": ONE},
+        {"instrument": {"incidence_deg": [0, 30]}},
+    ],
+)
+def test_lists_of_values_belong_under_grid(tmp_path, content):
+    assert told(tmp_path, content).endswith("(several values go under grid)")
+
+
+PLACES = [
+    ({"medium": {"saturation": 2}}, "medium.saturation = 2: must be in [0, 1]"),
+    ({"medium": {"depth_m": -1}}, "medium.depth_m = -1: must be"),
+    ({"grid": {"saturation": [0, 2]}}, "grid.saturation = 2: must be in [0, 1]"),
+    ({"grid": {"medium": {"wet": {"saturation": 2}}}}, "grid.medium.wet.saturation = 2: must"),
+    ({"grid": {"incidence_deg": [0, 95]}}, "grid.incidence_deg = 95: must be in [0, 89.9999]"),
+    ({"instrument": {"incidence_deg": 95}}, "instrument.incidence_deg = 95: must be in"),
+    ({"instrument": {"wavelength_nm": [100]}}, "instrument.wavelength_nm = 100.0: must be in"),
+    ({"instrument": {"wavelength_nm": [500, 400]}}, "instrument.wavelength_nm = [500.0, 400.0]"),
+    ({"instrument": {"kind": "goniophotometer", "estimator": "cells", "cells": [0, 2]}},
+     "instrument.cells = (0, 2): must be"),
+    ({"medium": {"kind": "sand"}, "instrument": {"wavelength_nm": [2500]}},
+     "instrument.wavelength_nm = 2500.0: must be in"),
+    ({"medium": {"kind": "sand"}, "fit": {"measured": "x.csv", "ranges": {"clay": [1, 0]}}},
+     "fit.ranges.clay (low) = 1.0: must be in"),
+    ({"fit": {"measured": "sand_reflectance_jhu.csv", "ranges": {"magnetit": [0, 1]}}},
+     "fit.ranges = 'magnetit': must be one of"),
+    ({"medium": {"kind": "layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
+     "medium.surface.band_limit_per_m = None: must be given"),
+    ({**ROUGH, "instrument": {"kind": "lens", "radius_m": 1, "screen_depth_m": [1]}},
+     "instrument.half_width_m = None: must be given"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), PLACES)
+def test_messages_begin_with_the_whole_key(tmp_path, content, message):
+    assert told(tmp_path, content).startswith(message)
+
+
+def looking(kind, **settings):
+    needed = {
+        "lens": {"radius_m": 1, "screen_depth_m": [1], "over": "origin"},
+        "surface": {"half_width_m": 1},
+    }
+    return {"kind": kind, **needed.get(kind, {}), **settings}
+
+
+IDLE = [
+    *(({**ROUGH, "instrument": looking(kind, **{key: value})}, f"instrument.{key}")
+      for kind in ("lens", "surface")
+      for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("error_factor", 2))),
+    ({"instrument": looking("refractive_index", incidence_deg=30)}, "instrument.incidence_deg"),
+    ({"instrument": looking("refractive_index"), "grid": {"saturation": [0, 1]}}, "grid"),
+    ({"instrument": looking("bssrdf", rays=10, error_factor=2)}, "instrument.error_factor"),
+    ({"instrument": looking("goniophotometer", rays=10, error_factor=2)},
+     "instrument.error_factor"),
+    ({"instrument": looking("goniophotometer", estimator="cells", error_factor=2)},
+     "instrument.error_factor"),
+    ({"medium": {"kind": "layer", "max_polarization": 0.5}, "instrument": ONE},
+     "medium.max_polarization"),
+    ({"medium": {**GLASS, "bottom_albedo": 0.5}, "instrument": ONE}, "medium.bottom_albedo"),
+    ({"medium": {"kind": "layer", "optical_thickness": float("inf"), "bottom_albedo": 0.5},
+      "instrument": ONE}, "medium.bottom_albedo"),
+    ({"medium": GLASS, "grid": {"single_scattering_albedo": [0, 1]}, "instrument": ONE},
+     "grid.single_scattering_albedo"),
+    ({"medium": {"kind": "layer"}, "instrument": ONE,
+      "grid": {"medium": {"a": {"phase_function": "rayleigh", "asymmetry": 0.5}}}},
+     "grid.medium.a.asymmetry"),
+    ({"medium": {"kind": "sand"}, "instrument": {"estimator": "analog"},
+      "figure": {"kind": "fit"}, "fit": {"measured": "sand_reflectance_jhu.csv"}},
+     "instrument.estimator"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "key"), IDLE)
+def test_settings_that_change_nothing_are_refused(tmp_path, content, key):
+    text = told(tmp_path, content)
+    assert re.match(rf"{re.escape(key)} = .*: must be (left out|of one value)", text), text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"medium": {"kind": "layer", "max_polarization": 0.5},
+         "grid": {"polarized": {"scalar": False, "vector": True}}},
+        {"medium": {"kind": "layer", "bottom_albedo": 0.5},
+         "grid": {"medium": {"face": {"opaque": True}, "all": {}}}},
+        {"medium": {"base": "glass", "opaque": True}},
+    ],
+)  # fmt: skip
+def test_settings_that_count_somewhere_are_taken(tmp_path, content):
+    (tmp_path / "glass.yaml").write_text("{kind: layer, bottom_albedo: 0.5}", "utf-8")
+    path = tmp_path / "made.yaml"
+    path.write_text(yaml.safe_dump({**content, "instrument": ONE}), "utf-8")
+    assert load_experiment(path, tmp_path).name == "made"
+
+
+def test_all_bad_files_are_told_at_once(tmp_path):
+    for name, text in (("a", "titel: x"), ("b", "title: x"), ("c", "name: b"), ("d", "[")):
+        (tmp_path / f"{name}.yaml").write_text(text, "utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_experiments(tmp_path)
+    lines = str(caught.value).splitlines()
+    starts = ("a.yaml: titel: unknown", "c.yaml: name = 'b': already", "d.yaml, line 1: not YAML")
+    assert len(lines) == len(starts)
+    for line, start in zip(lines, starts, strict=True):
+        assert line.startswith(str(tmp_path / start))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"experiments": 5}, 'experiments = 5: must be "all" or a list of names'),
+        ({"seed": True}, "seed = True: must be a whole number"),
+        ({"accuracies": {"standard": {"max_stderr": "low"}}},
+         "accuracies.standard.max_stderr = 'low': must be a number"),
+        ({"accuracies": {"standard": {"max_stderr": 2}}},
+         "accuracies.standard.max_stderr = 2: must be at most 0.5"),
+    ],
+)  # fmt: skip
+def test_settings_of_wrong_types_are_told_in_words(change, message):
+    settings = {**read_yaml(ROOT / "config" / "config.yaml"), **change}
+    with pytest.raises(ConfigError, match=f"^config/config.yaml: {re.escape(message)}"):
+        load_settings(settings)

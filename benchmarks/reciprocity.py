@@ -29,11 +29,6 @@ READINGS = {
 }
 MEDIA = {
     "snow of Table 1, dry, 1300 nm": (splits.Snow, {"saturation": 0.0}, 1300.0),
-    "smooth spheres, 1300 nm": (
-        splits.Snow,
-        {"saturation": 0.0, "facetness": (0.0,) * 4, "sphericity": (1.0, 1.0, 1.0, 0.0)},
-        1300.0,
-    ),
     "sand, base case of Fig 8, 600 nm": (splits.Sand, {}, 600.0),
 }
 

@@ -1,7 +1,8 @@
 """Experiments as configuration: validation, grids, names, runs."""
 
 from splits.experiments.load import load_experiment, load_experiments, load_settings
-from splits.experiments.model import ConfigError, Experiment, Settings
+from splits.experiments.model import ConfigError, Experiment
+from splits.experiments.settings import Settings
 
 __all__ = [
     "ConfigError",

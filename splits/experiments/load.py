@@ -12,8 +12,9 @@ from pydantic import BaseModel, ValidationError
 
 from splits.checks import one_of, refuse
 from splits.experiments.messages import line_of
-from splits.experiments.model import SAMPLE, ConfigError, Experiment, Settings
+from splits.experiments.model import SAMPLE, ConfigError, Experiment
 from splits.experiments.run_fit import check_fit
+from splits.experiments.settings import Settings
 from splits.experiments.unused import keywords_given, refuse_unused
 
 Model = TypeVar("Model", bound=BaseModel)

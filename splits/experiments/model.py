@@ -1,8 +1,8 @@
-"""What an experiment file and the main configuration may say.
+"""What an experiment file may say.
 
-One pydantic model per section (those of an experiment's parts are in
-`splits.experiments.sections`).  Unknown keys are refused everywhere; physical ranges are checked
-by the media and instruments themselves, so that a limit stands in one place only.
+One pydantic model per section (those of its parts are in `splits.experiments.sections`).  Unknown
+keys are refused everywhere; physical ranges are checked by the media and instruments themselves,
+so that a limit stands in one place only.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import one_of, refuse, suggestion, unknown_key
+from splits.checks import one_of, refuse, unknown_key
 from splits.experiments.sections import (
     FIGURES,
     OF_ONE_POINT,
@@ -315,72 +315,6 @@ class Experiment(Section):
         if self.fit:
             del content["instrument"]["wavelength_nm"]
         return content
-
-
-class Accuracy(Section):
-    """How far simulations run."""
-
-    max_stderr: float = Field(ge=1e-6, le=0.5)
-    relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
-    max_rays: int | None = Field(default=None, ge=1)
-
-
-class SensitivityPair(Section):
-    """Two values of a parameter between which a spectrum's sensitivity is taken."""
-
-    parameter: str
-    experiment: str
-    readings: str
-    low: float | str
-    high: float | str
-
-
-class Settings(Section):
-    """The main configuration file."""
-
-    experiments: Literal["all"] | tuple[str, ...] = "all"
-    accuracy: str = "standard"
-    accuracies: dict[str, Accuracy]
-    seed: int = Field(default=1, ge=0)
-    experiments_folder: str = "config/experiments"
-    media_folder: str = "config/media"
-    results: str = "results"
-    archive: tuple[str, ...] | Literal["all"] = "all"
-    sensitivity: dict[str, SensitivityPair] = Field(default_factory=dict)
-
-    @field_validator("experiments", mode="before")
-    @classmethod
-    def _names(cls, value: Any) -> Any:
-        # On the command line a list is written with commas.
-        if isinstance(value, str) and value != "all":
-            return tuple(value.split(","))
-        return value
-
-    @model_validator(mode="after")
-    def _known_accuracy(self) -> Settings:
-        one_of("accuracy", self.accuracy, self.accuracies)
-        return self
-
-    @property
-    def results_folder(self) -> str:
-        """Where results go: `results`, with a subfolder for accuracies other than standard."""
-        return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
-
-    def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
-        """Return the experiments chosen among those available.
-
-        Raises
-        ------
-        ConfigError
-            For a name that is not available, anywhere in the settings.
-        """
-        for key, names in (("experiments", self.experiments), ("archive", self.archive)):
-            for name in () if names == "all" else names:
-                if name not in available:
-                    hint = suggestion(name, available) or "known: " + ", ".join(available)
-                    raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
-        chosen = available if self.experiments == "all" else self.experiments
-        return {name: available[name] for name in chosen}
 
 
 def label_of(parameter: str, value: Any) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
-from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.sections import SURFACES, Instrument
+from splits.experiments.settings import Accuracy
 from splits.instruments import (
     Progress,
     bssrdf,

@@ -17,9 +17,10 @@ import xarray as xr
 from splits.checks import in_range, one_of, refuse, under
 from splits.dataset import attributes, provenance
 from splits.experiments.fit import Effort, FitResult, fit
-from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.parameters import Cube
 from splits.experiments.run import coordinate_values
+from splits.experiments.settings import Accuracy
 from splits.instruments.arguments import check_wavelengths
 from splits.transport import sources_digest
 

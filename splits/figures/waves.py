@@ -57,16 +57,19 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
         left.imshow(shaded, origin="lower", extent=extent, interpolation="bilinear")
         left.spines[:].set_visible(True)
         scale = plt.cm.ScalarMappable(plt.Normalize(-reach, reach), "Blues_r")
-        figure.colorbar(scale, ax=left, label="height (m)", shrink=0.85)
+        figure.colorbar(scale, ax=left, label="height (m)", location="top", shrink=0.7, aspect=30)
         slopes = np.sort(dataset.rms_slope.values)
         share = (np.arange(slopes.size) + 0.5) / slopes.size
         right.step(slopes, share, where="mid", color="black", lw=1.2)
-        right.axvline(np.median(slopes), **_EXPECTED)
+        median = float(np.median(slopes))
+        right.axvline(median, **_EXPECTED)
+        right.annotate(
+            f"median {median:.3g}", (median, 0.02), (4, 0), textcoords="offset points", fontsize=9
+        )
         wide = slopes[-1] > 10.0 * slopes[0]
         right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
         right.set_xscale("log" if wide else "linear")
         right.set_ylabel("share of realisations below")
-        right.set_title(f"median {np.median(slopes):.3g}", fontsize=10)
     return figure
 
 
@@ -112,7 +115,7 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
         screen.set_aspect("equal")
         figure.legend(
             *screen.get_legend_handles_labels(), title="depth of the screen", frameon=False,
-            loc="outside upper center", ncols=3, markerscale=3.0,
+            loc="outside upper center", ncols=3, markerscale=6.0,
         )  # fmt: skip
         value = dataset.concentration.values
         dense.plot(depth, value, color="black", lw=1.4)
@@ -121,9 +124,10 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             low = np.maximum(value - error, 0.0)
             dense.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
         dense.axhline(1.0, **_EXPECTED)
-        dense.set(
-            xlabel="depth of the screen (m)",
-            ylabel="inverse mean square size of the image",
-            yscale="log",
-        )
+        dense.annotate(
+            "without waves", (depth[-1], 1.0), (0, 3), textcoords="offset points", ha="right",
+            fontsize=9,
+        )  # fmt: skip
+        dense.set(xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size")
+        dense.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
     return figure

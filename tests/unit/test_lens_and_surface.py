@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import splits
-from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
 from splits.figures import draw
 
 WAVES = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}

@@ -12,7 +12,8 @@ from splits.analysis.sand_tables import fitted_parameters
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments import run_fit as module
 from splits.experiments.fit import Effort
-from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.model import Experiment
+from splits.experiments.settings import Accuracy
 from splits.figures import draw
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)

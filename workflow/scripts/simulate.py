@@ -4,9 +4,10 @@ import sys
 
 from splits import save
 from splits.analysis.measured import read_measured
-from splits.experiments.model import Accuracy, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.run import run
 from splits.experiments.run_fit import run_fit
+from splits.experiments.settings import Accuracy
 
 with open(snakemake.log[0], "w", encoding="utf-8") as log:
 

@@ -24,6 +24,8 @@ BAND = 4
 """Degrees whose power is compared with that of as many below, to tell what lies beyond."""
 SLOWEST = 0.95
 """Largest ratio of these powers to go on with."""
+DOUBT = 2.0
+"""Standard errors by which noise may have raised a power or lowered the one compared with it."""
 
 LEAST = 0.05
 """Part of an even spread of light below which relative errors are not asked for."""
@@ -185,7 +187,7 @@ def estimate(
         # Classes may have the same detail, or each its own.
         apart = _detail(rest, symmetric, basis).sum(axis=0)
         dropped = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
-        beyond[:, column] = _finer(together.sum(axis=1), symmetric, angles)
+        beyond[:, column] = finer(together.sum(axis=1), symmetric, angles)
         mean[:, column] = values.mean(axis=0)
         stderr[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped)[:, np.newaxis])
         stderr[:, column] = np.hypot(stderr[:, column], beyond[:, column])
@@ -215,7 +217,7 @@ def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
     return np.maximum((dropped.mean(axis=0) ** 2 - variance).sum(axis=-1), 0.0) / np.pi
 
 
-def _finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
+def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
     """Return what detail finer than the polynomials may add, shape (2, directions).
 
     What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
@@ -234,9 +236,14 @@ def _finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndar
     fine = degree > degree.max() - BAND
     coarse = (degree > degree.max() - 2 * BAND) & ~fine
     last, before = power[..., fine].sum(axis=-1), power[..., coarse].sum(axis=-1)
-    noise = np.sqrt(2.0 * (variance[..., fine] ** 2).sum(axis=-1))
-    seen = last > PENALTY * noise + np.finfo(float).tiny
-    fall = np.clip(last / np.maximum(before, np.finfo(float).tiny), 0.0, SLOWEST)
+    noise, noise_before = (
+        np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1)) for band in (fine, coarse)
+    )
+    tiny = np.finfo(float).tiny
+    seen = last > PENALTY * noise + tiny
+    # A slow fall, which much follows from, is believed as far as noise does not feign it.
+    least, most = last - DOUBT * noise, np.maximum(before + DOUBT * noise_before, tiny)
+    fall = np.clip(least / most, 0.0, SLOWEST)
     everywhere = np.sqrt(np.where(seen, last * fall / (1.0 - fall), 0.0) / np.pi)
     fall = np.sqrt(fall)
     there = np.abs(mean[..., fine] @ values[:, fine].T)

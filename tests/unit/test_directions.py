@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from splits.analysis.directions import merged_cells, principal_plane
-from splits.instruments.angular import PENALTY, supported
+from splits.instruments.angular import PENALTY, SLOWEST, angles_of, finer, supported
 from splits.instruments.cells import centres
 from splits.transport.directions import basis_of, count_cells, evaluate_all, expand
 from splits.transport.tally import (
@@ -182,3 +182,26 @@ def test_merged_cells_hold_the_light_of_their_parts():
     assert (merged.brdf_stderr < 0.1).all()
     with pytest.raises(ValueError, match="factor = 2: must be odd"):
         merged_cells(dataset, 2)
+
+
+def detail(fall, per_noise, seed):
+    """Return the detail told beyond degree 24 where power falls by `fall` every four degrees.
+
+    The power of the last four is `per_noise` times its noise.
+    """
+    basis = basis_of(DEGREE)
+    angles = angles_of(np.array([0.0, 30.0, 60.0, 80.0]), np.array([0.0, 180.0]), basis)
+    rng = np.random.default_rng(seed)
+    amplitude = fall ** (0.5 * (basis.degree / 4.0)) * rng.choice([-1.0, 1.0], basis.degree.size)
+    fine = basis.degree > DEGREE - 4
+    error = np.sqrt((amplitude[fine] ** 2).sum() / np.sqrt(2.0 * fine.sum()) / per_noise)
+    groups = amplitude + 8.0 * error * rng.standard_normal((64, amplitude.size))
+    return finer(np.stack([groups, groups], axis=1), False, angles)
+
+
+def test_noise_does_not_feign_detail_that_hardly_falls():
+    seeds = range(40)
+    clear, noisy = ([detail(0.25, p, s).max() for s in seeds] for p in (1e6, 6.0))
+    assert 0.0 < np.mean(noisy) < 1.5 * np.mean(clear)
+    # Detail that does not fall at all is told at once.
+    assert detail(1.0, 1e6, 0).max() > SLOWEST / (1.0 - SLOWEST)

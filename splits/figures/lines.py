@@ -74,16 +74,22 @@ class Lines:
         self._values = {d: dataset[d].values for d in dims}
         sizes = {d: dataset.sizes[d] for d in dims}
         count = math.prod(sizes.values())
-        self.main = next((d for d in dims if sizes[d] > 1), "")
+        several = [d for d in dims if sizes[d] > 1]
+        # What the others are read against is told by colour.
+        marked = [d for d in several if DEFAULT in map(str, self._values[d])]
+        self.main = next(iter([*marked, *several]), "")
         if self.main and count // sizes[self.main] > len(DASHES):
             self.main = max(sizes, key=lambda d: sizes[d])
-        crowded = count // sizes.get(self.main, 1) > len(DASHES)
+        others = count // sizes.get(self.main, 1)
+        named = self._is_named(self.main)
+        # Colours of names repeat after a while, and dashes cannot tell both.
+        repeats = named and others > 1 and sizes[self.main] > LEGIBLE
+        crowded = others > len(DASHES) or repeats
         if crowded:
             # Every line has a colour and an entry of its own.
-            self.main = ""
+            self.main, named = "", False
         self.others = [d for d in dims if d != self.main and sizes[d] > 1 and not crowded]
         values = self._values.get(self.main, np.zeros(count if crowded else 1))
-        named = self.main in NOMINAL and not np.issubdtype(values.dtype, np.number)
         self.shades = _shades(values, self.main if named else None)
         self.bar = len(values) > LEGIBLE and not named and not crowded
         looks = list(np.ndindex(*(sizes[d] for d in self.others)))
@@ -94,7 +100,7 @@ class Lines:
             turn = row if crowded else looks.index(tuple(at[d] for d in self.others))
             if dashed and not self.others and len(values) <= 4:
                 turn = row
-            elif named:
+            elif named and not self.others:
                 turn += row // LEGIBLE
             labels = {d: self._values[d][i] for d, i in at.items()}
             default = str(labels.get(self.main)) == DEFAULT
@@ -103,6 +109,9 @@ class Lines:
             text = " · ".join(value_label(v, d) for d, v in labels.items())
             dash = DASHES[turn % len(DASHES)]
             self.all.append(Line(labels, text, self.shades[row], dash, default, zorder))
+
+    def _is_named(self, dim: str) -> bool:
+        return dim in NOMINAL and not np.issubdtype(self._values[dim].dtype, np.number)
 
     def title(self) -> str:
         """Return the names of the dimensions."""

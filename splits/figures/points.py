@@ -44,7 +44,8 @@ def points(
         " · ".join(value_label(v, d) for d, v in zip(dims, values, strict=True))
         for values in combinations
     ]
-    default = next((i for i, v in enumerate(combinations) if DEFAULT in map(str, v)), None)
+    alone = [map(str, v) for v in combinations if len(v) == 1]
+    default = next((i for i, v in enumerate(alone) if DEFAULT in v), None)
     series = Lines(dataset, ["wavelength"])
     with style():
         figure, panels = plt.subplots(

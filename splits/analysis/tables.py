@@ -46,28 +46,23 @@ def table1(sample: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["quantity", "value"])
 
 
-def table3(
-    scene: xr.Dataset, readings: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame
-) -> pd.DataFrame:
+def table3(readings: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
     """Return measured, published and our reflectance in the AVIRIS-NG bands (Table 3).
 
     Parameters
     ----------
-    scene : xarray.Dataset
-        Reflectance with the default readings, over ``wavelength``.
     readings : xarray.Dataset
-        The same over ``readings``, each place where the papers can be read two ways.
+        Reflectance over ``wavelength`` and ``readings``, each place where the papers can be read
+        two ways.
     aviris : pandas.DataFrame
         Measured bands.
     published : pandas.DataFrame
         See `splits.analysis.agreement.read_published`.
     """
-    cases = {"default": scene}
-    cases |= {n: readings.sel(readings=n) for n in readings.readings.values if n != "default"}
     names = [name for name in published.index if str(name).startswith("table3_")]
     tables = []
-    for name, case in cases.items():
-        table = bands(case, aviris)
+    for name in readings.readings.values:
+        table = bands(readings.sel(readings=name), aviris)
         table.insert(0, "reading", name)
         table["relative_difference_percent"] = 100 * table.difference / table.measured
         table["published_model"] = published.loc[names].published.to_numpy()

@@ -72,6 +72,6 @@ def refuse_unused(experiment: Experiment, given: Mapping[str, tuple[str, Any]]) 
     layers = [medium for _, medium, _ in experiment.points() if isinstance(medium, Layer)]
     for keys, idle, why in UNUSED:
         for key in keys:
-            if key in given and all(idle(layer) for layer in layers):
-                place, value = given[key]
+            place, value = given.get(key, ("", None))
+            if value is not None and all(idle(layer) for layer in layers):
                 raise refuse(place, value, "left out", why)

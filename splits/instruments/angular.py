@@ -25,7 +25,7 @@ BAND = 4
 SLOWEST = 0.95
 """Largest ratio of these powers to go on with."""
 DOUBT = 2.0
-"""Standard errors by which noise may have raised a power or lowered the one compared with it."""
+"""Standard errors of noise alone by which a power may be raised and the one before it lowered."""
 
 LEAST = 0.05
 """Part of an even spread of light below which relative errors are not asked for."""
@@ -223,7 +223,8 @@ def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarr
     What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
     band to band of degrees as it fell last: where they add up to a peak, finer ones would; and
     anywhere else their mean square over the hemisphere counts.  Of a lobe much narrower than the
-    polynomials this is a lower bound.
+    polynomials this is a lower bound, and so it is where detail that hardly falls has not yet
+    risen well above the noise.
     """
     values = angles.values
     if symmetric:

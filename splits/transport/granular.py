@@ -109,8 +109,8 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then size, shape and entry point; a grain
     that crosses an extended boundary or lies on the last leg is replaced by a new draw, distance
-    included, from the same origin.  Skipping such grains instead thins the Poisson process of
-    grains along the ray.
+    included, from the same origin.  Skipping such grains instead, which is not in the papers, thins
+    the Poisson process of grains along the ray.
 
     Parameters
     ----------

@@ -15,6 +15,5 @@ agreement = agreement_table(datasets, published, load(snakemake.input.sensitivit
 write_table(agreement, snakemake.output.agreement)
 write_table(letcher_bands(datasets["letcher2022"], letcher), snakemake.output.bands)
 write_table(table1(datasets["table1_sample"]), snakemake.output.table1)
-readings = datasets["readings_table3"]
-bands = table3(datasets["fig24b_aviris"], readings, aviris, published)
+bands = table3(datasets["readings_table3"], aviris, published)
 write_table(bands, snakemake.output.table3)

@@ -136,9 +136,9 @@ def launch(state, words, lane, seed, work, item, number, slab, rules, optics, co
     if wet and rules.boundary_fresnel:
         n1, n2 = optics.n[item, DRY_PORE], optics.n[item, WET_PORE]
         passed, dx, dy, dz = boundary(words, lane, dx, dy, dz, n1, n2, optics.k[item, WET_PORE])
-    for row in (
-        X, Y, Z, GX, GY, GZ, LX, LY, PORE_PATH, COAT_PATH, CORE_PATH, DEPTH, TRIES, KEEP, SKIP_LEG,
-    ):  # fmt: skip
+    for row in (X, Y, Z, GX, GY, GZ, LX, LY, DEPTH, TRIES, KEEP, SKIP_LEG):
+        state[row + lane] = ZERO
+    for row in (PORE_PATH, COAT_PATH, CORE_PATH):
         state[row + lane] = ZERO
     state[LZ + lane] = -ONE
     state[LAST + lane] = -ONE
@@ -187,9 +187,8 @@ def put_down(state, lane, grains, length):
     length[lane, WET_PORE] += state[PORE_PATH + lane]
     length[lane, grains.material[kind, 0]] += state[COAT_PATH + lane]
     length[lane, grains.material[kind, layers - 1]] += state[CORE_PATH + lane]
-    state[PORE_PATH + lane] = ZERO
-    state[COAT_PATH + lane] = ZERO
-    state[CORE_PATH + lane] = ZERO
+    for row in (PORE_PATH, COAT_PATH, CORE_PATH):
+        state[row + lane] = ZERO
 
 
 @kernel
@@ -251,8 +250,7 @@ def record(row, state, words, lane, length, features):
     if features.orders is not None:
         row[EXIT_ORDER] = words[ORDER + lane]
     if features.positions is not None:
-        row[EXIT_POSITION] = state[X + lane]
-        row[EXIT_POSITION + 1] = state[Y + lane]
+        row[EXIT_POSITION], row[EXIT_POSITION + 1] = state[X + lane], state[Y + lane]
     row[EXIT_LENGTH : EXIT_LENGTH + length.shape[1]] = length[lane]
 
 

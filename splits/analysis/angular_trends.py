@@ -26,11 +26,8 @@ def peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     plane : xarray.Dataset
         From `splits.analysis.directions.principal_plane`, of one wavelength.
     """
-    top, top_error = _top(plane)
-    nadir = plane.sel(angle=0.0)
-    ratio = top / nadir.brdf.values
-    error = ratio * np.hypot(top_error / top, (nadir.brdf_stderr / nadir.brdf).values)
-    return np.asarray(ratio - 1.0), np.asarray(error)
+    ratio, error = _over_nadir(*_top(plane), plane)
+    return ratio - 1.0, error
 
 
 def spread(plane: xr.Dataset, steepest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -76,9 +73,8 @@ def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
                 np.atleast_1d(height_error[i]),
             )
         )
-    side, nadir = plane.sel(angle=60.0), plane.sel(angle=0.0)
-    ratio = (side.brdf / nadir.brdf).values
-    error = ratio * np.hypot(side.brdf_stderr / side.brdf, nadir.brdf_stderr / nadir.brdf).values
+    side = plane.sel(angle=60.0)
+    ratio, error = _over_nadir(side.brdf.values, side.brdf_stderr.values, plane)
     rows.append(
         beyond(
             "forward side (60°) over the nadir rises with incidence, 0°, 30°, 60°: smallest step",
@@ -103,9 +99,7 @@ def _grazing(plane: xr.Dataset) -> list[dict[str, object]]:
     tilt = np.abs(plane.angle)
     limb = plane.where((tilt >= FORWARD[0]) & (tilt <= FORWARD[1]), drop=True)
     top = limb.isel(angle=limb.brdf.argmax("angle"))
-    nadir = plane.sel(angle=0.0)
-    ratio = (top.brdf / nadir.brdf).values
-    error = ratio * np.hypot(top.brdf_stderr / top.brdf, nadir.brdf_stderr / nadir.brdf).values
+    ratio, error = _over_nadir(top.brdf.values, top.brdf_stderr.values, plane)
     return [
         beyond(
             "nadir darker than the limb at 52.8, 69.3 and 84.8°, 600 nm: smallest",
@@ -165,6 +159,16 @@ def _grain_size(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
             )
         )
     return rows
+
+
+def _over_nadir(
+    value: np.ndarray, stderr: np.ndarray, plane: xr.Dataset
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a BRDF in units of the nadir's, and its error."""
+    nadir = plane.sel(angle=0.0)
+    ratio = value / nadir.brdf.values
+    relative = np.hypot(stderr / value, (nadir.brdf_stderr / nadir.brdf).values)
+    return np.asarray(ratio), np.asarray(ratio * relative)
 
 
 def _top(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:

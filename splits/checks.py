@@ -2,24 +2,91 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from difflib import get_close_matches
+from functools import wraps
 from numbers import Real
+from reprlib import Repr
+from typing import Any, TypeVar
+
+import numpy as np
+
+MOST_NAMES = 24
+"""A message lists so many names at most."""
+MOST_NUMBERS = 20_000
+"""A row of numbers, such as wavelengths, is so long at most."""
+
+
+class _Short(Repr):
+    """Bounded representations; mappings keep their order."""
+
+    def repr_dict(self, x: dict[Any, Any], level: int) -> str:
+        """Return a mapping with as many keys as `maxdict` allows."""
+        if level <= 0:
+            return "{...}"
+        pairs = [f"{self.repr1(k, level - 1)}: {self.repr1(v, level - 1)}" for k, v in
+                 itertools.islice(x.items(), self.maxdict)]  # fmt: skip
+        return "{" + ", ".join(pairs + ["..."] * (len(x) > self.maxdict)) + "}"
+
+
+_SHORT = _Short()
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxset = _SHORT.maxdict = 8
+_SHORT.maxstring = _SHORT.maxother = 90
+_SHORT.maxlevel = 4
+
+Class = TypeVar("Class", bound=type)
+
+
+def shown(value: object) -> str:
+    """Return a value as messages show it: on one line, and shortened where it is long."""
+    text = _SHORT.repr(scalar(value))
+    return text if "\n" not in text else " ".join(text.split())
+
+
+def named(key: object) -> str:
+    """Return a key that a user gave as messages show it: as it is, if that is short and plain."""
+    text = str(key)
+    return text if text.isprintable() and len(text) <= 90 else shown(text)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names with commas between them, of many the first."""
+    known = [str(name) for name in names]
+    more = f", … ({len(known)} in all)" if len(known) > MOST_NAMES else ""
+    return ", ".join(known[:MOST_NAMES]) + more
 
 
 def refuse(key: str, value: object, allowed: str, hint: str = "") -> ValueError:
     """Return the error that says why `value` cannot be taken for `key`."""
-    return ValueError(f"{key} = {value!r}: must be {allowed}" + (f" ({hint})" if hint else ""))
+    return ValueError(f"{key} = {shown(value)}: must be {allowed}" + (f" ({hint})" if hint else ""))
 
 
 def unknown_key(key: str, known: Iterable[str]) -> ValueError:
     """Return the error that says that there is no such key, and suggests the nearest."""
     names = list(known)
     hint = suggestion(key.rsplit(".", 1)[-1], names)
-    text = f"{key}: unknown key, must be one of {', '.join(names)}"
+    text = f"{named(key)}: unknown key, must be one of {listed(names)}"
     return ValueError(text + (f" ({hint})" if hint else ""))
+
+
+def known_keywords(kind: Class) -> Class:
+    """Let a dataclass refuse keywords that it does not have by the list of those it has."""
+    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
+
+    @wraps(construct)
+    def checked(self: Any, *values: Any, **keywords: Any) -> None:
+        names = [field.name for field in fields(kind)]
+        for key in keywords:
+            if key not in names:
+                raise TypeError(str(unknown_key(key, names)))
+        construct(self, *values, **keywords)
+
+    kind.__init__ = checked  # type: ignore[misc]
+    return kind
 
 
 @contextmanager
@@ -31,13 +98,66 @@ def under(place: str) -> Iterator[None]:
         raise ValueError(f"{place}.{error}") from None
 
 
+def scalar(value: object) -> Any:
+    """Return the number that a NumPy scalar or an array without dimensions holds, or the value."""
+    return value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
+
+
 def number(key: str, value: object, allowed: str = "a finite number") -> float:
-    """Return `value` as a float, or refuse it."""
+    """Return `value` as a float, or refuse it; an array without dimensions is a number."""
+    value = scalar(value)
     if isinstance(value, str):
         raise refuse(key, value, allowed, "this is text, not a number")
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise refuse(key, value, allowed)
-    return float(value)
+    try:
+        x = float(value)
+    except OverflowError:
+        raise refuse(key, value, allowed) from None
+    if not math.isfinite(x):
+        raise refuse(key, value, allowed)
+    return x
+
+
+def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
+    """Return one number or a row of numbers as an array of floats, or refuse them.
+
+    Parameters
+    ----------
+    key : str
+    values : array_like
+        At least one, and `MOST_NUMBERS` at most; each is finite.
+    allowed : str
+        What they must be, such as "numbers in nanometres".
+    """
+    if isinstance(values, (str, bytes)):
+        raise refuse(key, values, allowed, "this is text, not a number")
+    if isinstance(values, Mapping):
+        raise refuse(key, values, allowed)
+    values = scalar(values)
+    dense = np.asarray(values) if hasattr(values, "__array__") else None
+    if dense is not None and dense.ndim > 1:
+        raise refuse(key, dense.tolist(), f"one row of {allowed}")
+    members = list(
+        itertools.islice(values, MOST_NUMBERS + 1) if isinstance(values, Iterable) else [values]
+    )
+    if not members:
+        raise refuse(key, [], f"at least one of {allowed}")
+    if len(members) > MOST_NUMBERS:
+        raise refuse(key, f"more than {MOST_NUMBERS} numbers", f"at most {MOST_NUMBERS} numbers")
+    if any(isinstance(member, (list, tuple, np.ndarray)) and np.ndim(member) for member in members):
+        raise refuse(key, members, f"one row of {allowed}")
+    return np.array([number(key, member, allowed) for member in members])
+
+
+def increasing(key: str, values: np.ndarray) -> np.ndarray:
+    """Return numbers that rise strictly, or refuse the first two that do not."""
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if falls.size:
+        pair = values[falls[0] : falls[0] + 2].tolist()
+        where = f"numbers {falls[0] + 1} and {falls[0] + 2} of {values.size}"
+        raise refuse(key, pair, "strictly increasing", where)
+    return values
 
 
 def in_range(
@@ -80,9 +200,10 @@ def in_range(
 def numbers(key: str, value: object, names: tuple[str, ...]) -> tuple[float, ...]:
     """Return a sequence of ``len(names)`` floats, or refuse it."""
     allowed = f"{len(names)} numbers ({', '.join(names)})"
+    value = scalar(value)
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
         raise refuse(key, value, allowed)
-    values = tuple(value)
+    values = tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):
         raise refuse(key, value, allowed)
     return tuple(number(f"{key} ({n})", v) for n, v in zip(names, values, strict=True))
@@ -91,12 +212,12 @@ def numbers(key: str, value: object, names: tuple[str, ...]) -> tuple[float, ...
 def one_of(key: str, value: object, choices: Iterable[str]) -> str:
     """Return `value` if it is one of `choices`, or refuse it and suggest the nearest."""
     names = sorted(choices)
-    if value in names:
-        return str(value)
-    raise refuse(key, value, "one of " + ", ".join(names), suggestion(value, names))
+    if isinstance(value, str) and value in names:
+        return value
+    raise refuse(key, value, "one of " + listed(names), suggestion(value, names))
 
 
 def suggestion(name: object, names: Iterable[str]) -> str:
     """Return "did you mean …?" for a misspelt name, or nothing."""
-    near = get_close_matches(str(name), list(names), n=1)
+    near = get_close_matches(str(name)[:90], list(names), n=1)
     return f"did you mean {near[0]}?" if near else ""

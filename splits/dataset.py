@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.checks import listed, number, one_of, refuse
+
 CONVENTIONS = "CF-1.11"
 VOLATILE = ("date_created", "wall_time_s", "threads", "host_cpu")
 """Attributes that differ between runs of one and the same simulation."""
@@ -127,20 +129,30 @@ def load(path: str | Path) -> xr.Dataset:
 
 
 def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
-    """Return the part of a dataset at labels of its grid.
+    """Return the part of a dataset at coordinates of its grid.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    at : mapping
+        From dimensions to coordinates: numbers, up to rounding, or labels.
 
     Raises
     ------
     ValueError
-        If a label is not on the grid.
+        For a dimension or a coordinate that the dataset does not have.
     """
-    for dimension, label in at.items():
+    for dimension, given in at.items():
+        one_of("at", dimension, map(str, dataset.dims))
         values = dataset[dimension].values
         if np.issubdtype(values.dtype, np.number):
-            hit = np.flatnonzero(np.isclose(values, float(label)))
+            wanted = number(f"at.{dimension}", given)
+            place = int(np.abs(values - wanted).argmin())
+            found = bool(np.isclose(values[place], wanted, rtol=1e-12, atol=0.0))
         else:
-            hit = np.flatnonzero(values == str(label))
-        if hit.size == 0:
-            raise ValueError(f"figure.at.{dimension} = {label!r}: must be one of {list(values)}")
-        dataset = dataset.isel({dimension: hit[0]}, drop=True)
+            place = int((values == str(given)).argmax())
+            found = bool(values[place] == str(given))
+        if not found:
+            raise refuse(f"at.{dimension}", given, "one of " + listed(values.tolist()))
+        dataset = dataset.isel({dimension: place}, drop=True)
     return dataset

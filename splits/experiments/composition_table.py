@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from splits.experiments.model import Experiment
+from splits.experiments.simulation import Simulation
 from splits.media import Sand
 from splits.media.composition import Composition
 
 
-def composition_table(experiments: Mapping[str, Experiment]) -> pd.DataFrame:
+def composition_table(experiments: Mapping[str, Simulation]) -> pd.DataFrame:
     """Return every intermediate of SPLITS section 4.2.5, a row per particle type and sand.
 
     Parameters

@@ -2,65 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pandas as pd
-import yaml
 from pydantic import BaseModel, ValidationError
 
-from splits.checks import one_of, refuse
+from splits.checks import named, one_of, refuse
 from splits.experiments.messages import line_of
-from splits.experiments.model import SAMPLE, ConfigError, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.run_fit import check_fit
 from splits.experiments.settings import Settings
+from splits.experiments.simulation import SAMPLE
 from splits.experiments.unused import keywords_given, refuse_unused
+from splits.experiments.yaml_files import ConfigError, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
-
-class _UniqueKeys(yaml.SafeLoader):
-    """A YAML loader that refuses a key given twice instead of forgetting the first."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.MarkedYAMLError(
-                    problem=f"{key} given twice", problem_mark=node.start_mark
-                )
-        return super().construct_mapping(node, deep)
-
-
-# YAML 1.1 takes 1e5 for text, which nobody means.
-_UniqueKeys.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    [*"-+.0123456789"],
-)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping that a YAML file holds.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, is not YAML or is not a mapping.
-    """
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not text"
-        raise ConfigError(f"{path}{where}: not YAML ({problem})") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path}: must be a mapping of keys to values")
-    return content
+LONGEST = 450
+"""Characters of a message, the name of its file left out."""
 
 
 def load_experiment(path: str | Path, media_folder: str | Path = "config/media") -> Experiment:
@@ -83,7 +43,13 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {_line(str(error))}") from None
+
+
+def _line(text: str) -> str:
+    """Return a message on one line of bounded length, whatever a user's words in it are."""
+    plain = "".join(c if c.isprintable() else " " for c in text)
+    return plain if len(plain) <= LONGEST else f"{plain[: LONGEST - 2]} …"
 
 
 def _experiment(path: Path, media: Path) -> Experiment:
@@ -100,23 +66,28 @@ def _experiment(path: Path, media: Path) -> Experiment:
     experiment = _checked(Experiment, content)
     refuse_unused(experiment, given)
     folder = media.parent / "measured"
-    tables = {"figure": experiment.figure.measured}
-    tables["fit"] = experiment.fit.measured if experiment.fit else None
-    for section, measured in tables.items():
-        if measured and not (folder / measured).is_file():
-            one_of(f"{section}.measured", measured, [p.name for p in folder.glob("*.csv")])
+    if experiment.figure.measured:
+        table = _measured("figure.measured", folder, experiment.figure.measured)
+        quantity = experiment.figure.quantity
+        if "wavelength_nm" not in table or not set(quantity) & set(table):
+            columns = "wavelength_nm and " + " or ".join(quantity)
+            name = experiment.figure.measured
+            raise refuse("figure.measured", name, f"a table with columns {columns}")
     if experiment.fit:
         if experiment.figure.kind != "fit":
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
-        try:
-            table = pd.read_csv(folder / experiment.fit.measured, comment="#")
-        except ValueError as error:
-            hint = " ".join(str(error).split())
-            raise refuse(
-                "fit.measured", experiment.fit.measured, "a table, by commas", hint
-            ) from None
-        check_fit(experiment, table)
+        check_fit(experiment, _measured("fit.measured", folder, experiment.fit.measured))
     return experiment
+
+
+def _measured(key: str, folder: Path, name: str) -> pd.DataFrame:
+    """Return a measured table, or refuse its name or what the file holds."""
+    if not (folder / name).is_file():
+        one_of(key, name, [p.name for p in folder.glob("*.csv")])
+    try:
+        return pd.read_csv(folder / name, comment="#")
+    except ValueError as error:
+        raise refuse(key, name, "a table, by commas", named(str(error))) from None
 
 
 def _samples(given: Any, folder: Path) -> dict[str, Any]:
@@ -178,7 +149,7 @@ def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -
     try:
         return _checked(Settings, content)
     except ValueError as error:
-        raise ConfigError(f"{origin}: {error}") from None
+        raise ConfigError(f"{origin}: {_line(str(error))}") from None
 
 
 def _checked(model: type[Model], content: dict[str, Any]) -> Model:

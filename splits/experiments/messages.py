@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import date
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from splits.checks import refuse, suggestion, unknown_key
+from splits.checks import named, refuse, shown, suggestion, unknown_key
 
 WORDS = {
     int: ("a whole number", "whole numbers"),
@@ -65,7 +66,7 @@ def _lead(model: type[BaseModel], place: Sequence[Any]) -> tuple[str, Any]:
                 break
             else:
                 continue
-            names.append(str(part))
+            names.append(named(part))
             break
     return ".".join(names), kind
 
@@ -106,5 +107,6 @@ def _hint(kind: Any, value: Any) -> str:
         return suggestion(value, choices)
     plain = isinstance(value, (int, float)) and not isinstance(value, bool)
     if plain and any(get_args(k) == (float, Ellipsis) for k in options):
-        return f"write [{value!r}]"
-    return "put it into quotes" if str in options and isinstance(value, (int, float)) else ""
+        return f"write [{shown(value)}]"
+    quoted = str in options and isinstance(value, (int, float, date))
+    return "put it into quotes" if quoted else ""

@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
-from splits.experiments.model import Experiment
+from splits.experiments.grids import coordinate_values
 from splits.experiments.sections import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
 from splits.instruments import (
     Progress,
     bssrdf,
@@ -42,7 +43,7 @@ _PER_MEDIUM = {
 
 
 def run(
-    experiment: Experiment,
+    experiment: Simulation,
     accuracy: Accuracy,
     seed: int = 1,
     threads: int | None = None,
@@ -52,7 +53,7 @@ def run(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Simulation
     accuracy : Accuracy
         Errors and limits; an instrument's ``error_factor`` multiplies the error.
     seed : int
@@ -142,7 +143,7 @@ def measure(
     return spectrophotometer(*scene, **common)
 
 
-def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
+def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
     """Return the points of a grid as one dataset."""
     shape = tuple(len(values) for values in experiment.grid.values())
     dims = tuple(experiment.grid)
@@ -184,14 +185,7 @@ def _stack(experiment: Experiment, results: list[xr.Dataset], seconds: float) ->
     return xr.Dataset(variables, coordinates, attributes(facts))
 
 
-def coordinate_values(values: dict[str, Any]) -> np.ndarray:
-    """Return numbers where all grid values are numbers, and labels otherwise."""
-    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values.values()):
-        return np.array([float(v) for v in values.values()])
-    return np.array(list(values), dtype=object).astype(str)
-
-
-def refractive_indices(experiment: Experiment) -> xr.Dataset:
+def refractive_indices(experiment: Simulation) -> xr.Dataset:
     """Return the complex refractive indices of an experiment's medium over wavelength."""
     _, medium, _ = next(experiment.points())
     wavelength = experiment.instrument.wavelengths()

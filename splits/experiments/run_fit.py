@@ -17,10 +17,10 @@ import xarray as xr
 from splits.checks import in_range, one_of, refuse, under
 from splits.dataset import attributes, provenance
 from splits.experiments.fit import Effort, FitResult, fit
-from splits.experiments.model import Experiment
+from splits.experiments.grids import coordinate_values
 from splits.experiments.parameters import Cube
-from splits.experiments.run import coordinate_values
 from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
 from splits.transport import sources_digest
 
@@ -32,7 +32,7 @@ FACTS = {
 
 
 def run_fit(
-    experiment: Experiment,
+    experiment: Simulation,
     accuracy: Accuracy,
     measured: pd.DataFrame,
     seed: int = 1,
@@ -43,7 +43,7 @@ def run_fit(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Simulation
         With a ``fit`` section.
     accuracy : Accuracy
         ``max_stderr`` is that of the last spectrum; a fit's effort shrinks when it is coarse.
@@ -94,7 +94,7 @@ def run_fit(
     return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
 
 
-def check_fit(experiment: Experiment, measured: pd.DataFrame) -> list[str]:
+def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
     """Return the samples to fit, or refuse what cannot be fitted.
 
     Raises
@@ -136,7 +136,7 @@ def effort_for(max_stderr: float) -> Effort:
 
 
 def _dataset(
-    experiment: Experiment,
+    experiment: Simulation,
     results: list[FitResult],
     samples: list[str],
     wavelength: np.ndarray,

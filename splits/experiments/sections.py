@@ -5,6 +5,8 @@ Unknown keys are refused, and so are settings that the instrument chosen does no
 
 from __future__ import annotations
 
+import math
+from pathlib import PurePath
 from typing import Any, Literal
 
 import numpy as np
@@ -12,10 +14,20 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from pydantic_core import PydanticCustomError
 
 from splits.checks import in_range, refuse, under
+from splits.experiments.grids import evenly_spaced
 from splits.experiments.parameters import checked_ranges
-from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
-from splits.instruments.goniophotometer import check_angles, check_cells
-from splits.instruments.lens import check_depths
+from splits.experiments.texts import LONGEST_LABEL, check_mathematics, check_text
+from splits.instruments.arguments import (
+    check_half_width,
+    check_incidence,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.bssrdf import CELLS, SIDES
+from splits.instruments.cells import CELLS_OF_5_DEG
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, check_angles, check_cells
+from splits.instruments.lens import RAYS, check_depths, check_radius, check_ring
+from splits.instruments.surface_map import MOST_REALISATIONS, POINTS
 
 ESTIMATORS = {
     "spectrophotometer": ("spectral", "analog"),
@@ -72,6 +84,13 @@ Quantity = Literal[
 ]  # fmt: skip
 
 
+def check_file(key: str, name: str) -> str:
+    """Return the name of a file of config/measured, or refuse a path that leads elsewhere."""
+    if not name.isprintable() or len(name) > 100 or PurePath(name).name != name or "\\" in name:
+        raise refuse(key, name, "the name of a file of config/measured, without folders")
+    return name
+
+
 class Section(BaseModel):
     """A configuration section: unknown keys are refused, values are fixed once read."""
 
@@ -98,12 +117,8 @@ class WavelengthGrid(Section):
 
     def values(self) -> np.ndarray:
         """Return the wavelengths (nm), increasing."""
-        if self.stop < self.start:
-            raise refuse("wavelength_nm.stop", self.stop, f"at least start = {self.start:g}")
-        count = int((self.stop - self.start) / self.step + 1e-9) + 1
-        if count > 100_000:
-            raise refuse("wavelength_nm.step", self.step, "large enough for 100000 wavelengths")
-        return np.unique(np.concatenate([self.start + self.step * np.arange(count), self.also]))
+        steps = evenly_spaced("wavelength_nm", self.start, self.stop, self.step)
+        return np.unique(np.concatenate([steps, self.also]))
 
 
 class Instrument(Section):
@@ -160,15 +175,11 @@ class Instrument(Section):
         for key in REQUIRED.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise refuse(f"instrument.{key}", None, f"given for {self.kind}")
-        if self.kind == "lens":
-            if self.half_width_m is None and self.over != "origin":
-                hint = "where to look for the crest; or over: origin"
-                raise refuse("instrument.half_width_m", None, "given for lens", hint)
-            check_depths("instrument.screen_depth_m", self.screen_depth_m)
-        for key, low in (("rays", 3), ("realisations", 1 + (self.kind == "surface"))):
-            value = getattr(self, key)
-            if self.kind in SURFACES and value is not None:
-                check_whole(f"instrument.{key}", value, low)
+        for key, low in (("rays", 1), ("seed", 0), ("realisations", 1)):
+            if getattr(self, key) is not None:
+                check_whole(f"instrument.{key}", getattr(self, key), low)
+        with under("instrument"):
+            self._check_extent()
         for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
             if getattr(self, key) is not None:
                 raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")
@@ -182,6 +193,20 @@ class Instrument(Section):
                 check_cells(self.cells)
         self._check_ignored()
         return self
+
+    def _check_extent(self) -> None:
+        """Refuse what an instrument that looks at places cannot look at."""
+        if self.half_width_m is not None:
+            check_half_width(self.kind, self.half_width_m)
+        if self.kind == "surface" and self.realisations is not None:
+            check_whole("realisations", self.realisations, 2, MOST_REALISATIONS)
+        if self.kind == "lens":
+            if self.half_width_m is None and self.over != "origin":
+                hint = "where to look for the crest; or over: origin"
+                raise refuse("half_width_m", None, "given for lens", hint)
+            depths = check_depths("screen_depth_m", self.screen_depth_m)
+            check_radius(self.radius_m)
+            check_ring(self.rays or RAYS, self.realisations or 1, depths.size)
 
     def _check_ignored(self) -> None:
         """Refuse settings that would change nothing."""
@@ -203,9 +228,26 @@ class Instrument(Section):
         with under("instrument"):
             return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
 
+    def values(self) -> int:
+        """Return how many values a quantity has at one point of a grid."""
+        if self.kind == "lens":
+            return len(self.screen_depth_m or ()) * (self.rays or RAYS)
+        if self.kind == "surface":
+            return POINTS**2
+        places = 1
+        if self.kind == "bssrdf":
+            places = len(SIDES) * CELLS**2
+        elif self.estimator == "cells":
+            places = math.prod(self.cells or CELLS_OF_5_DEG)
+        elif self.kind == "goniophotometer":
+            places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
+        return places * self.wavelengths().size
+
 
 class FigureSection(Section):
     """How an experiment's figure shows its dataset."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     quantity: tuple[Quantity, ...] = ("reflectance",)
     kind: Literal[
@@ -224,8 +266,34 @@ class FigureSection(Section):
     def _one_or_more(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
 
+    @field_validator("at", mode="before")
+    @classmethod
+    def _words(cls, value: Any) -> Any:
+        # Grids label true and false by these words.
+        if not isinstance(value, dict):
+            return value
+        return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
+
+    @field_validator("measured")
+    @classmethod
+    def _file(cls, value: str | None) -> str | None:
+        return value if value is None else check_file("figure.measured", value)
+
+    @field_validator("legend")
+    @classmethod
+    def _legend(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        return check_mathematics("figure.legend", check_text("figure.legend", value, LONGEST_LABEL))
+
     @model_validator(mode="after")
     def _fitting(self) -> FigureSection:
+        if not self.quantity:
+            raise refuse("figure.quantity", [], "at least one quantity")
+        for key in ("wavelength_nm", "ylim"):
+            limits = getattr(self, key)
+            if limits is not None and not limits[0] < limits[1]:
+                raise refuse(f"figure.{key}", list(limits), "low < high")
         shown = SHOWN.get(self.kind or "")
         if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
             raise refuse("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")
@@ -245,6 +313,11 @@ class FitSection(Section):
     measured: str
     samples: tuple[str, ...] = ()
     ranges: dict[str, tuple[float, float]] = {}
+
+    @field_validator("measured")
+    @classmethod
+    def _file(cls, value: str) -> str:
+        return check_file("fit.measured", value)
 
     @field_validator("ranges")
     @classmethod

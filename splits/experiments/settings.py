@@ -8,8 +8,9 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from splits.checks import one_of, suggestion
-from splits.experiments.model import ConfigError, Experiment
+from splits.experiments.model import Experiment
 from splits.experiments.sections import Section
+from splits.experiments.yaml_files import ConfigError
 
 
 class Accuracy(Section):
@@ -17,7 +18,7 @@ class Accuracy(Section):
 
     max_stderr: float = Field(ge=1e-6, le=0.5)
     relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
-    max_rays: int | None = Field(default=None, ge=1)
+    max_rays: int | None = Field(default=None, ge=1, lt=2**63)
 
 
 class SensitivityPair(Section):
@@ -36,7 +37,7 @@ class Settings(Section):
     experiments: Literal["all"] | tuple[str, ...] = "all"
     accuracy: str = "standard"
     accuracies: dict[str, Accuracy]
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, lt=2**63)
     experiments_folder: str = "config/experiments"
     media_folder: str = "config/media"
     results: str = "results"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from splits.checks import refuse
-from splits.experiments.model import SAMPLE, Experiment
+from splits.experiments.simulation import SAMPLE, Simulation
 from splits.media import Layer
 
 UNUSED: tuple[tuple[tuple[str, ...], Callable[[Layer], bool], str], ...] = (
@@ -59,7 +59,7 @@ def keywords_given(content: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
     return found
 
 
-def refuse_unused(experiment: Experiment, given: Mapping[str, tuple[str, Any]]) -> None:
+def refuse_unused(experiment: Simulation, given: Mapping[str, tuple[str, Any]]) -> None:
     """Refuse keywords given, see `keywords_given`, that count at no point of the grid.
 
     Raises

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, refuse, suggestion
+from splits.checks import in_range, increasing, refuse, row_of, scalar, suggestion
 from splits.media.granular import GranularMedium
 from splits.media.turbid import SurfaceMedium, TurbidMedium
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
+HALF_WIDTH_M = {"bssrdf": (1e-9, 1e6), "surface": (1e-9, 1e9), "lens": (1e-9, 1e6)}
+"""Half the edge of the square that an instrument looks at: shortest, longest."""
+MOST_WHOLE = 2**63 - 1
+MOST_VALUES = 10_000_000
+"""Largest number of values of a quantity by wavelength and direction: a run takes some thirty
+times their memory."""
 MEDIA: dict[type, tuple[str, ...]] = {
     GranularMedium: ("Snow", "Sand"),
     TurbidMedium: ("Layer",),
@@ -45,20 +52,15 @@ def check_medium(medium: Any, *kinds: type) -> None:
 
 def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
     """Return wavelengths (nm) as a strictly increasing array, or refuse them."""
-    try:
-        values = np.atleast_1d(np.asarray(list(np.atleast_1d(wavelength_nm)), dtype=float))
-    except (TypeError, ValueError):
-        raise refuse("wavelength_nm", wavelength_nm, "numbers in nanometres") from None
+    values = row_of("wavelength_nm", wavelength_nm, "numbers in nanometres")
     low, high = WAVELENGTH_RANGE_NM
-    if values.size == 0:
-        raise refuse("wavelength_nm", [], "at least one wavelength in nanometres")
-    if values.ndim > 1:
-        raise refuse("wavelength_nm", values.tolist(), "one row of numbers in nanometres")
-    for value in values:
-        in_range("wavelength_nm", float(value), low, high, "nm")
-    if not (np.diff(values) > 0).all():
-        raise refuse("wavelength_nm", values.tolist(), "strictly increasing")
-    return values
+    outside = values[(values < low) | (values > high)]
+    if outside.size:
+        first = float(outside[0])
+        micrometres = low <= 1e3 * first <= high and first < low
+        hint = f"in micrometres? write {1e3 * first:g}" if micrometres else ""
+        in_range("wavelength_nm", first, low, high, "nm", hint=hint)
+    return increasing("wavelength_nm", values)
 
 
 def check_incidence(incidence_deg: Any) -> float | str:
@@ -67,27 +69,68 @@ def check_incidence(incidence_deg: Any) -> float | str:
         if incidence_deg == "diffuse":
             return incidence_deg
         allowed = "an angle in degrees, or diffuse"
-        raise refuse(
-            "incidence_deg", incidence_deg, allowed, suggestion(incidence_deg, ["diffuse"])
-        )
-    return in_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
+        raise refuse("incidence_deg", incidence_deg, allowed, _meant(incidence_deg))
+    return check_angle(incidence_deg, "an angle in degrees, or diffuse")
 
 
 def check_beam(incidence_deg: Any) -> float:
     """Return the polar angle of a beam in [0, 89.9999] degrees, or refuse it."""
-    if incidence_deg == "diffuse":
+    if isinstance(incidence_deg, str):
         hint = "diffuse light is for the spectrophotometer"
+        hint = hint if incidence_deg == "diffuse" else _meant(incidence_deg)
         raise refuse("incidence_deg", incidence_deg, "an angle", hint)
+    return check_angle(incidence_deg, "an angle in degrees")
+
+
+def check_angle(incidence_deg: Any, allowed: str) -> float:
+    """Return one angle of incidence in [0, 89.9999] degrees, or refuse it."""
+    if isinstance(incidence_deg, Iterable) and getattr(incidence_deg, "shape", None) != ():
+        hint = "one call for each angle, or an experiment with a grid"
+        raise refuse("incidence_deg", incidence_deg, allowed, hint)
     return in_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
 
 
-def check_whole(key: str, value: object, low: int) -> int:
-    """Return a whole number of at least `low` that fits into 63 bits, or refuse it."""
-    whole = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
-    if not low <= whole < 2**63:
+def _meant(text: str) -> str:
+    """Return what was meant by text in place of an angle, if that can be told."""
+    try:
+        return f"write {float(text):g}, without quotes"
+    except ValueError:
+        return suggestion(text, ["diffuse"])
+
+
+def check_whole(key: str, value: object, low: int, high: int = MOST_WHOLE) -> int:
+    """Return a whole number from `low` to `high`, by default what fits into 63 bits, or refuse."""
+    value = scalar(value)
+    if not isinstance(value, Integral) or isinstance(value, bool):
         hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
         raise refuse(key, value, f"a whole number of at least {low}", hint)
+    whole = int(value)
+    if not low <= whole <= high:
+        least = whole < low and high == MOST_WHOLE
+        allowed = f"of at least {low}" if least else f"from {low} to {high}"
+        raise refuse(key, value, f"a whole number {allowed}")
     return whole
+
+
+def check_half_width(kind: str, half_width_m: Any) -> float:
+    """Return half the edge of what an instrument looks at (m), or refuse it.
+
+    Parameters
+    ----------
+    kind : str
+        Key of `HALF_WIDTH_M`.
+    half_width_m : number
+    """
+    return in_range("half_width_m", half_width_m, *HALF_WIDTH_M[kind], "m")
+
+
+def check_size(wavelengths: int, directions: int) -> None:
+    """Refuse a goniophotometer's result that would not fit into memory."""
+    if wavelengths * directions > MOST_VALUES:
+        raise refuse(
+            "wavelength_nm", f"{wavelengths} wavelengths", f"at most {MOST_VALUES // directions}",
+            f"{directions} directions each; {MOST_VALUES} values fit into memory",
+        )  # fmt: skip
 
 
 def check_threads(threads: Any) -> int:

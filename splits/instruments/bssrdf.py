@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, one_of
+from splits.checks import one_of
 from splits.instruments.angular import missed_of_totals, stderr_of
 from splits.instruments.arguments import (
     check_beam,
+    check_half_width,
     check_medium,
     check_threads,
     check_wavelengths,
@@ -120,7 +121,7 @@ def bssrdf(
     seed = check_whole("seed", seed, 0)
     threads = check_threads(threads)
     if half_width_m is not None:
-        in_range("half_width_m", half_width_m, 1e-9, 1e6, "m")
+        check_half_width("bssrdf", half_width_m)
     begun = time.perf_counter()
     index = medium.indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse
+from splits.checks import in_range, increasing, one_of, refuse, row_of
 from splits.instruments.angular import (
     BIAS,
     Estimate,
@@ -22,6 +22,7 @@ from splits.instruments.angular import (
 from splits.instruments.arguments import (
     check_beam,
     check_medium,
+    check_size,
     check_threads,
     check_wavelengths,
     check_whole,
@@ -171,11 +172,13 @@ def goniophotometer(
     unheard: list[str] | None = None
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
+        check_size(len(wavelengths), len(polar) * len(azimuth))
         collected, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
         paths, stokes = collected, stokes_of_cells(collected)
     else:
         polar = check_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
+        check_size(len(wavelengths), len(polar) * len(azimuth))
         goal = Goal(side, relative_stderr, rays, max_rays)
         if estimator == "local":
             heard = listen(medium, incidence, polar, azimuth, goal, runner)
@@ -349,25 +352,16 @@ def _dataset(
 
 def check_angles(key: str, values: Any, end: float) -> np.ndarray:
     """Return increasing angles from 0 to below `end` degrees, or refuse them."""
-    try:
-        angles = np.atleast_1d(np.asarray(list(np.atleast_1d(values)), dtype=float))
-    except (TypeError, ValueError):
-        raise refuse(key, values, "numbers in degrees") from None
-    if angles.size == 0:
-        raise refuse(key, [], "at least one angle in degrees")
+    angles = row_of(key, values, "numbers in degrees")
     for angle in angles:
         in_range(key, float(angle), 0.0, end, "degrees", open_high=True)
-    if not (np.diff(angles) > 0.0).all():
-        raise refuse(key, angles.tolist(), "strictly increasing")
-    return angles
+    return increasing(key, angles)
 
 
 def check_cells(cells: Any) -> tuple[int, int]:
     """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
     try:
-        polar, azimuth = (check_whole("cells", n, 1) for n in cells)
+        polar, azimuth = (check_whole("cells", n, 1, 1000) for n in cells)
     except (TypeError, ValueError):
-        polar = azimuth = 0
-    if not (1 <= polar <= 1000 and 1 <= azimuth <= 1000):
-        raise refuse("cells", cells, "two whole numbers from 1 to 1000")
+        raise refuse("cells", cells, "two whole numbers from 1 to 1000") from None
     return polar, azimuth

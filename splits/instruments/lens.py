@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse
-from splits.instruments.arguments import check_medium, check_whole
+from splits.checks import in_range, increasing, one_of, refuse, row_of
+from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import quantity, run_facts
 from splits.media.turbid import SurfaceMedium
 from splits.transport.lens import refract_ring
@@ -22,6 +22,9 @@ from splits.transport.wave_sums import LANES
 LEAST_CAUGHT = 0.5
 """Share of a ring that must reach a screen for a realisation to count there."""
 OVER = ("crest", "trough", "origin")
+RAYS = 360
+MOST_PLACES = 10_000_000
+"""Places on screens, and images, that one result holds at most."""
 SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is looked for."""
 
@@ -33,7 +36,7 @@ def lens(
     *,
     over: str = "crest",
     half_width_m: float | None = None,
-    rays: int = 360,
+    rays: int = RAYS,
     realisations: int = 1,
     seed: int = 1,
     waves: Any = None,
@@ -80,14 +83,13 @@ def lens(
     begun = time.perf_counter()
     check_medium(medium, SurfaceMedium)
     depths = check_depths("screen_depth_m", screen_depth_m)
-    radius = in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+    radius = check_radius(radius_m)
     one_of("over", over, OVER)
     if half_width_m is None and over != "origin":
         hint = f'half the side of the square searched for the {over}; over="origin" needs none'
         raise refuse("half_width_m", None, "given (m)", hint)
-    width = in_range("half_width_m", half_width_m or 0.0, 0.0, 1e6, "m", open_low=over != "origin")
-    rays = check_whole("rays", rays, 3)
-    realisations = check_whole("realisations", realisations, 1)
+    width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
+    rays, realisations = check_ring(rays, realisations, depths.size)
     seed = check_whole("seed", seed, 0)
     if waves is None and medium.surface is None:
         raise refuse("surface", None, "given: a lens needs waves")
@@ -207,11 +209,18 @@ def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, n
 
 def check_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), or refuse them."""
-    try:
-        depths = np.atleast_1d(np.asarray(values, dtype=float))
-    except (TypeError, ValueError):
-        raise refuse(key, values, "numbers in metres") from None
-    good = depths.ndim == 1 and depths.size > 0 and np.isfinite(depths).all()
-    if not good or depths[0] <= 0.0 or (np.diff(depths) <= 0.0).any():
-        raise refuse(key, depths.tolist(), "increasing from above 0")
-    return depths
+    depths = row_of(key, values, "numbers in metres")
+    in_range(key, float(depths[0]), 0.0, 1e9, "m", open_low=True)
+    in_range(key, float(depths[-1]), 0.0, 1e9, "m", open_low=True)
+    return increasing(key, depths)
+
+
+def check_radius(radius_m: Any) -> float:
+    """Return the radius of a ring (m), or refuse it."""
+    return in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+
+
+def check_ring(rays: Any, realisations: Any, screens: int) -> tuple[int, int]:
+    """Return numbers of rays and of surfaces whose results fit into memory, or refuse them."""
+    most = MOST_PLACES // screens
+    return check_whole("rays", rays, 3, most), check_whole("realisations", realisations, 1, most)

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splits.checks import refuse
 from splits.media.granular import Interface
 from splits.transport.scene import DRY_PORE, WET_PORE
 
@@ -44,6 +45,9 @@ millimetre then absorbs most of the visible light that enters it."""
 
 MAX_NODES = 64
 """Where more would be needed, every wavelength becomes a node of its own."""
+
+MOST_APART = 2500
+"""Wavelengths that can be nodes of their own: memory goes with the square of their number."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +137,20 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
         draws.offer(new, chosen)
         chosen.append(new)
         if len(chosen) > MAX_NODES:
+            _check_apart(len(distinct), tolerance)
             draws.keep_apart()
-    weights = draws.weights()
-    used = weights.max(axis=1) > 0.0
-    return Nodes(distinct[used], weights[used][:, which], draws.bias[which])
+    rows = draws.drawn_on()
+    return Nodes(distinct[rows], draws.weights(rows)[:, which], draws.bias[which])
+
+
+def _check_apart(count: int, tolerance: float) -> None:
+    """Refuse more wavelengths than can have an ensemble of paths each."""
+    if count > MOST_APART:
+        raise refuse(
+            "wavelength_nm", f"{count} wavelengths", f"at most {MOST_APART} at so small an error",
+            f"with interpolation errors up to {tolerance:.1g} each takes paths of its own; "
+            "ask for a larger error or fewer wavelengths",
+        )  # fmt: skip
 
 
 def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[int]) -> Nodes:
@@ -156,7 +170,7 @@ def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[
     draws = _Draws(index, interfaces, rows[0])
     for i, row in enumerate(rows):
         draws.offer(row, rows[:i])
-    return Nodes(index[list(rows)], draws.weights()[list(rows)], draws.bias)
+    return Nodes(index[list(rows)], draws.weights(rows), draws.bias)
 
 
 class _Draws:
@@ -203,12 +217,19 @@ class _Draws:
         self.first = self.second = np.arange(count)
         self.share, self.bias = np.ones(count), np.zeros(count)
 
-    def weights(self) -> np.ndarray:
-        """Return convex weights, shape (wavelengths, wavelengths): rows are nodes."""
-        rows = np.arange(len(self.share))
-        weights = np.zeros((len(rows), len(rows)))
-        weights[self.first, rows] += self.share
-        weights[self.second, rows] += 1.0 - self.share
+    def drawn_on(self) -> np.ndarray:
+        """Return the rows of the nodes that some wavelength draws on, in order."""
+        return np.unique(np.concatenate([self.first[self.share > 0], self.second[self.share < 1]]))
+
+    def weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return convex weights, shape (rows, wavelengths), of nodes that hold all drawn on."""
+        place = np.full(len(self.share), -1)
+        place[rows] = np.arange(len(rows))
+        every = np.arange(len(self.share))
+        weights = np.zeros((len(rows), len(every)))
+        for node, share in ((self.first, self.share), (self.second, 1.0 - self.share)):
+            used = share > 0.0
+            weights[place[node[used]], every[used]] += share[used]
         return weights
 
 

@@ -93,7 +93,7 @@ def single_scattering(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     moments : int
-        Highest order l of the Legendre moments, at least 1.
+        Highest order l of the Legendre moments, 1 to 4096.
     rays : int
         Rays per refractive-index node, at least 2; rounded up to whole batches of `BATCH`.
     seed : int
@@ -133,7 +133,7 @@ def single_scattering(
     begun = time.perf_counter()
     check_medium(medium, GranularMedium)
     wavelengths = check_wavelengths(wavelength_nm)
-    moments = check_whole("moments", moments, 1)
+    moments = check_whole("moments", moments, 1, 4096)
     rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)
     seed = check_whole("seed", seed, 0)
     threads = check_threads(threads)

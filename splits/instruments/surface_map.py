@@ -7,18 +7,21 @@ import time
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, refuse
-from splits.instruments.arguments import check_medium, check_whole
+from splits.checks import refuse
+from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import quantity, run_facts
 from splits.media.turbid import SurfaceMedium
 from splits.transport.rough_surface import heights_and_slopes
+
+POINTS = 201
+MOST_REALISATIONS = 10_000_000
 
 
 def surface_map(
     medium: SurfaceMedium,
     half_width_m: float,
     *,
-    points: int = 201,
+    points: int = POINTS,
     realisations: int = 100,
     seed: int = 1,
 ) -> xr.Dataset:
@@ -53,9 +56,9 @@ def surface_map(
     """
     begun = time.perf_counter()
     check_medium(medium, SurfaceMedium)
-    width = in_range("half_width_m", half_width_m, 0.0, 1e9, "m", open_low=True)
-    points = check_whole("points", points, 2)
-    realisations = check_whole("realisations", realisations, 2)
+    width = check_half_width("surface", half_width_m)
+    points = check_whole("points", points, 2, 3000)
+    realisations = check_whole("realisations", realisations, 2, MOST_REALISATIONS)
     seed = check_whole("seed", seed, 0)
     if medium.surface is None:
         raise refuse("surface", None, "given: there is nothing to map")

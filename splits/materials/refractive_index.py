@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.checks import in_range, number, one_of, refuse
+from splits.checks import in_range, number, one_of, refuse, row_of
 from splits.materials.datasets import dataset, dataset_names
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
 
@@ -64,7 +64,8 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
             return _scaled(key, material, spec)
         return _user_values(key, material, spec)
     if isinstance(spec, (int, float, complex, np.number)) and not isinstance(spec, bool):
-        return Constant(complex(spec))
+        known = spec if isinstance(spec, (complex, np.complexfloating)) else number(key, spec)
+        return Constant(complex(known))
     if callable(spec) and hasattr(spec, "name"):
         return spec
     raise refuse(key, spec, "a dataset name, a complex constant, a table or a CSV file")
@@ -88,18 +89,19 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
     k = spec.get("k", 0.0)
     if "wavelength_nm" not in spec:
         return Constant(complex(number(f"{key}.n", spec["n"]), number(f"{key}.k", k)))
-    try:
-        columns = [np.asarray(c, dtype=float) for c in (spec["wavelength_nm"], spec["n"], k)]
-    except (TypeError, ValueError):
-        raise refuse(key, dict(spec), "a table of numbers") from None
-    if columns[2].ndim == 0:
-        columns[2] = np.broadcast_to(columns[2], columns[0].shape)
-    return Tabulated(f"user table for {material}", "given by the user", *columns)
+    given = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
+    w, n, k = (row_of(f"{key}.{name}", column) for name, column in given.items())
+    k = np.broadcast_to(k, w.shape) if k.size == 1 else k
+    return Tabulated(f"user table for {material}", "given by the user", w, n, k)
 
 
 def _user_table(key: str, path: Path) -> Tabulated:
-    if not path.is_file():
-        raise refuse(key, str(path), "an existing CSV file", f"looked for {path.absolute()}")
+    try:
+        found = path.is_file()
+    except OSError:
+        found = False
+    if not found:
+        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}")
     try:
         table = pd.read_csv(path, comment="#", skipinitialspace=True)
         columns = [table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k")]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, one_of, refuse
+from splits.checks import in_range, known_keywords, one_of, refuse, row_of
 from splits.media.rough_surface import RoughSurface
 from splits.transport.layer import OPEN, Turbid
 from splits.transport.phase import Phase, henyey_greenstein, rayleigh, tabulated
@@ -25,6 +25,7 @@ bottom would change above has decayed by exp(−40) there."""
 PHASES = ("henyey_greenstein", "rayleigh")
 
 
+@known_keywords
 @dataclass(frozen=True)
 class Layer:
     """A homogeneous layer of small particles in a transparent matrix.
@@ -221,16 +222,13 @@ def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
     for key in ("cosine", "density"):
         if not isinstance(given[key], (Sequence, np.ndarray)):
             raise refuse(f"phase_function.{key}", given[key], allowed)
-        try:
-            columns.append(np.asarray(given[key], dtype=float))
-        except (TypeError, ValueError):
-            raise refuse(f"phase_function.{key}", given[key], "numbers") from None
+        columns.append(row_of(f"phase_function.{key}", given[key]))
     cosine, density = columns
-    if cosine.ndim != 1 or cosine.shape != density.shape:
+    if cosine.shape != density.shape:
         raise refuse("phase_function", (cosine.shape, density.shape), allowed)
     if cosine.size < 2 or cosine[0] != -1.0 or cosine[-1] != 1.0 or (np.diff(cosine) <= 0.0).any():
         raise refuse("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
-    good = np.isfinite(density).all() and (density >= 0.0).all() and (density <= 1e100).all()
+    good = (density >= 0.0).all() and (density <= 1e100).all()
     if not good or not density.max() > 1e-100:
         raise refuse("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
     return tabulated(cosine, density, polarizing)

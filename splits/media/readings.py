@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar
 
-from splits.checks import one_of, refuse, suggestion
+from splits.checks import known_keywords, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
 from splits.transport.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
@@ -103,6 +103,7 @@ class TransportReadings:
         return asdict(self)
 
 
+@known_keywords
 @dataclass(frozen=True)
 class Readings(TransportReadings):
     """Named readings of SPLITSnow, besides those of `TransportReadings`.
@@ -120,6 +121,7 @@ class Readings(TransportReadings):
     struck_size: str = "attenuation"
 
 
+@known_keywords
 @dataclass(frozen=True)
 class SandReadings(TransportReadings):
     """Named readings of SPLITS, besides those of `TransportReadings`.

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from splits.checks import in_range, one_of, refuse, suggestion
+from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion
 from splits.transport import rough_surface as kernels
 from splits.transport.rng import start_stream, table_probabilities
 
@@ -93,6 +93,7 @@ LAWS = {
 CORRELATIONS = (*LAWS, "spectrum")
 
 
+@known_keywords
 @dataclass(frozen=True)
 class SurfaceField:
     """One random field of heights, Budak & Grimailo 2020, Eq 3.
@@ -194,6 +195,7 @@ class SurfaceField:
         return self.wave_number_per_m**2 * LAWS[self.correlation].square(self._limit)
 
 
+@known_keywords
 @dataclass(frozen=True)
 class RoughSurface:
     """Superposed random fields of heights above a plane.
@@ -330,15 +332,12 @@ def _columns(given: Any) -> dict[str, tuple[float, ...]]:
     allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM)
     if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM):
         raise refuse("spectrum", given, allowed)
-    try:
-        k, density = (np.asarray(given[key], dtype=float) for key in _SPECTRUM)
-    except (TypeError, ValueError):
-        raise refuse("spectrum", dict(given), allowed) from None
-    if k.ndim != 1 or k.shape != density.shape or k.size < 2:
+    k, density = (row_of(f"spectrum.{key}", given[key]) for key in _SPECTRUM)
+    if k.shape != density.shape or k.size < 2:
         raise refuse("spectrum", dict(given), allowed, "two rows at least")
-    if not np.isfinite(k).all() or k[0] < 0.0 or (np.diff(k) <= 0.0).any():
+    if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
         raise refuse("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
-    if not np.isfinite(density).all() or (density < 0.0).any() or not density[k > 0.0].any():
+    if (density < 0.0).any() or not density[k > 0.0].any():
         raise refuse("spectrum.density", density.tolist(), "0 or more, and more somewhere")
     return dict(zip(_SPECTRUM, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
 

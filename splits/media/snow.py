@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, numbers, refuse
+from splits.checks import in_range, known_keywords, numbers, refuse
 from splits.materials import ice_density
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
@@ -20,6 +20,7 @@ from splits.transport.scene import DRY_PORE, WET_PORE, Grains
 _ICE = 2
 
 
+@known_keywords
 @dataclass(frozen=True)
 class Snow:
     """A homogeneous snow sample; the defaults are SPLITSnow Table 1.

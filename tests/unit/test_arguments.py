@@ -60,7 +60,7 @@ def test_a_medium_nearly_right_is_told(medium):
         (lambda: splits.goniophotometer(splits.Snow(), [600], rays=1e5),
          r"^rays = 100000\.0: must be a whole number of at least 1 \(write 100000\)"),
         (lambda: splits.spectrophotometer(splits.Snow(), [[400, 500]]),
-         r"^wavelength_nm = \[\[400\.0, 500\.0\]\]: must be one row of numbers"),
+         r"^wavelength_nm = \[\[400, 500\]\]: must be one row of numbers"),
         (lambda: splits.spectrophotometer(splits.Snow(), [600], "difuse"),
          r"^incidence_deg = 'difuse': must be an angle .*did you mean diffuse"),
         (lambda: splits.Layer(surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0}),

@@ -156,7 +156,8 @@ def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
          "instrument: {wavelength_nm: {start: 500, stop: 780, step: 10}}", "400 to 780 nm"),
         ("figure: {kind: swatches}", "one or two parameters"),
         ("figure: {quantity: mean_grain_distance}", "points for mean_grain_distance"),
-        ("medium: {kind: layer}\nfigure: {kind: points, quantity: mean_grain_distance}",
+        ("medium: {kind: layer}\nfigure: {kind: points, quantity: mean_grain_distance}\n"
+         "instrument: {wavelength_nm: [550]}",
          "layers have no grains"),
         ("figure: {kind: lobes, quantity: btdf}\ninstrument: {kind: goniophotometer}",
          "brdf for a figure of lobes"),

@@ -59,7 +59,7 @@ WRONG_TYPES = {
     "figure: {at: {saturation: [0]}}": "figure.at.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
-    "5: 6": "5: unknown key, must be one of name, title, caption, medium, instrument, grid, fit, "
+    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, title, caption, "
         "figure",
 }  # fmt: skip
 

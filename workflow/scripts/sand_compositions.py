@@ -2,10 +2,10 @@
 
 from splits.analysis.tables import write_table
 from splits.experiments.composition_table import composition_table
-from splits.experiments.model import Experiment
+from splits.experiments.simulation import Simulation
 
 experiments = {
-    name: Experiment.model_validate(content)
+    name: Simulation.model_validate(content)
     for name, content in snakemake.params.experiments.items()
 }
 write_table(composition_table(experiments), snakemake.output[0])

@@ -4,10 +4,10 @@ import sys
 
 from splits import save
 from splits.analysis.measured import read_measured
-from splits.experiments.model import Experiment
 from splits.experiments.run import run
 from splits.experiments.run_fit import run_fit
 from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
 
 with open(snakemake.log[0], "w", encoding="utf-8") as log:
 
@@ -16,7 +16,7 @@ with open(snakemake.log[0], "w", encoding="utf-8") as log:
         print(line, file=sys.stderr, flush=True)
         print(line, file=log, flush=True)
 
-    experiment = Experiment.model_validate(snakemake.params.experiment)
+    experiment = Simulation.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
     if experiment.fit:

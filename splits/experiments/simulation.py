@@ -1,0 +1,222 @@
+"""What an experiment file says that decides numbers: medium, instrument, grid, fit.
+
+One pydantic model per section (those of its parts are in `splits.experiments.sections`).  Unknown
+keys are refused everywhere; physical ranges are checked by the media and instruments themselves,
+so that a limit stands in one place only.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
+
+from pydantic import Field, field_validator, model_validator
+
+from splits.checks import named, one_of, refuse, unknown_key
+from splits.experiments.grids import labelled
+from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
+from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
+from splits.media import Layer, Sand, Snow
+from splits.media.turbid import Medium, TurbidMedium
+
+MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
+SAMPLE = "medium"
+"""Grid dimension whose values are whole media: their settings replace those of the base medium."""
+MERGED = ("readings", "refractive_index")
+"""Keywords that are mappings: a grid's values add to those of the medium."""
+NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
+
+
+class Simulation(Section):
+    """A medium under an instrument, over a grid of parameters.
+
+    `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
+    is any keyword of the medium, ``incidence_deg``, or ``medium`` for values that are mappings of
+    several keywords; all combinations are run.
+    """
+
+    name: str
+    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
+    instrument: Instrument = Instrument()
+    grid: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    fit: FitSection | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        if not NAME.fullmatch(value):
+            raise refuse(
+                "name", value, "lower-case letters, digits and underscores, a letter first"
+            )
+        return value
+
+    @field_validator("grid", mode="before")
+    @classmethod
+    def _labelled(cls, value: Any) -> Any:
+        return labelled(value)
+
+    @model_validator(mode="after")
+    def _runnable(self) -> Simulation:
+        kind = self.medium.get("kind", "snow")
+        one_of("medium.kind", kind, MEDIA)
+        keywords = [field.name for field in fields(MEDIA[kind])]
+        samples = self.grid.get(SAMPLE, {})
+        for place, settings in {"medium": self.medium, **_places(samples)}.items():
+            for key in settings:
+                if key not in (*keywords, "kind"):
+                    raise unknown_key(f"{place}.{key}", keywords)
+            one_of(f"{place}.kind", settings.get("kind", kind), [kind])
+        parameters = [*keywords, "incidence_deg", SAMPLE]
+        for parameter in self.grid:
+            if parameter not in parameters:
+                raise unknown_key(f"grid.{parameter}", parameters)
+        self._check_fit(kind)
+        self._check_size()
+        wavelengths = self.instrument.wavelengths()
+        beam = self.instrument.kind in ("goniophotometer", "bssrdf")
+        for labels, medium, incidence in self.points():
+            with self.placed(labels):
+                if not self.fit:
+                    medium.indices(wavelengths)
+                check_beam(incidence) if beam else check_incidence(incidence)
+            self._check_medium(kind, medium)
+        self._check_grid()
+        return self
+
+    def _check_fit(self, kind: str) -> None:
+        """Refuse what does not go with a fit."""
+        if self.fit and kind != "sand":
+            raise refuse("medium.kind", kind, "sand in an experiment with a section fit")
+        if self.fit and "wavelength_nm" in self.instrument.model_fields_set:
+            raise refuse(
+                "instrument.wavelength_nm",
+                "given",
+                "left out: a fit takes the measured wavelengths",
+            )
+        if self.fit and self.instrument.estimator == "analog":
+            raise refuse("instrument.estimator", "analog", "left out: fits share their paths")
+
+    def _check_size(self) -> None:
+        """Refuse a grid whose dataset would not fit into memory."""
+        points = math.prod(len(values) for values in self.grid.values())
+        values = points * self.instrument.values()
+        if values > MOST_VALUES:
+            raise refuse(
+                "grid", f"{points} points of {self.instrument.values()} values each",
+                f"at most {MOST_VALUES} values in all", "several experiments hold more",
+            )  # fmt: skip
+
+    def _check_grid(self) -> None:
+        """Refuse grids that an instrument cannot look at."""
+        instrument = self.instrument
+        if instrument.kind in SURFACES and "incidence_deg" in self.grid:
+            raise refuse(
+                "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
+                f"left out for {instrument.kind}",
+            )  # fmt: skip
+        if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
+            raise refuse(
+                "instrument.half_width_m", None, "given where there is a grid",
+                "all maps of one dataset have the same axes",
+            )  # fmt: skip
+        several = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
+        if instrument.kind == "refractive_index" and several:
+            raise refuse("grid", several, "of one value for refractive_index")
+
+    def _check_medium(self, kind: str, medium: Medium) -> None:
+        """Refuse what only layers, only smooth or only rough ones have, where they have it not."""
+        layer = isinstance(medium, TurbidMedium)
+        rough = isinstance(medium, TurbidMedium) and medium.fields() is not None
+        instrument = self.instrument
+        if instrument.kind in SURFACES and not rough:
+            given = kind if not layer else "a layer without surface"
+            raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
+        if instrument.estimator == "local" and (rough or not layer):
+            raise refuse("instrument.estimator", "local", "left out but for smooth layers")
+        told = "wavelength_nm" in instrument.model_fields_set
+        if layer and not told and instrument.kind not in (*SURFACES, "refractive_index"):
+            raise refuse(
+                "instrument.wavelength_nm", None, "given for a layer, for example [550]",
+                "layers have no colour: one wavelength says all",
+            )  # fmt: skip
+
+    def tables(self) -> list[str]:
+        """Return the files of users' own refractive indices, on which the numbers depend."""
+        found: set[str] = set()
+        for _, settings, _ in self.settings():
+            given = settings.get("refractive_index", {})
+            for spec in given.values() if isinstance(given, Mapping) else ():
+                if isinstance(spec, str) and spec.endswith(".csv"):
+                    found.add(spec)
+        return sorted(found)
+
+    def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
+        """Yield the labels, the medium and the angle of incidence of each point of the grid."""
+        for labels, settings, incidence in self.settings():
+            with self.placed(labels):
+                medium = MEDIA[self.medium.get("kind", "snow")](**settings)
+            yield labels, medium, incidence
+
+    @contextmanager
+    def placed(self, labels: Mapping[str, str]) -> Iterator[None]:
+        """Put before the key of a refusal the section that gives it at a point of the grid."""
+        try:
+            yield
+        except ValueError as error:
+            key = re.split(r"\W", str(error), maxsplit=1)[0]
+            sample = self.grid[SAMPLE][labels[SAMPLE]] if SAMPLE in self.grid else {}
+            if key in self.grid:
+                place = "grid"
+            elif key in sample:
+                place = f"grid.{SAMPLE}.{labels[SAMPLE]}"
+            else:
+                place = "fit" if key in FitSection.model_fields else "medium"
+                place = "instrument" if key in Instrument.model_fields else place
+            hint = f" ({SEVERAL})" if place == "medium" and self._is_several(key) else ""
+            raise ValueError(f"{place}.{error}{hint}") from None
+
+    def _is_several(self, key: str) -> bool:
+        """Tell whether a keyword of the medium holds a list of what a grid takes."""
+        given = self.medium.get(key)
+        usual = getattr(MEDIA[self.medium.get("kind", "snow")], key, None)
+        if not isinstance(given, (list, tuple)) or usual is None:
+            return False
+        return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
+
+    def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
+        """Yield what `points` yields, with the medium's keywords in its place."""
+        base = {k: v for k, v in self.medium.items() if k != "kind"}
+        if not isinstance(base.get("readings", {}), Mapping):
+            raise refuse("medium.readings", base["readings"], "a mapping of named readings")
+        for labels in itertools.product(*self.grid.values()):
+            chosen = dict(zip(self.grid, labels, strict=True))
+            values = {p: self.grid[p][label] for p, label in chosen.items()}
+            incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
+            sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
+            settings = {**base, **sample, **values}
+            for key in MERGED:
+                parts = [part[key] for part in (base, sample, values) if key in part]
+                if parts and all(isinstance(part, Mapping) for part in parts):
+                    settings[key] = {k: v for part in parts for k, v in part.items()}
+            yield chosen, settings, incidence
+
+    def simulation(self) -> dict[str, Any]:
+        """Return what decides the numbers; `Simulation.model_validate` makes the same of it."""
+        content = self.model_dump(mode="json", include=set(Simulation.model_fields))
+        if self.fit:
+            del content["instrument"]["wavelength_nm"]
+        return content
+
+
+def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the media of a grid by the place that an error message names."""
+    places = {f"grid.{SAMPLE}.{named(label)}": settings for label, settings in samples.items()}
+    for place, settings in places.items():
+        if not isinstance(settings, Mapping):
+            raise refuse(place, settings, "a mapping of the medium's keywords")
+    return places

@@ -1,0 +1,133 @@
+"""What Python hands to media and instruments: taken alike, and refused in words."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.checks import known_keywords, number, shown
+from splits.instruments.arguments import (
+    check_beam,
+    check_incidence,
+    check_wavelengths,
+    check_whole,
+)
+
+
+@pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
+def test_one_number_is_one_number_in_whatever_form(value):
+    assert check_incidence(value) == check_beam(value) == 30.0
+    assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
+    assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
+    if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":
+        assert check_whole("rays", value, 1) == 30
+
+
+@pytest.mark.parametrize("value", [3, np.int64(3), np.array(3)])
+def test_whole_numbers_in_whatever_form(value):
+    assert check_whole("rays", value, 1) == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("500", "wavelength_nm = '500': must be numbers in nanometres (this is text, "),
+        (["500"], "wavelength_nm = '500': must be numbers in nanometres (this is text"),
+        (np.array(["500"]), "wavelength_nm = '500': must be numbers in nanometres (this is text"),
+        ([None], "wavelength_nm = None: must be numbers in nanometres"),
+        (None, "wavelength_nm = None: must be numbers in nanometres"),
+        (0.5, "wavelength_nm = 0.5: must be in [200, 100000] nm (in micrometres? write 500)"),
+        ([0.4, 0.5], "wavelength_nm = 0.4: must be in [200, 100000] nm (in micrometres? "),
+        (150, "wavelength_nm = 150.0: must be in [200, 100000] nm"),
+        ([], "wavelength_nm = []: must be at least one of numbers in nanometres"),
+        ([500, np.nan], "wavelength_nm = nan: must be numbers in nanometres"),
+        ([10**400], "wavelength_nm = 1000"),
+        ([[400, 500]], "wavelength_nm = [[400, 500]]: must be one row of numbers in nanometres"),
+        ({"start": 400}, "wavelength_nm = {'start': 400}: must be numbers in nanometres"),
+        (itertools.count(300), "must be at most 20000 numbers"),
+    ],
+)  # fmt: skip
+def test_what_are_no_wavelengths_is_told_in_words(given, message):
+    with pytest.raises(ValueError) as caught:
+        check_wavelengths(given)
+    assert str(caught.value).startswith(message) or str(caught.value).endswith(message)
+
+
+def test_unsorted_wavelengths_are_told_by_the_first_pair():
+    values = [*range(400, 2500, 2), 2400]
+    with pytest.raises(ValueError) as caught:
+        check_wavelengths(values)
+    assert str(caught.value) == (
+        "wavelength_nm = [2498.0, 2400.0]: must be strictly increasing (numbers 1050 and 1051 of "
+        "1051)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "hint"),
+    [
+        ([0, 30], "one call for each angle, or an experiment with a grid"),
+        (np.array([0.0, 30.0]), "one call for each angle, or an experiment with a grid"),
+        ("30", "write 30, without quotes"),
+        ("difuse", "did you mean diffuse?"),
+    ],
+)
+def test_angles_nearly_right_are_told(given, hint):
+    for look in (
+        lambda: splits.spectrophotometer(splits.Snow(), [500], given),
+        lambda: splits.goniophotometer(splits.Snow(), [500], given),
+    ):
+        with pytest.raises(ValueError, match=r"^incidence_deg = ") as caught:
+            look()
+        assert str(caught.value).endswith(f"({hint})")
+
+
+@pytest.mark.parametrize(
+    ("medium", "keyword", "told"),
+    [
+        (splits.Snow, "grain_size", "(did you mean grain_size_um?)"),
+        (splits.Snow, "ssa", "must be one of grain_size_um, facetness, sphericity, saturation"),
+        (splits.Sand, "irn_oxide", "(did you mean iron_oxide?)"),
+        (splits.Layer, "optical_depth", "must be one of optical_thickness"),
+        (splits.Readings, "entri", "(did you mean entry?)"),
+        (splits.SandReadings, "mixin", "(did you mean mixing?)"),
+    ],
+)
+def test_unknown_keywords_are_told_with_those_known(medium, keyword, told):
+    with pytest.raises(TypeError, match=f"^{keyword}: unknown key") as caught:
+        medium(**{keyword: 1})
+    assert told in str(caught.value)
+
+
+def test_media_keep_their_signatures():
+    import inspect
+
+    assert list(inspect.signature(splits.Snow).parameters)[:2] == ["grain_size_um", "facetness"]
+    assert known_keywords.__doc__
+
+
+def test_values_are_shown_short_and_on_one_line():
+    assert shown(list(range(10_000))) == "[0, 1, 2, 3, 4, 5, 6, 7, ...]"
+    assert shown({"b": 1, "a": 2}) == "{'b': 1, 'a': 2}"
+    assert shown(np.float64(1.5)) == "1.5"
+    assert len(shown("x" * 10_000)) < 100
+    assert "\n" not in shown(np.zeros((50, 50)))
+    with pytest.raises(ValueError, match=r"^x = 1000") as caught:
+        number("x", 10**400)
+    assert len(str(caught.value)) < 200
+
+
+def test_a_result_larger_than_memory_is_refused():
+    wavelengths = np.arange(300.0, 10_300.0)
+    with pytest.raises(ValueError, match=r"^wavelength_nm = '10000 wavelengths': must be at most"):
+        splits.goniophotometer(splits.Snow(), wavelengths[:10_000])
+
+
+def test_wavelengths_that_each_take_paths_of_their_own_are_counted():
+    wavelengths = np.arange(400.0, 2500.0, 0.5)
+    with pytest.raises(ValueError, match=r"^wavelength_nm = '4200 wavelengths': must be at most"):
+        splits.spectrophotometer(splits.Snow(), wavelengths, max_stderr=1e-6, max_rays=1)

@@ -1,0 +1,111 @@
+"""Every kind of figure, medium and instrument, with a grid: from file to figure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import splits
+from splits.experiments import Experiment, Simulation, load_experiment
+
+pytestmark = pytest.mark.slow
+
+SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
+SAND = "medium: {kind: sand, depth_m: 0.01}\n"
+LAYER = "medium: {kind: layer, optical_thickness: 2}\n"
+WAVES = (
+    "medium: {kind: layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
+    " wave_number_per_m: 1, waves: 8, correlation: gaussian}}\n"
+)
+DAYLIGHT = "instrument: {wavelength_nm: {start: 400, stop: 780, step: 10}}\n"
+TWO = "grid: {saturation: {start: 0, stop: 0.1, step: 0.1}}\n"
+AT = "figure: {at: {saturation: 0.1}}\n"
+NAMED = "grid: {saturation: {dry: 0, damp: 0.1}}\n"
+CASES = {
+    "snow_spectra": SNOW + "instrument: {wavelength_nm: [500, 1030, 1500]}\n"
+    "grid: {saturation: {'0.1': 1.0, '1': 0.1}, incidence_deg: {beam: 60, sky: diffuse}}\n"
+    "figure: {kind: spectra, at: {saturation: '0.1'}, quantity: [reflectance, absorptance]}\n",
+    "snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + NAMED
+    + "figure: {kind: points, quantity: [transmittance, mean_grain_distance]}\n",
+    "snow_swatches": SNOW + DAYLIGHT + NAMED + "figure: {kind: swatches}\n",
+    "snow_indices": SNOW + "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
+    "grid: {saturation: [0.2]}\n",
+    "snow_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600, 1300]}\n"
+    + TWO + "figure: {at: {saturation: 0}, quantity: [brdf, btdf]}\n",
+    "snow_lobes": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "grid: {saturation: [0, 0.1], incidence_deg: [0, 60]}\n"
+    "figure: {kind: lobes, at: {incidence_deg: 60}}\n",
+    "snow_cells": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
+    " estimator: cells, cells: [9, 18], rays: 20000}\n" + NAMED
+    + "figure: {kind: cells, at: {saturation: damp}}\n",
+    "snow_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    " half_width_m: 0.01}\n" + TWO + AT,
+    "sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
+    "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
+    "figure: {at: {medium: red}}\n",
+    "sand_swatches": SAND + DAYLIGHT + "grid: {iron_oxide: [0.001, 0.02]}\n"
+    "figure: {kind: swatches}\n",
+    "sand_fit": "medium: {kind: sand}\ninstrument: {incidence_deg: 8}\n"
+    "grid: {porosity: {loose: 0.5}}\n"
+    "fit: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706]}\n"
+    "figure: {kind: fit, at: {porosity: loose}}\n",
+    "sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    + TWO + AT,
+    "sand_spread": SAND + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    " half_width_m: 0.01}\n" + TWO + AT,
+    "layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
+    "grid: {polarized: [true, false], bottom_albedo: [0.5, null]}\n"
+    "figure: {kind: spectra, at: {polarized: true}}\n",
+    "layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
+    "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",
+    "layer_local": LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
+    " estimator: local, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
+    "grid: {optical_thickness: [1, 2]}\nfigure: {at: {optical_thickness: 2}}\n",
+    "layer_polarization": "medium: {kind: layer, polarized: true, phase_function: rayleigh}\n"
+    "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: local,"
+    " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
+    "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
+    "layer_spread": LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
+    " half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
+    "figure: {at: {optical_thickness: 2}}\n",
+    "waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
+    " estimator: cells, cells: [9, 18], rays: 5000}\n"
+    "grid: {refractive_index: [1.3, 1.5]}\nfigure: {kind: principal_plane}\n",
+    "waves_surface": WAVES + "instrument: {kind: surface, half_width_m: 1}\n"
+    "grid: {refractive_index: [1.3, 1.5]}\nfigure: {at: {refractive_index: 1.5}}\n",
+    "waves_lens": WAVES + "instrument: {kind: lens, radius_m: 0.1, screen_depth_m: [1, 2],"
+    " half_width_m: 1}\n"
+    "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\nfigure: {at: {refractive_index: glass}}\n",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(make_project, tmp_path_factory):
+    """Return a project in which all cases have run on the tiny profile, and what was printed."""
+    project = make_project(tmp_path_factory.mktemp("round_trip"))
+    for name, text in CASES.items():
+        project.put(name, text)
+    return project, project.snakemake("--cores", 2, "--keep-going")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
+    project, run = finished
+    results = project.folder / "results" / "tiny"
+    assert (results / "data" / f"{name}.nc").is_file(), run.text
+    for suffix in (".png", ".svg"):
+        assert (results / "figures" / f"{name}{suffix}").is_file(), run.text
+    dataset = splits.load(results / "data" / f"{name}.nc")
+    assert dataset.attrs["experiment"] == name
+    for variable in dataset.data_vars.values():
+        assert np.isfinite(variable).all()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_a_job_is_handed_is_the_same_simulation(finished, name):
+    project, _ = finished
+    path = project.folder / "config" / "experiments" / f"{name}.yaml"
+    experiment = load_experiment(path, project.folder / "config" / "media")
+    handed = Simulation.model_validate(experiment.simulation())
+    assert handed.simulation() == experiment.simulation()
+    assert isinstance(experiment, Experiment)

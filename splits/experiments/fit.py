@@ -167,9 +167,9 @@ class _Problem:
     count: int = 0
 
     def simulate(self, x: np.ndarray, rays: int, stream: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return reflectance at a place of the cube and its standard error."""
+        """Return reflectance at a place of the cube and how far groups of rays take it off."""
         self.count += 1
-        mean, stderr = fixed_spectrum(
+        mean, _, groups = fixed_spectrum(
             self.cube.sand(x),
             self.wavelengths,
             self.incidence_deg,
@@ -178,7 +178,7 @@ class _Problem:
             stream,
             self.threads,
         )
-        return mean[0], stderr[0]
+        return mean[0], groups[:, 0]
 
     def model(self, rays: int, stream: int) -> Model:
         """Return reflectance as a function of the place, with so many rays of one stream."""

@@ -244,8 +244,10 @@ def covariance_of(
         Independent ones, at least two.
     residual : float
         Variance of the measurement about the model, taken as independent between wavelengths.
-    noise : float, shape (wavelengths,)
-        Standard error of the spectra that were fitted, taken as common to all wavelengths.
+    noise : float, shape (groups, wavelengths)
+        Deviations of the spectra that were fitted, by group of rays: sums over groups of products
+        are covariances.  Every simulation of a fit shares its random numbers, so that it ends
+        where they move the whole.
     """
     total = np.sum(jacobians, axis=0)
     squares = np.sum([j.T @ j for j in jacobians], axis=0)
@@ -253,8 +255,8 @@ def covariance_of(
     values, vectors = np.linalg.eigh((total.T @ total - squares) / (count * (count - 1)))
     known = np.maximum(values, 0.0) / residual
     covariance = vectors @ np.diag(1.0 / (known + PRIOR_SD**-2)) @ vectors.T
-    shift = covariance @ (total / count).T @ noise / residual
-    return covariance + np.outer(shift, shift)
+    shift = covariance @ (total / count).T @ noise.T / residual
+    return covariance + shift @ shift.T
 
 
 def parameter_errors(cube: Cube, best: np.ndarray, covariance: np.ndarray) -> dict[str, Fitted]:

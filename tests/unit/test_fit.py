@@ -133,11 +133,11 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
 def test_errors_are_those_of_least_squares_and_the_prior():
     place = np.array([0.6, 0.5, 0.5])
     jacobian = central(smooth, place)
-    covariance = covariance_of([jacobian, jacobian], 1e-4, np.zeros(12))
+    covariance = covariance_of([jacobian, jacobian], 1e-4, np.zeros((1, 12)))
     exact = np.linalg.inv(jacobian[:, :2].T @ jacobian[:, :2] / 1e-4 + 12.0 * np.eye(2))
     np.testing.assert_allclose(covariance[:2, :2], exact, rtol=1e-6)
     assert covariance[2, 2] == pytest.approx(PRIOR_SD**2)
-    noisier = covariance_of([jacobian, jacobian], 1e-4, np.full(12, 0.01))
+    noisier = covariance_of([jacobian, jacobian], 1e-4, np.full((1, 12), 0.01))
     assert (np.linalg.eigvalsh(noisier - covariance) > -1e-12).all()
     assert np.trace(noisier) > np.trace(covariance)
 
@@ -145,8 +145,8 @@ def test_errors_are_those_of_least_squares_and_the_prior():
 def test_noise_of_derivatives_does_not_pass_for_knowledge():
     random = np.random.default_rng(3)
     noisy = [random.normal(0.0, 0.02, (25, 7)) for _ in range(4)]
-    sd = np.sqrt(np.diag(covariance_of(noisy, 1e-4, np.zeros(25))))
-    one_sample = np.sqrt(np.diag(covariance_of([noisy[0]] * 2, 1e-4, np.zeros(25))))
+    sd = np.sqrt(np.diag(covariance_of(noisy, 1e-4, np.zeros((1, 25)))))
+    one_sample = np.sqrt(np.diag(covariance_of([noisy[0]] * 2, 1e-4, np.zeros((1, 25)))))
     assert sd.mean() > 2.0 * one_sample.mean()
     assert sd.max() <= PRIOR_SD * (1.0 + 1e-9)
 

@@ -230,6 +230,26 @@ class FitResult:
     seconds: float
 
 
+def misfit_variance(misfit: np.ndarray, coordinates: int) -> float:
+    """Return the variance of a misfit that as many independent wavelengths would stand for.
+
+    What a model cannot follow is smooth: neighbouring wavelengths miss alike and tell the same
+    thing.  The variance is multiplied by (1 + r)/(1 − r), with r the misfit's correlation between
+    neighbours, at least 0: the number by which a first-order autoregressive series holds fewer
+    independent values (Bayley & Hammersley 1946, J. R. Stat. Soc. Suppl. 8, 184-197).
+
+    Parameters
+    ----------
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, not all 0.
+    coordinates : int
+        Number that was fitted, below that of wavelengths.
+    """
+    total = float(misfit @ misfit)
+    alike = max(float(misfit[1:] @ misfit[:-1]) / total, 0.0)
+    return total / (len(misfit) - coordinates) * (1.0 + alike) / (1.0 - alike)
+
+
 def covariance_of(
     jacobians: Sequence[np.ndarray], residual: float, noise: np.ndarray
 ) -> np.ndarray:
@@ -243,7 +263,8 @@ def covariance_of(
     jacobians : sequence of float, shape (wavelengths, coordinates)
         Independent ones, at least two.
     residual : float
-        Variance of the measurement about the model, taken as independent between wavelengths.
+        Variance of the measurement about the model per independent wavelength, see
+        `misfit_variance`.
     noise : float, shape (groups, wavelengths)
         Deviations of the spectra that were fitted, by group of rays: sums over groups of products
         are covariances.  Every simulation of a fit shares its random numbers, so that it ends

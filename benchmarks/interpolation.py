@@ -88,8 +88,8 @@ def print_misses() -> None:
         index = sand.indices(wavelengths)
         nodes = choose_nodes(index, sand.interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
-        few, few_error = fixed_spectrum(sand, wavelengths, 0.0, rows, RAYS, 1)
-        every, error = fixed_spectrum(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
+        few, few_error, _ = fixed_spectrum(sand, wavelengths, 0.0, rows, RAYS, 1)
+        every, error, _ = fixed_spectrum(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
         off, noise = few[0] - every[0], np.hypot(few_error[0], error[0])
         between = np.setdiff1d(np.arange(len(wavelengths)), rows)
         z = off[between] / noise[between]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+
+from splits.analysis.errors import error_parts
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 ILLUMINANT = "D65"
@@ -68,11 +71,27 @@ def srgb(xyz: np.ndarray) -> np.ndarray:
     return np.clip(np.asarray(colour.XYZ_to_sRGB(xyz)), 0.0, 1.0)
 
 
+def gradient(xyz: np.ndarray) -> np.ndarray:
+    """Return the derivatives of L*, a*, b* (rows) by X, Y, Z (columns)."""
+    # CIELAB bends in proportion to its argument: a fixed step loses digits in dark colours.
+    steps = np.diag(1e-4 * np.maximum(xyz, 1e-4))
+    return ((lab(xyz + steps) - lab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])).T
+
+
+@cache
+def _weights(wavelength_nm: tuple[float, ...]) -> np.ndarray:
+    """Return what X, Y, Z take from each wavelength, shape (3, wavelengths): they are linear."""
+    wavelength = np.array(wavelength_nm)
+    return np.stack([tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1)
+
+
 def colours(dataset: xr.Dataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
-    Errors of L*, a*, b* are half the distance between the colours of the spectrum one standard
-    error up and one down: along a spectrum errors go together.
+    Errors of L*, a*, b* are their linear parts in that of the spectrum, with the correlations
+    that `splits.analysis.errors` speaks of.  What interpolation between refractive indices may add
+    is not random and stands by itself: a* and b* are differences along the spectrum, which may
+    miss more than they scatter.
 
     Parameters
     ----------
@@ -82,21 +101,26 @@ def colours(dataset: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row per point: the grid's labels, X, Y, Z, L, a, b, their ``_stderr``, red, green, blue
-        and ``srgb`` as hexadecimal code.
+        A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
+        runs with other seeds, and ``_missed``, a bound on what interpolation adds; red, green,
+        blue and ``srgb`` as hexadecimal code.
     """
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
     rows = []
     for labels in itertools.product(*(dataset[d].values for d in dims)):
         point = dataset.sel(dict(zip(dims, labels, strict=True)))
-        x, r, e = (point[v].values for v in ("wavelength", "reflectance", "reflectance_stderr"))
+        x, r = (point[v].values for v in ("wavelength", "reflectance"))
         xyz = tristimulus(x, r)
-        spread = 0.5 * np.abs(lab(tristimulus(x, r + e)) - lab(tristimulus(x, r - e)))
+        weights = xr.DataArray(
+            gradient(xyz) @ _weights(tuple(x)), {"wavelength": x}, ("coordinate", "wavelength")
+        )
+        scatter, missed = error_parts(point, "reflectance", weights)
         code = srgb(xyz)
         row = dict(zip(dims, labels, strict=True))
         row |= dict(zip("XYZ", xyz, strict=True))
-        for name, value, error in zip("Lab", lab(xyz), spread, strict=True):
-            row[name], row[f"{name}_stderr"] = value, error
+        for i, (name, value) in enumerate(zip("Lab", lab(xyz), strict=True)):
+            row[name] = value
+            row[f"{name}_stderr"], row[f"{name}_missed"] = float(scatter[i]), float(missed[i])
         row |= dict(zip(("red", "green", "blue"), code, strict=True))
         row["srgb"] = "#" + "".join(f"{round(255 * c):02x}" for c in code)
         rows.append(row)

@@ -24,7 +24,7 @@ def read_measured(path: str | Path) -> pd.DataFrame:
 def rmse(difference: np.ndarray, stderr: np.ndarray) -> tuple[float, float]:
     """Return the root mean square of differences and an upper bound of its standard error.
 
-    The differences' errors are taken as fully correlated, because wavelengths share paths:
+    It holds however errors go together along the spectrum, and is reached where they all do:
     δ rmse ≤ Σ |d| δd / (n rmse) ≤ the root mean square of the errors.
     """
     difference = np.asarray(difference, dtype=float)

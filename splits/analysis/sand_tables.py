@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.analysis.errors import band, band_error, weighted_error
 from splits.analysis.trends import band_mean, beyond, monotone
 
 RISING_NM = ((400, 500), (500, 600), (600, 700), (700, 1000))
 GOOD_RMSE = 0.03
 """SPLITS section 5.1.1 calls a reconstruction good below this root mean square error."""
+UNDETERMINED = "undetermined: the error is more than half of what the range alone leaves"
 RED_NM, GREEN_NM = (620, 700), (480, 560)
 
 
@@ -51,7 +54,11 @@ def _rises(samples: xr.Dataset) -> list[dict[str, object]]:
     for sample in samples.medium.values:
         part = samples.sel(medium=sample)
         means = np.array([float(band_mean(part, "reflectance", *b)) for b in RISING_NM])
-        errors = np.array([float(band_mean(part, "reflectance_stderr", *b)) for b in RISING_NM])
+        weights = [band(part, *b) for b in RISING_NM]
+        errors = [
+            float(weighted_error(part, "reflectance", after - before))
+            for before, after in itertools.pairwise(weights)
+        ]
         rows.append(
             beyond(
                 f"reflectance of {sample} rises over bands "
@@ -59,7 +66,7 @@ def _rises(samples: xr.Dataset) -> list[dict[str, object]]:
                 + " nm: smallest step",
                 "section 2.1, Fig 6",
                 np.diff(means),
-                np.hypot(errors[1:], errors[:-1]),
+                np.array(errors),
             )
         )
     return rows
@@ -67,10 +74,10 @@ def _rises(samples: xr.Dataset) -> list[dict[str, object]]:
 
 def _redder(dataset: xr.Dataset) -> dict[str, object]:
     """Return how the ratio of red to green reflectance grows with hematite."""
-    red, green = (band_mean(dataset, "reflectance", *b).values for b in (RED_NM, GREEN_NM))
-    errors = [band_mean(dataset, "reflectance_stderr", *b).values for b in (RED_NM, GREEN_NM)]
-    ratio = red / green
-    error = ratio * np.hypot(errors[0] / red, errors[1] / green)
+    red, green = (band_mean(dataset, "reflectance", *b) for b in (RED_NM, GREEN_NM))
+    slope = band(dataset, *RED_NM) / red - band(dataset, *GREEN_NM) / green
+    ratio = (red / green).values
+    error = ratio * weighted_error(dataset, "reflectance", slope).values
     return beyond(
         "hematite for goethite shifts to the red: ratio of 620-700 to 480-560 nm, smallest step",
         "Fig 8",
@@ -107,13 +114,15 @@ def shifts(dataset: xr.Dataset, dimension: str, reference: str | float) -> pd.Da
             shift = (other.reflectance - base.reflectance).values
             error = np.hypot(other.reflectance_stderr, base.reflectance_stderr).values
             worst = int(np.abs(shift).argmax())
+            low, high = part.wavelength.values[[0, -1]]
+            means = [float(band_error(p, "reflectance", low, high)) for p in (other, base)]
             rows.append(
                 {
                     "medium": sample,
                     "varied": dimension,
                     "value": value,
                     "mean_shift": shift.mean(),
-                    "mean_shift_stderr": error.mean(),
+                    "mean_shift_stderr": np.hypot(means[0], means[1]),
                     "largest_shift": shift[worst],
                     "largest_shift_stderr": error[worst],
                     "at_wavelength_nm": float(part.wavelength[worst]),
@@ -123,15 +132,24 @@ def shifts(dataset: xr.Dataset, dimension: str, reference: str | float) -> pd.Da
 
 
 def fitted_parameters(dataset: xr.Dataset) -> pd.DataFrame:
-    """Return a row per sample, point of the grid and parameter: value, error, determined or not.
+    """Return a row per sample, point of the grid and parameter, with two verdicts.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         As `splits.experiments.run_fit.run_fit` returns it.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The labels, value, value_stderr; ``verdict`` on the parameter, determined or not;
+        ``spectrum``, reproduced or not, which is the same for all parameters of a fit; rmse,
+        rmse_stderr.
     """
     names = ["value", "value_stderr", "determined", "rmse", "rmse_stderr"]
     table = dataset[names].to_dataframe().reset_index()
-    table["determined"] = np.where(table.determined > 0.5, "yes", "no")
-    table["verdict"] = np.where(table.rmse < GOOD_RMSE, "good", "not good")
+    verdict = np.where(table.pop("determined") > 0.5, "determined", UNDETERMINED)
+    table.insert(table.columns.get_loc("rmse"), "verdict", verdict)
+    spectrum = np.where(table.rmse < GOOD_RMSE, "reproduced", "not reproduced")
+    table.insert(table.columns.get_loc("rmse"), "spectrum", spectrum)
     return table

@@ -24,8 +24,8 @@ class Sensitivity:
         MSI over all wavelengths; where both values are below the noise the ratio is undefined
         and counts as 0, as two zeros of a coin-tossing run would.
     stderr : float
-        Upper bound of its standard error: errors along a spectrum are correlated, because
-        wavelengths share paths, so they add linearly.
+        Upper bound of its standard error: those of all wavelengths are added linearly, as if all
+        went together.
     index_resolved : float
         MSI over the wavelengths above the noise only.
     resolved : float

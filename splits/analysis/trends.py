@@ -7,12 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
+from splits.analysis.errors import band_error
+
 SIGNIFICANT = 3.0
 """A trend counts as shown when its smallest step exceeds this many standard errors."""
 
 
 def band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
-    """Return the mean of a quantity over a band (nm); its error is in the ``_stderr`` variable."""
+    """Return the mean of a quantity over a band (nm)."""
     return dataset[quantity].sel(wavelength=slice(low, high)).mean("wavelength")
 
 
@@ -21,12 +23,13 @@ def steps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps of a band mean along a grid dimension and their standard errors.
 
-    Wavelengths share paths, so the error of a band mean is taken as the mean error; the grid's
-    points are taken as independent, which overstates the error where they share random numbers.
+    The grid's points are taken as independent, which overstates the error where they share random
+    numbers.
     """
-    mean = band_mean(dataset, quantity, low, high).values
-    error = band_mean(dataset, f"{quantity}_stderr", low, high).values
-    axis = dataset[quantity].dims.index(dimension)
+    means = band_mean(dataset, quantity, low, high)
+    mean = means.values
+    error = band_error(dataset, quantity, low, high).transpose(*means.dims).values
+    axis = means.dims.index(dimension)
     before = np.delete(error, -1, axis=axis)
     after = np.delete(error, 0, axis=axis)
     return np.diff(mean, axis=axis), np.hypot(after, before)
@@ -180,7 +183,7 @@ def _peak(dataset: xr.Dataset, peak: float, left: float, right: float) -> dict[s
 def _halving(dataset: xr.Dataset) -> list[dict[str, object]]:
     """Return the ratio of transmittance at twice the depth, and how it drops where ice absorbs."""
     t = band_mean(dataset, "transmittance", 400, 700).values
-    e = band_mean(dataset, "transmittance_stderr", 400, 700).values
+    e = band_error(dataset, "transmittance", 400, 700).values
     rows = []
     ratio_errors = []
     for i, depth in enumerate(dataset.depth_m.values[:-1]):

@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.checks import in_range, refuse
-from splits.experiments.parameters import Cube, FitResult, covariance_of, parameter_errors
+from splits.experiments.parameters import (
+    Cube,
+    FitResult,
+    covariance_of,
+    misfit_variance,
+    parameter_errors,
+)
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
@@ -167,9 +173,9 @@ class _Problem:
     count: int = 0
 
     def simulate(self, x: np.ndarray, rays: int, stream: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return reflectance at a place of the cube and its standard error."""
+        """Return reflectance at a place of the cube and how far groups of rays take it off."""
         self.count += 1
-        mean, stderr = fixed_spectrum(
+        mean, _, groups = fixed_spectrum(
             self.cube.sand(x),
             self.wavelengths,
             self.incidence_deg,
@@ -178,7 +184,7 @@ class _Problem:
             stream,
             self.threads,
         )
-        return mean[0], stderr[0]
+        return mean[0], groups[:, 0]
 
     def model(self, rays: int, stream: int) -> Model:
         """Return reflectance as a function of the place, with so many rays of one stream."""
@@ -220,8 +226,7 @@ def _covariance(
     noise = problem.simulate(best, effort.rays[-1], streams[last])[1]
     rays = max(effort.rays[-1] // _RAYS_PER_DERIVATIVE, 1)
     jacobians = [central(problem.model(rays, s), best) for s in streams[last + 1 : -1]]
-    residual = np.sum((fresh - problem.wanted) ** 2) / (len(problem.wanted) - len(best))
-    return covariance_of(jacobians, float(residual), noise)
+    return covariance_of(jacobians, misfit_variance(fresh - problem.wanted, len(best)), noise)
 
 
 def _misfit(spectrum: np.ndarray, wanted: np.ndarray) -> float:

@@ -230,6 +230,26 @@ class FitResult:
     seconds: float
 
 
+def misfit_variance(misfit: np.ndarray, coordinates: int) -> float:
+    """Return the variance of a misfit that as many independent wavelengths would stand for.
+
+    What a model cannot follow is smooth: neighbouring wavelengths miss alike and tell the same
+    thing.  The variance is multiplied by (1 + r)/(1 − r), with r the misfit's correlation between
+    neighbours, at least 0: the number by which a first-order autoregressive series holds fewer
+    independent values (Bayley & Hammersley 1946, J. R. Stat. Soc. Suppl. 8, 184-197).
+
+    Parameters
+    ----------
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, not all 0.
+    coordinates : int
+        Number that was fitted, below that of wavelengths.
+    """
+    total = float(misfit @ misfit)
+    alike = max(float(misfit[1:] @ misfit[:-1]) / total, 0.0)
+    return total / (len(misfit) - coordinates) * (1.0 + alike) / (1.0 - alike)
+
+
 def covariance_of(
     jacobians: Sequence[np.ndarray], residual: float, noise: np.ndarray
 ) -> np.ndarray:
@@ -243,9 +263,12 @@ def covariance_of(
     jacobians : sequence of float, shape (wavelengths, coordinates)
         Independent ones, at least two.
     residual : float
-        Variance of the measurement about the model, taken as independent between wavelengths.
-    noise : float, shape (wavelengths,)
-        Standard error of the spectra that were fitted, taken as common to all wavelengths.
+        Variance of the measurement about the model per independent wavelength, see
+        `misfit_variance`.
+    noise : float, shape (groups, wavelengths)
+        Deviations of the spectra that were fitted, by group of rays: sums over groups of products
+        are covariances.  Every simulation of a fit shares its random numbers, so that it ends
+        where they move the whole.
     """
     total = np.sum(jacobians, axis=0)
     squares = np.sum([j.T @ j for j in jacobians], axis=0)
@@ -253,8 +276,8 @@ def covariance_of(
     values, vectors = np.linalg.eigh((total.T @ total - squares) / (count * (count - 1)))
     known = np.maximum(values, 0.0) / residual
     covariance = vectors @ np.diag(1.0 / (known + PRIOR_SD**-2)) @ vectors.T
-    shift = covariance @ (total / count).T @ noise / residual
-    return covariance + np.outer(shift, shift)
+    shift = covariance @ (total / count).T @ noise.T / residual
+    return covariance + shift @ shift.T
 
 
 def parameter_errors(cube: Cube, best: np.ndarray, covariance: np.ndarray) -> dict[str, Fitted]:

@@ -22,6 +22,7 @@ from splits.experiments.parameters import Cube
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
+from splits.instruments.labels import Variable
 from splits.transport import sources_digest
 
 FACTS = {
@@ -135,6 +136,15 @@ def effort_for(max_stderr: float) -> Effort:
     )
 
 
+def _groups(
+    dims: tuple[str, ...], found: list[xr.DataArray], shape: tuple[int, ...]
+) -> dict[str, Variable]:
+    """Return how errors of modelled reflectance go together, see `splits.analysis.errors`."""
+    values = np.stack([one.values for one in found]).reshape(*shape, *found[0].shape)
+    tail = (str(d) for d in found[0].dims)
+    return {"reflectance_groups": ((*dims, *tail), values, dict(found[0].attrs))}
+
+
 def _dataset(
     experiment: Simulation,
     results: list[FitResult],
@@ -172,6 +182,7 @@ def _dataset(
             stacked([r.modelled_stderr for r in results], count),
             about("standard error of modelled reflectance"),
         ),
+        **_groups(dims, [r.spectrum.reflectance_groups for r in results], shape),
         "measured": (
             spectrum,
             stacked([r.measured for r in results], count),

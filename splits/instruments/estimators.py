@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import Ensemble
+from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, scaled
 from splits.instruments.nodes import choose_nodes
-from splits.instruments.runner import BATCH, Runner
+from splits.instruments.runner import Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 
@@ -35,6 +35,9 @@ class Estimate:
     ----------
     bias : float, shape (3, wavelengths)
         Part of the standard error that stands for interpolation between refractive indices.
+    groups : float, shape (GROUPS, 2, wavelengths)
+        How far groups of rays take the reflected and transmitted means off: sums over them of
+        squares are the variance without bias, sums of products covariances.
     rays : int
         All rays traced.
     ensembles : int
@@ -48,6 +51,7 @@ class Estimate:
     mean: np.ndarray
     stderr: np.ndarray
     bias: np.ndarray
+    groups: np.ndarray
     rays: int
     ensembles: int
     converged: bool
@@ -103,8 +107,16 @@ def spectral(
         least = min(1.0, step.max())
         work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
         runner.trace(work, float(stderr.max()), max_stderr, left)
+    groups = np.einsum("jw,jgqw->gqw", nodes.weights, np.stack([e.deviations() for e in ensembles]))
     return Estimate(
-        mean, stderr, bias, int(rays.sum()), len(ensembles), converged, runner.kernels(ensembles)
+        mean,
+        stderr,
+        bias,
+        scaled(groups, variance[:2]),
+        int(rays.sum()),
+        len(ensembles),
+        converged,
+        runner.kernels(ensembles),
     )
 
 
@@ -171,6 +183,7 @@ def analog(
     limit = max(ANALOG_PILOT, max_rays // len(wavelength_nm))
     mean = np.empty((3, len(wavelength_nm)))
     stderr = np.empty_like(mean)
+    groups = np.empty((GROUPS, 2, len(wavelength_nm)))
     one = np.ones(1, dtype=bool)
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
@@ -192,11 +205,13 @@ def analog(
         row = number - _ANALOG_STREAMS
         mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
         stderr[:, row] = error
+        groups[:, :, row] = ensemble.deviations()[:, :, 0]
         rays += level.rays
     return Estimate(
         mean,
         stderr,
         np.zeros_like(mean),
+        scaled(groups, stderr[:2] ** 2),
         rays,
         len(wavelength_nm),
         bool(stderr.max() <= max_stderr),

@@ -20,7 +20,7 @@ from splits.instruments.arguments import (
     check_wavelengths,
     check_whole,
 )
-from splits.instruments.ensemble import Ensemble
+from splits.instruments.ensemble import GROUPS, Ensemble, scaled
 from splits.instruments.nodes import nodes_at
 from splits.instruments.runner import Runner
 from splits.materials.refractive_index import absorption_coefficient
@@ -38,7 +38,7 @@ def fixed_spectrum(
     rays_per_node: int,
     seed: int,
     threads: int | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Estimate reflectance, transmittance and absorptance with a fixed number of rays.
 
     Parameters
@@ -63,6 +63,9 @@ def fixed_spectrum(
     mean, stderr : float, shape (3, wavelengths)
         Reflected, transmitted and absorbed.  The standard error is that of the random numbers;
         what interpolation between nodes misses is not in it.
+    groups : float, shape (GROUPS, 2, wavelengths)
+        How far groups of rays take the reflected and transmitted means off, see
+        `splits.instruments.estimators.Estimate`.
 
     Raises
     ------
@@ -88,9 +91,12 @@ def fixed_spectrum(
     runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.levels], 1.0, 0.0)
     mean = np.einsum("jw,jqw->qw", weights, np.stack([e.means() for e in ensembles]))
     variance = np.zeros((3, len(wavelengths)))
+    groups = np.zeros((GROUPS, 2, len(wavelengths)))
     for e, w in zip(ensembles, weights, strict=True):
         variance += w**2 * e.variances() / np.maximum(e.count, 1.0)
-    return np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)]), np.sqrt(variance)
+        groups += w * e.deviations()
+    mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
+    return mean, np.sqrt(variance), scaled(groups, variance[:2])
 
 
 def spread_rows(count: int) -> tuple[int, ...]:

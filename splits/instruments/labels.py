@@ -56,6 +56,28 @@ def quantity(
     }
 
 
+def deviations(
+    name: str, dims: str | tuple[str, ...], groups: np.ndarray, long_name: str
+) -> dict[str, Variable]:
+    """Return how far groups of rays take a quantity off, ``…_groups``, by name.
+
+    Parameters
+    ----------
+    name, dims, long_name
+        Of the quantity.
+    groups : float, shape (groups, ...)
+        Stored in single precision.
+    """
+    dims = (dims,) if isinstance(dims, str) else dims
+    about = {
+        "long_name": f"deviation of {long_name} by group of rays",
+        "units": "1",
+        "comment": "sums over groups of products are covariances, without what stands for "
+        "interpolation between refractive indices in the standard error",
+    }
+    return {f"{name}_groups": (("group", *dims), groups.astype(np.float32), about)}
+
+
 def wavelength_axis(wavelengths: np.ndarray) -> Variable:
     """Return the coordinate of vacuum wavelengths (nm)."""
     about = {

@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from splits.instruments.ensemble import Level, Paths
+from splits.instruments.ensemble import BATCH, Level, Paths
 from splits.instruments.tracers import tracer_of
 from splits.media.turbid import Medium
 from splits.transport.lanes.rows import Features
-
-BATCH = 128
-"""Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
 
 MEMORY = 2**26
 LEGS = 2e7

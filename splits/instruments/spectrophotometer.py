@@ -17,7 +17,7 @@ from splits.instruments.arguments import (
     check_whole,
 )
 from splits.instruments.estimators import ESTIMATORS
-from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import Variable, deviations, quantity, run_facts, wavelength_axis
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.tracers import KERNELS
 from splits.media.turbid import Medium
@@ -75,8 +75,10 @@ def spectrophotometer(
     -------
     xarray.Dataset
         ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
-        ``…_stderr`` over ``wavelength``; the three add up to 1.  All inputs stand in the
-        attributes.
+        ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
+        ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
+        see `splits.analysis.errors`; absorptance's are minus their sum.  All inputs stand in
+        the attributes.
 
     Raises
     ------
@@ -107,6 +109,8 @@ def spectrophotometer(
     for row, (name, label) in enumerate(QUANTITIES.items()):
         long_name = label if name == "absorptance" else f"{illumination}-{label}"
         variables |= quantity(name, "wavelength", result.mean[row], result.stderr[row], long_name)
+        if name != "absorptance":
+            variables |= deviations(name, "wavelength", result.groups[:, row], long_name)
     facts = {
         **run_facts("Virtual spectrophotometer", "spectrophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,

@@ -25,6 +25,9 @@ EXIT_POSITION = 6
 EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 
+BLOCK = 8
+"""Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
+
 
 def exit_rows(rays: int, materials: int) -> np.ndarray:
     """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
@@ -61,9 +64,14 @@ def tally(exits, absorption, weighted):
         Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
     least : float64[wavelengths]
         Smallest weight with which any ray left; 0 once one did not.
+    blocks : float32[blocks, 2, wavelengths]
+        Σ weight of every `BLOCK` successive rays, the last of which may be fewer.
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((2, 3, wavelengths))
+    rays = exits.shape[0]
+    blocks = np.empty((-(-rays // BLOCK), 2, wavelengths), dtype=np.float32)
+    before = np.zeros((2, wavelengths))
     least = np.full(wavelengths, np.inf)
     # Wavelengths run fastest, in single precision: the exponential is then vectorised.
     alpha = np.empty((absorption.shape[1], wavelengths), dtype=np.float32)
@@ -71,21 +79,26 @@ def tally(exits, absorption, weighted):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
     depth = np.empty(wavelengths, dtype=np.float32)
-    for j in range(exits.shape[0]):
+    for j in range(rays):
         side = int(exits[j, EXIT_SIDE])
         if side < 0:
             least[:] = 0.0
-            continue
-        factor = np.float32(exits[j, EXIT_WEIGHT])
-        depth[:] = ZERO
-        if weighted:
-            for material in range(absorption.shape[1]):
-                leg = np.float32(exits[j, EXIT_LENGTH + material])
-                if leg > ZERO:
-                    for i in range(wavelengths):
-                        depth[i] += alpha[material, i] * leg
-        add(moments[side], least, depth, factor)
-    return moments, least
+        else:
+            factor = np.float32(exits[j, EXIT_WEIGHT])
+            depth[:] = ZERO
+            if weighted:
+                for material in range(absorption.shape[1]):
+                    leg = np.float32(exits[j, EXIT_LENGTH + material])
+                    if leg > ZERO:
+                        for i in range(wavelengths):
+                            depth[i] += alpha[material, i] * leg
+            add(moments[side], least, depth, factor)
+        if (j + 1) % BLOCK == 0 or j + 1 == rays:
+            for side in range(2):
+                for i in range(wavelengths):
+                    blocks[j // BLOCK, side, i] = moments[side, 0, i] - before[side, i]
+                    before[side, i] = moments[side, 0, i]
+    return moments, least, blocks
 
 
 @entry

@@ -85,7 +85,7 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
                 Slab(depth, 0.0, mu, False), snow.readings.rules(analog), optics, exits,
             )  # fmt: skip
             assert not lost
-            moments, least = tally(exits, absorption[np.newaxis], not analog)
+            moments, least, _ = tally(exits, absorption[np.newaxis], not analog)
             assert least[0] == 0.0
             assert moments[0].max() < 1e-9
             expected = math.exp(-depth / mu / snow.mean_grain_distance_m)

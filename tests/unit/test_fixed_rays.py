@@ -34,11 +34,13 @@ def fixed(medium, rays, seed, threads=None):
 @NEEDS_JIT
 @pytest.mark.parametrize("medium", [Sand(**SAND), Snow(saturation=0.3)], ids=["sand", "snow"])
 def test_it_agrees_with_the_spectrophotometer(medium):
-    mean, stderr = fixed(medium, 2048, 1)
+    mean, stderr, groups = fixed(medium, 2048, 1)
     other = spectrophotometer(medium, WAVELENGTHS, 10.0, max_stderr=0.005, seed=2)
     assert mean.shape == stderr.shape == (3, len(WAVELENGTHS))
     np.testing.assert_allclose(mean.sum(axis=0), 1.0, rtol=1e-12)
     assert (stderr > 0.0).all()
+    seen = mean[:2] > 0.0
+    np.testing.assert_allclose((groups**2).sum(axis=0)[seen], stderr[:2][seen] ** 2, rtol=1e-9)
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
         error = np.hypot(stderr[row], other[f"{name}_stderr"])
         # 0.01 is what interpolation between three nodes may miss.
@@ -92,8 +94,8 @@ def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
 def test_a_node_that_nothing_draws_on_is_not_in_the_way():
     # Snow of one index: the first node serves every wavelength.
     snow = Snow(saturation=0.0, refractive_index={"ice": 1.31})
-    mean, _ = fixed(snow, 128, 1)
-    alone, _ = fixed_spectrum(snow, WAVELENGTHS, 10.0, ROWS[:1], 128, 1)
+    mean, *_ = fixed(snow, 128, 1)
+    alone, *_ = fixed_spectrum(snow, WAVELENGTHS, 10.0, ROWS[:1], 128, 1)
     np.testing.assert_array_equal(mean, alone)
 
 

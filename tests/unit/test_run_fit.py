@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from chi2 import NEEDS_JIT
 
 from splits import load, save
-from splits.analysis.sand_tables import fitted_parameters
+from splits.analysis.sand_tables import UNDETERMINED, fitted_parameters
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments import run_fit as module
 from splits.experiments.fit import Effort
@@ -59,9 +60,35 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     again = load(tmp_path / "found.nc")
     rows = fitted_parameters(again)
     assert len(rows) == ds.value.size
-    assert set(rows.determined) <= {"yes", "no"} and set(rows.verdict) <= {"good", "not good"}
+    assert set(rows.verdict) <= {"determined", UNDETERMINED}
+    assert again.reflectance_groups.dims == ("refractive_index", "sample", "group", "wavelength")
+    square = (again.reflectance_groups.astype(float) ** 2).sum("group")
+    assert (square <= again.reflectance_stderr**2 * (1.0 + 1e-6)).all()
     figure = draw(again, settings.drawing())
     assert len(figure.axes) == 4
+
+
+def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
+    found = xr.Dataset(
+        {
+            "value": (("sample", "parameter"), np.full((2, 2), 0.01)),
+            "value_stderr": (("sample", "parameter"), np.full((2, 2), 0.01)),
+            "determined": (("sample", "parameter"), [[0.0, 1.0], [1.0, 0.0]]),
+            "rmse": ("sample", [0.01, 0.2]),
+            "rmse_stderr": ("sample", [0.001, 0.001]),
+        },
+        {"sample": ["near", "far"], "parameter": ["iron_oxide", "clay"]},
+    )
+    rows = fitted_parameters(found).set_index(["sample", "parameter"])
+    assert rows.verdict.to_dict() == {
+        ("near", "iron_oxide"): UNDETERMINED,
+        ("near", "clay"): "determined",
+        ("far", "iron_oxide"): "determined",
+        ("far", "clay"): UNDETERMINED,
+    }
+    assert (rows.spectrum["near"] == "reproduced").all()
+    assert (rows.spectrum["far"] == "not reproduced").all()
+    assert not rows.apply(lambda column: column.astype(str).str.contains("good")).to_numpy().any()
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,11 @@ def measured(request):
 
 
 def test_variables_and_dimensions(measured):
-    assert set(measured.data_vars) == {q + s for q in QUANTITIES for s in ("", "_stderr")}
-    assert all(variable.dims == ("wavelength",) for variable in measured.data_vars.values())
+    groups = {"reflectance_groups", "transmittance_groups"}
+    values = {q + s for q in QUANTITIES for s in ("", "_stderr")}
+    assert set(measured.data_vars) == values | groups
+    assert all(measured[name].dims == ("wavelength",) for name in values)
+    assert all(measured[name].dims == ("group", "wavelength") for name in groups)
     np.testing.assert_array_equal(measured.wavelength, WAVELENGTHS)
 
 

@@ -1,0 +1,78 @@
+"""Errors of what combines several wavelengths of one spectrum.
+
+A spectrophotometer traces paths at a few refractive indices.  Errors of wavelengths that draw on
+the same paths go together, those of others do not, so neither rule serves for a whole spectrum.
+Each dataset therefore carries how far `splits.instruments.ensemble.GROUPS` groups of its rays take
+every wavelength off (``…_groups``).  What is linear in the spectrum deviates by group alike, and
+the squares of its deviations add up to its variance.  What the standard error holds beyond that
+bounds what interpolation between refractive indices misses; how it goes together along a spectrum
+is not known, so it is added up as if all of it went the worst way.
+"""
+
+from __future__ import annotations
+
+import xarray as xr
+
+_ROUNDING = 1e-6
+"""Part of a variance that deviations in single precision may miss."""
+
+
+def weighted_error(dataset: xr.Dataset, quantity: str, weights: xr.DataArray) -> xr.DataArray:
+    """Return the standard error of a weighted sum of a spectrum.
+
+    Parameters
+    ----------
+    dataset, quantity, weights
+        As for `error_parts`.
+
+    Returns
+    -------
+    xarray.DataArray
+        Over all other dimensions: both parts, added in quadrature.
+    """
+    scatter, missed = error_parts(dataset, quantity, weights)
+    return (scatter**2 + missed**2) ** 0.5
+
+
+def error_parts(
+    dataset: xr.Dataset, quantity: str, weights: xr.DataArray
+) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return how a weighted sum of a spectrum scatters, and a bound on what it misses besides.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        The quantity's ``_stderr`` over ``wavelength`` and any other dimensions, and its
+        ``_groups`` over ``group`` besides.  Without those, as in datasets of earlier versions,
+        the scatter is an upper bound: the sum of errors times sizes of weights.
+    quantity : str
+        Such as ``reflectance``.
+    weights : xarray.DataArray
+        Over ``wavelength`` and any other dimensions; of any sign.
+
+    Returns
+    -------
+    scatter, missed : xarray.DataArray
+        Over all other dimensions: one standard deviation between runs with other seeds, and a
+        bound on what interpolation between refractive indices misses.
+    """
+    stderr = dataset[f"{quantity}_stderr"]
+    if f"{quantity}_groups" not in dataset:
+        most = (abs(weights) * stderr).sum("wavelength")
+        return most, xr.zeros_like(most)
+    groups = dataset[f"{quantity}_groups"].astype(float)
+    rest = stderr**2 - (groups**2).sum("group")
+    bound = rest.where(rest > _ROUNDING * stderr**2, 0.0) ** 0.5
+    scatter = ((weights * groups).sum("wavelength") ** 2).sum("group") ** 0.5
+    return scatter, (abs(weights) * bound).sum("wavelength")
+
+
+def band(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
+    """Return the weights over wavelength that make a sum the mean over a band (nm)."""
+    inside = (dataset.wavelength >= low) & (dataset.wavelength <= high)
+    return inside / inside.sum()
+
+
+def band_error(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
+    """Return the standard error of the mean of a quantity over a band (nm)."""
+    return weighted_error(dataset, quantity, band(dataset, low, high))

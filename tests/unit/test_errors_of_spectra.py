@@ -1,0 +1,145 @@
+"""Errors of sums over a spectrum: groups of rays tell how wavelengths go together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.analysis.colour import colours, gradient, lab, tristimulus
+from splits.analysis.errors import band, band_error, error_parts, weighted_error
+from splits.analysis.trends import steps
+from splits.experiments.model import Experiment
+from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
+from splits.instruments.ensemble import GROUPS, scaled
+
+WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
+RED = WAVELENGTHS >= 600.0
+ERROR = 0.01
+
+
+def dataset(groups=None, bound=0.0, **dimensions):
+    """Return a grey spectrum with an error of 0.01, from these groups and a bound besides."""
+    shape = (*(len(v) for v in dimensions.values()), len(WAVELENGTHS))
+    dims = (*dimensions, "wavelength")
+    variables = {
+        "reflectance": (dims, np.full(shape, 0.3)),
+        "reflectance_stderr": (dims, np.full(shape, np.hypot(ERROR, bound))),
+    }
+    if groups is not None:
+        values = np.broadcast_to(groups, (*shape[:-1], *groups.shape)).astype(np.float32)
+        variables["reflectance_groups"] = ((*dimensions, "group", "wavelength"), values)
+    return xr.Dataset(variables, {**dimensions, "wavelength": WAVELENGTHS})
+
+
+def two_nodes():
+    """Return groups of two independent sets of paths: one below 600 nm, one from there on."""
+    groups = np.zeros((GROUPS, len(WAVELENGTHS)))
+    groups[0, ~RED] = ERROR
+    groups[1, RED] = ERROR
+    return groups
+
+
+def test_wavelengths_of_one_node_go_together_and_those_of_two_do_not():
+    ds = dataset(two_nodes())
+    assert float(band_error(ds, "reflectance", 400, 590)) == pytest.approx(ERROR)
+    assert float(band_error(ds, "reflectance", 600, 780)) == pytest.approx(ERROR)
+    difference = band(ds, 600, 780) - band(ds, 400, 590)
+    error = float(weighted_error(ds, "reflectance", difference))
+    assert error == pytest.approx(np.sqrt(2.0) * ERROR)
+    share = RED.mean()
+    mean = float(band_error(ds, "reflectance", 400, 780))
+    assert mean == pytest.approx(ERROR * np.hypot(share, 1.0 - share))
+
+
+def test_what_interpolation_misses_goes_the_worst_way():
+    ds = dataset(two_nodes(), bound=0.004)
+    weights = band(ds, 600, 780) - band(ds, 400, 590)
+    scatter, missed = error_parts(ds, "reflectance", weights)
+    assert float(scatter) == pytest.approx(np.sqrt(2.0) * ERROR)
+    assert float(missed) == pytest.approx(2.0 * 0.004, rel=1e-4)
+    error = float(weighted_error(ds, "reflectance", weights))
+    assert error == pytest.approx(np.hypot(float(scatter), float(missed)))
+
+
+def test_without_groups_errors_are_upper_bounds():
+    ds = dataset()
+    weights = band(ds, 600, 780) - band(ds, 400, 590)
+    scatter, missed = error_parts(ds, "reflectance", weights)
+    assert float(scatter) == pytest.approx(2.0 * ERROR)
+    assert float(missed) == 0.0
+
+
+def test_a_colour_scatters_as_its_nodes_do():
+    table = colours(dataset(two_nodes(), medium=["a"]))
+    random = np.random.default_rng(1)
+    draws = np.where(RED, *random.normal(0.0, ERROR, (2, 4000, 1)))
+    basis = np.stack([tristimulus(WAVELENGTHS, unit) for unit in np.eye(len(WAVELENGTHS))])
+    scatter = lab((0.3 + draws) @ basis).std(axis=0)
+    stated = table[["L_stderr", "a_stderr", "b_stderr"]].to_numpy()[0]
+    # 4000 draws: a standard deviation is known to 1.1 %; colours bend a little.
+    np.testing.assert_allclose(scatter, stated, rtol=0.05)
+    assert (table[["L_missed", "a_missed", "b_missed"]].to_numpy() == 0.0).all()
+
+
+def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
+    for xyz in ([0.95, 1.0, 1.09], [0.2, 0.18, 0.1], [0.002, 0.002, 0.001]):
+        step = 1e-3 * np.array([0.5, -0.2, 0.9]) * min(xyz)
+        far = lab(np.array(xyz) + step) - lab(np.array(xyz) - step)
+        np.testing.assert_allclose(gradient(np.array(xyz)) @ (2.0 * step), far, rtol=1e-4)
+
+
+def test_steps_of_a_grid_use_the_groups():
+    step, error = steps(dataset(two_nodes(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780)
+    assert step.shape == error.shape == (2,)
+    share = RED.mean()
+    np.testing.assert_allclose(error, np.sqrt(2.0) * ERROR * np.hypot(share, 1.0 - share))
+
+
+def test_scaled_groups_hold_the_variance_and_keep_correlations():
+    random = np.random.default_rng(2)
+    raw = random.normal(size=(GROUPS, 3, 5))
+    raw -= raw.mean(axis=0)
+    raw[:, 2, 4] = 0.0
+    variance = random.uniform(1e-4, 1e-2, (3, 5))
+    groups = scaled(raw, variance)
+    square = (groups**2).sum(axis=0)
+    np.testing.assert_allclose(square.ravel()[:-1], variance.ravel()[:-1], rtol=1e-12)
+    assert square[2, 4] == 0.0
+
+    def correlation(g):
+        return np.corrcoef(g[:, 0, 0], g[:, 1, 1])[0, 1]
+
+    assert correlation(groups) == pytest.approx(correlation(raw), rel=1e-12)
+
+
+@pytest.mark.parametrize("estimator", ["spectral", "analog"])
+def test_groups_are_no_more_than_the_standard_error(estimator):
+    ds = splits.spectrophotometer(
+        splits.Snow(depth_m=0.002), [500.0, 1000.0], max_stderr=0.1, estimator=estimator, threads=1
+    )
+    for name in ("reflectance", "transmittance"):
+        square = (ds[f"{name}_groups"].astype(float) ** 2).sum("group")
+        assert (square > 0.0).all()
+        assert (square <= ds[f"{name}_stderr"] ** 2 * (1.0 + 1e-6)).all()
+        largest = float(abs(ds[f"{name}_groups"].sum("group")).max())
+        assert largest < 1e-3 * float(ds[f"{name}_stderr"].max())
+
+
+def test_groups_survive_grids_and_files(tmp_path):
+    experiment = Experiment.model_validate(
+        {
+            "name": "mine",
+            "medium": {"kind": "snow"},
+            "instrument": {"wavelength_nm": [500, 1000]},
+            "grid": {"depth_m": [0.002, 0.003]},
+        }
+    )
+    ds = run(experiment, Accuracy(max_stderr=0.1), threads=1)
+    assert ds.reflectance_groups.dims == ("depth_m", "group", "wavelength")
+    splits.save(ds, tmp_path / "mine.nc")
+    again = splits.load(tmp_path / "mine.nc")
+    xr.testing.assert_identical(again.reflectance_groups, ds.reflectance_groups)
+    assert (band_error(again, "reflectance", 400, 600) > 0.0).all()

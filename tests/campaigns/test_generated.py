@@ -20,6 +20,7 @@ import generated
 import matplotlib
 import numpy as np
 import odd
+from chi2 import NEEDS_JIT
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
@@ -188,6 +189,7 @@ def running(folder: Path) -> Callable[[str], str]:
     return judge
 
 
+@NEEDS_JIT
 def test_what_is_accepted_runs_and_is_sound(tmp_path):
     matplotlib.use("Agg")
     begun = time.perf_counter()

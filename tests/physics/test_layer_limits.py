@@ -7,8 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from chi2 import judge_z, largest_z
-from numba import config
+from chi2 import NEEDS_JIT, judge_z, largest_z
 
 import splits
 from splits.transport.fresnel import interface
@@ -60,6 +59,7 @@ def test_nothing_absorbed_all_comes_back(settings, polarized):
     assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-12)
 
 
+@NEEDS_JIT
 def test_a_thick_white_layer_follows_diffusion():
     # T = 4/3 K0(1)/((1 − g) τ + 2 × 0.7104) of a thick conservative slab, exact for isotropic
     # scattering with K0(1) = √3/4 H(1) = 1.2591; for other phase functions 1.26 to 1.28
@@ -156,7 +156,7 @@ def test_local_estimation_collectors_and_polynomials_agree():
     judge_z(np.concatenate(z), "local estimation against expansion", independent=1)
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a million rays")
+@NEEDS_JIT
 def test_collectors_and_local_estimation_see_the_same_polarization():
     # Two faces: local estimation adds up the reflections between them, collectors wait for rays.
     layer = splits.Layer(

@@ -1,5 +1,6 @@
 # make run     set up .venv, run every experiment of config/ and write the report
 # make test    set up .venv and run the tests
+# make campaign  read 10 000 generated experiment files and run 300 of them (an hour or two)
 # make setup   set up .venv and nothing else
 # make draft   what make run does, quickly and roughly, into results/draft
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
@@ -10,7 +11,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test resume draft lint benchmarks lock clean
+.PHONY: run setup test campaign resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -27,6 +28,9 @@ resume: $(VENV)/ready
 
 test: $(VENV)/ready
 	$(BIN)/python -m pytest
+
+campaign: $(VENV)/ready
+	CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

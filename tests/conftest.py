@@ -1,4 +1,7 @@
-"""What all tests share: the judgement of statistics in tests/statistics/chi2.py is importable."""
+"""What all tests share: the judgement of statistics in tests/statistics/chi2.py is importable.
+
+So are the generators of experiment files in tests/campaigns.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ from pathlib import Path
 
 import numba
 
-sys.path.insert(0, str(Path(__file__).parent / "statistics"))
+for folder in ("statistics", "campaigns"):
+    sys.path.insert(0, str(Path(__file__).parent / folder))
 
 
 def pytest_configure(config):

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z
+from chi2 import NEEDS_JIT, judge_z, largest_z
 from scipy import integrate
 
 import splits
@@ -86,7 +86,7 @@ def test_ice_is_sound_and_kernels_agree(geometry, kernel):
         other, other_errors = of_ice(geometry, incidence, KERNELS[0], 12)
         # One wavelength, two quantities: the rest is correlated with them.
         z.append((shares - other)[:2, 1] / np.hypot(errors, other_errors)[:2, 1])
-    judge_z(z, f"{kernel}, {geometry}")
+    judge_z(z, f"{kernel}, {geometry}", independent=len(ANGLES))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -131,7 +131,7 @@ def test_matched_indices_leave_a_plain_plate(incidence, kernel):
     if incidence == 0.0:
         judge_z(gaps[:, 1] / stated[:, 1], f"{kernel}, transmittance at {incidence}")
     together = gaps.sum(axis=0) / np.sqrt((stated**2).sum(axis=0))
-    judge_z(together, f"{kernel}, all geometries at {incidence}")
+    judge_z(together, f"{kernel}, all geometries at {incidence}", independent=1)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -181,7 +181,8 @@ def test_kernels_agree_under_every_reading(reading, kernel):
                 for n, k in enumerate((kernel, KERNELS[0]))
             )
             z.append((shares - other)[:2, 0] / np.hypot(errors, other_errors)[:2, 0])
-    judge_z(z, f"{kernel}, {reading}")
+    # Reflectance and transmittance of a pair of runs share paths.
+    judge_z(z, f"{kernel}, {reading}", independent=len(z))
 
 
 # --- incidence --------------------------------------------------------------------------------
@@ -195,18 +196,24 @@ MIRRORS = {
 }
 
 
-def shares_at(medium, incidence, **settings):
-    return measure(medium, 500.0, incidence, **settings)[0][:, 0]
+# Transmittance at 89.99 degrees by 180 000 rays of either kernel, and its error.
+GRAZING = 0.0331, math.sqrt(0.0331 * (1.0 - 0.0331) / 360_000)
+
+
+def passed_at(medium, incidence, **settings):
+    """Return transmittance and its standard error."""
+    shares, errors = measure(medium, 500.0, incidence, **settings)
+    return shares[1, 0], errors[1, 0]
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_smooth_spheres_become_a_mirror_towards_90_degrees(kernel):
     # Only grains below the boundary are met, so a ray that skims it meets their tops, grazing.
     medium = splits.Snow(**MIRRORS, saturation=0.0)
-    passed = [shares_at(medium, a, stderr=0.002, kernel=kernel)[1] for a in (60, 89, 89.99)]
-    assert passed[0] > passed[1] + 0.05 > passed[2] + 0.1
-    # 0.0331 by 180 000 rays of either kernel.
-    assert passed[2] == pytest.approx(0.0331, abs=0.006)
+    passed = [passed_at(medium, a, stderr=0.002, kernel=kernel) for a in (60, 89, 89.99)]
+    assert passed[0][0] > passed[1][0] + 0.05 > passed[2][0] + 0.1
+    value, error = passed[2]
+    judge_z([(value - GRAZING[0]) / math.hypot(error, GRAZING[1])], f"{kernel}, grazing")
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -224,8 +231,8 @@ def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
     # Smooth spheres, and water's surface, let less through than at 89.99 degrees.  Beams so near
     # the horizon go to the scalar kernel.
     medium = splits.Snow(**MIRRORS, saturation=saturation)
-    shares = shares_at(medium, 89.9999, stderr=0.02, kernel=kernel)
-    assert shares[1] < 0.05
+    value, error = passed_at(medium, 89.9999, stderr=0.004, kernel=kernel)
+    assert value < GRAZING[0] + largest_z(1) * math.hypot(error, GRAZING[1])
 
 
 # --- extinction -------------------------------------------------------------------------------
@@ -269,24 +276,39 @@ def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("k", [1.0, 3.0, 1e3, 1e7])
+@pytest.mark.parametrize("k", [1.0, 3.0])
 def test_opaque_grains_let_nothing_through(k, kernel):
+    for geometry in ("", "sphericity 0.3", "facetness 1"):
+        shares, errors = measure(snow(geometry, 0.0, ice=1.0 + 1j * k), 500.0, kernel=kernel)
+        assert shares[1, 0] < 3.0 * errors[1, 0]
+
+
+def most_absorbed(index):
+    """Return a bound on what grains absorb that are mirrors, all together.
+
+    Where a reflection absorbs the part a, isotropic scattering in a half-infinite medium absorbs
+    H(1) √a ≤ 2.908 √a of light from the zenith (Chandrasekhar 1960), scattering of asymmetry g up
+    to the factor 1/√(1 − g); mirrors throw light all around, g < 1/2.
+    """
+    return 2.908 * math.sqrt(2.0 * (1.0 - fresnel_share(index)))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("k", [1e3, 1e7])
+def test_mirrors_absorb_hardly_anything(k, kernel):
     if k > LARGEST:
         # Single precision has no room for such powers of it; "auto" takes the scalar kernel.
         kernel = "auto"
     for geometry in ("", "sphericity 0.3", "facetness 1"):
-        shares, errors = measure(snow(geometry, 0.0, ice=1.0 + 1j * k), 500.0, kernel=kernel)
-        if k <= 3.0:
-            assert shares[1, 0] < 3.0 * errors[1, 0]
-        else:
-            # A mirror: what is absorbed falls as 4/k per reflection.
-            assert shares[2, 0] < 0.05 + 1e3 / k
+        index = 1.0 + 1j * k
+        shares, errors = measure(snow(geometry, 0.0, ice=index), 500.0, 0.0, 0.01, kernel=kernel)
+        assert shares[2, 0] <= most_absorbed(index) + largest_z(1) * errors[2, 0]
 
 
 def test_a_perfect_conductor():
     conductor = snow("", 0.0, ice=1.0 + 1e9j)
     shares, _ = measure(conductor, 500.0, kernel="auto")
-    assert shares[2, 0] < 1e-3
+    assert shares[2, 0] == 0.0
     with pytest.raises(ValueError, match="kernel = 'lanes'"):
         measure(conductor, 500.0, kernel="lanes")
 

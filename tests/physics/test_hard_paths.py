@@ -107,8 +107,9 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     assert x == pytest.approx(depth * sine / mu, rel=DRIFT)
     assert abs(y) < DRIFT * depth
     assert length.sum() == pytest.approx(depth / mu, rel=DRIFT)
-    # Grains are met at random, with the mean distance stated.
-    assert length[0] / legs == pytest.approx(snow.mean_grain_distance_m, rel=0.005)
+    # Grains are met at random, with the mean distance stated: exponential, sd equal to the mean.
+    z = (length[0] / legs / snow.mean_grain_distance_m - 1.0) * math.sqrt(legs)
+    judge_z([z], "distance between grains")
 
 
 @NEEDS_JIT

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from numba import config
+from chi2 import NEEDS_JIT, judge_z, largest_z
 
 import splits
 from splits.transport.fresnel import interface
@@ -33,9 +33,12 @@ def test_a_layer_without_particles_is_a_plate(index, incidence):
     plate = splits.Layer(optical_thickness=0.0, refractive_index=index, bottom_albedo=None)
     ds = splits.spectrophotometer(plate, NM, incidence, 0.01)
     expected = slab_of_faces(index, math.cos(math.radians(incidence)))
-    for name, exact in zip(("reflectance", "transmittance"), expected, strict=True):
-        value, stderr = share(ds, name)
-        assert abs(value - exact) <= 4.0 * stderr
+    (value, stderr), (exact, passed) = share(ds, "reflectance"), expected
+    assert float(ds.transmittance[0]) - passed == pytest.approx(exact - value, abs=1e-12)
+    if index == 1.0:
+        assert value == 0.0
+    else:
+        judge_z([(value - exact) / stderr], "plate")
     assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -56,16 +59,19 @@ def test_nothing_absorbed_all_comes_back(settings, polarized):
     assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-12)
 
 
+@NEEDS_JIT
 def test_a_thick_white_layer_follows_diffusion():
-    # R and T of a conservative slab of optical thickness 1e4: T = (2/3 + mu0)/(tau (1 - g) + 4/3)
-    # for isotropic scattering in Eddington's approximation, better than 5 % under normal light.
+    # T = 4/3 K0(1)/((1 − g) τ + 2 × 0.7104) of a thick conservative slab, exact for isotropic
+    # scattering with K0(1) = √3/4 H(1) = 1.2591; for other phase functions 1.26 to 1.28
+    # (van de Hulst 1980), hence 2 %.
     layer = splits.Layer(
         optical_thickness=1e4, single_scattering_albedo=1.0, asymmetry=0.99,
         refractive_index=1.0, bottom_albedo=None,
     )  # fmt: skip
-    ds = splits.spectrophotometer(layer, NM, 0.0, 0.004)
+    ds = splits.spectrophotometer(layer, NM, 0.0, 0.001)
     value, stderr = share(ds, "transmittance")
-    assert abs(value - (2.0 / 3.0 + 1.0) / (100.0 + 4.0 / 3.0)) < 0.05 * value + 4.0 * stderr
+    expected = 4.0 / 3.0 * 1.2591 / (100.0 + 2.0 * 0.7104)
+    assert abs(value - expected) < 0.02 * expected + largest_z(1) * stderr
     assert float(ds.reflectance[0]) + value == pytest.approx(1.0, abs=1e-12)
 
 
@@ -76,7 +82,7 @@ def test_black_particles_leave_the_face_and_the_beam():
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 60.0, 0.01)
     value, stderr = share(ds, "transmittance")
-    assert abs(value - math.exp(-2.0)) < 4.0 * stderr
+    judge_z([(value - math.exp(-2.0)) / stderr], "black particles")
     assert float(ds.reflectance[0]) == 0.0
 
 
@@ -86,9 +92,11 @@ def test_coin_tosses_agree_with_weights():
         splits.spectrophotometer(layer, NM, 40.0, 0.005, seed, estimator=estimator)
         for seed, estimator in ((1, "spectral"), (2, "analog"))
     )
+    z = []
     for name in ("reflectance", "transmittance", "absorptance"):
         (a, s), (b, t) = share(by_weight, name), share(by_toss, name)
-        assert abs(a - b) < 4.0 * math.hypot(s, t)
+        z.append((a - b) / math.hypot(s, t))
+    judge_z(z, "coin tosses against weights", independent=1)
 
 
 def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
@@ -102,7 +110,7 @@ def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
         for seed, polarized in ((1, False), (2, True))
     ]  # fmt: skip
     z = (pair[0].brdf - pair[1].brdf) / np.hypot(pair[0].brdf_stderr, pair[1].brdf_stderr)
-    assert float(np.abs(z).max()) < 4.0
+    judge_z(z.values, "with and without polarization", independent=1)
     for name in ("brdf_q", "brdf_u", "brdf_v"):
         assert float(np.abs(pair[1][name]).max()) == 0.0
 
@@ -125,6 +133,7 @@ def test_helmholtz_reciprocity(polarized):
         )  # fmt: skip
         gap = there.brdf.item() - back.brdf.item()
         z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
+    judge_z(z, f"reciprocity, polarized {polarized}")
     assert np.abs(z).max() < 3.0
 
 
@@ -144,11 +153,10 @@ def test_local_estimation_collectors_and_polynomials_agree():
     for name in ("reflectance", "transmittance", "specular_reflectance", "direct_transmittance"):
         (a, s), (b, t) = share(heard, name), share(expanded, name)
         z.append(np.array([(a - b) / math.hypot(s, t)]))
-    found = np.concatenate(z)
-    assert np.sqrt(np.mean(found**2)) < 1.3 and np.abs(found).max() < 4.0
+    judge_z(np.concatenate(z), "local estimation against expansion", independent=1)
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a million rays")
+@NEEDS_JIT
 def test_collectors_and_local_estimation_see_the_same_polarization():
     # Two faces: local estimation adds up the reflections between them, collectors wait for rays.
     layer = splits.Layer(
@@ -166,8 +174,8 @@ def test_collectors_and_local_estimation_see_the_same_polarization():
     counted = counted.sel(azimuth=heard.azimuth)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
         gap = (counted[name] - heard[name]).values
-        z = gap / np.hypot(counted[f"{name}_stderr"], heard[f"{name}_stderr"]).values
-        assert np.sqrt(np.mean(z**2)) < 1.2 and np.abs(z).max() < 4.5, name
+        # Cells, which share no rays, have by far the larger errors.
+        judge_z(gap / np.hypot(counted[f"{name}_stderr"], heard[f"{name}_stderr"]).values, name)
 
 
 @pytest.mark.parametrize(

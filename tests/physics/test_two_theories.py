@@ -25,6 +25,9 @@ ICE = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-7, 1e-4]}
 ROUGH = {"facetness": (0.2, 0.4, 0.3, 0.072)}
 SMOOTH = {"facetness": (0.0, 0.0, 0.0, 0.0)}
 SEEDS = range(1, 5)
+PACKED = 0.004
+"""What discrete ordinates with the way through grains may miss of dry packed snow, whose grains are
+not points: measured at standard errors of 0.0015 (docs/theories.md)."""
 
 
 def sample(thickness, density, **settings):
@@ -95,7 +98,7 @@ def test_packed_grains_obey_it_with_the_way_through_them(entry, incidence):
     # As points, too much is sent back and too little let through: far beyond all errors.
     assert (np.abs(points - found)[:, 0] > 10.0 * np.hypot(error, stderr)[:, 0]).all()
     # Diffusion's answer holds where much light is scattered often.
-    assert (np.abs(grains - found)[:, :2] <= 0.004 + 3.0 * stderr[:, :2]).all()
+    assert (np.abs(grains - found)[:, :2] <= PACKED + 3.0 * stderr[:, :2]).all()
 
 
 def vars_of(snow):

@@ -1,10 +1,14 @@
 """How tests draw samples from kernels and how they judge families of comparisons.
 
 A family of comparisons fails when its worst member is less likely than 1 % for the family as a
-whole (Šidák): one comparison among n may then have p as low as 1 − 0.99^(1/n).
+whole (Šidák): one comparison among n may then have p as low as 1 − 0.99^(1/n).  It fails, too, when
+the rms of its z is outside the two-sided 99 % of χ²: stated errors may be neither too small nor too
+large.  tests/statistics/test_judge.py shows what that finds.
 """
 
 from __future__ import annotations
+
+from functools import cache
 
 import numba
 import numpy as np
@@ -123,15 +127,90 @@ def judge_p(p_values: dict) -> None:
     assert p_values[worst] >= bound, f"{report}; bound {bound:.3g}; all: {p_values}"
 
 
-def judge_z(z, label: str = "") -> None:
-    """Fail if the largest |z| of a family exceeds Šidák's bound; report the rms."""
+@cache
+def largest_z(count: int) -> float:
+    """Return the |z| that the largest of `count` comparisons exceeds in 1 % of all families."""
+    return float(stats.norm.isf(0.5 * (1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / count))))
+
+
+@cache
+def rms_limits(independent: int) -> tuple[float, float]:
+    """Return the limits within which the rms z of independent comparisons is in 99 % of cases."""
+    ends = np.array([0.5 * SIGNIFICANCE, 1.0 - 0.5 * SIGNIFICANCE])
+    low, high = np.sqrt(stats.chi2.ppf(ends, independent) / independent)
+    return float(low), float(high)
+
+
+def judge_z(z, label: str = "", independent: int | None = None, bound_added: bool = False) -> None:
+    """Fail if the largest |z| of a family, or its rms, is less likely than 1 %.
+
+    Parameters
+    ----------
+    z : array_like
+        Differences in units of their standard error.
+    label : str
+    independent : int, optional
+        Number of independent comparisons where several share paths, default: all of them.  The
+        rms of z² of fully correlated ones scatters as that of one, so one per run is on the safe
+        side; correlation only makes Šidák's bound wider than it need be.
+    bound_added : bool
+        Errors hold the bound of a bias besides the statistical part (interpolation between
+        refractive indices), so that they are too large by design: only the upper limit counts.
+    """
     z = np.asarray(z, dtype=float)
     flat = z.ravel()
-    bound = stats.norm.isf(0.5 * (1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / flat.size)))
+    bound = largest_z(flat.size)
+    low, high = rms_limits(independent or flat.size)
+    low = 0.0 if bound_added else low
+    rms = float(np.sqrt((flat**2).mean()))
     worst = np.unravel_index(np.argmax(np.abs(z)), z.shape)
     report = (
-        f"{label} {flat.size} comparisons: rms z {np.sqrt((flat**2).mean()):.2f}, "
+        f"{label}: {flat.size} comparisons, rms z {rms:.2f} (allowed {low:.2f} to {high:.2f}), "
         f"worst z {z[worst]:+.2f} at {tuple(int(i) for i in worst)}, bound {bound:.2f}"
     )
     print(report)
     assert np.isfinite(flat).all() and np.abs(flat).max() <= bound, report
+    assert low <= rms <= high, report
+
+
+def pooled_z(differences, errors, values=None) -> float:
+    """Return the signed mean of many differences, weighted by inverse variance, in its own error.
+
+    Parameters
+    ----------
+    differences, errors : array_like
+        Independent ones.
+    values : array_like, optional
+        Makes the differences relative: what they are differences of.
+    """
+    d, s = np.ravel(differences), np.ravel(errors)
+    v = np.ones_like(d) if values is None else np.ravel(values)
+    # Relative differences d/v with errors s/v and weights (v/s)².
+    return float((d * v / s**2).sum() / np.sqrt((v**2 / s**2).sum()))
+
+
+def judge_scatter(samples, stated, label: str = "") -> None:
+    """Fail if the scatter of repeated runs is not what they state: both sides, at 1 % together.
+
+    Parameters
+    ----------
+    samples, stated : array_like, shape (runs, …)
+        Values of independent runs and their standard errors.  Quantities of a run may share
+        paths: each by itself is judged by the quantiles of χ², by Šidák's bound for all.
+    """
+    samples = np.asarray(samples, dtype=float)
+    runs = len(samples)
+    mean_square = (np.asarray(stated, dtype=float) ** 2).mean(axis=0).ravel()
+    square = ((samples - samples.mean(axis=0)) ** 2).sum(axis=0).ravel()
+    assert (square[mean_square == 0.0] == 0.0).all()
+    known = mean_square > 0.0
+    chi2 = square[known] / mean_square[known]
+    each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / chi2.size)
+    low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], runs - 1) / (runs - 1))
+    ratio = np.sqrt(chi2 / (runs - 1))
+    report = (
+        f"{label}: scatter over stated error of {chi2.size} quantities, {runs} runs: "
+        f"{ratio.min():.2f} to {ratio.max():.2f}, allowed {low:.2f} to {high:.2f}"
+    )
+    print(report)
+    assert low <= ratio.min() and ratio.max() <= high, report

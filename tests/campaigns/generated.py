@@ -1,0 +1,302 @@
+"""Contents of experiment files, generated: what a user may mean, and what may be written instead.
+
+`sound` builds contents out of known keys and mostly possible values; `broken` changes some places
+of them.  `text_of` writes contents as YAML, flow style, so that any scalar may stand anywhere.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from hypothesis import strategies as st
+
+from splits.experiments.model import label_of
+from splits.experiments.sections import FIGURES, OF_ONE_POINT
+
+
+class Raw(str):
+    """Text that stands in a file as it is."""
+
+    __slots__ = ()
+
+
+def text_of(value: Any) -> str:
+    """Return a value as YAML in flow style."""
+    if isinstance(value, Raw):
+        return str(value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{text_of(k)}: {text_of(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(text_of, value)) + "]"
+    if isinstance(value, float):
+        return repr(value).replace("inf", ".inf").replace("nan", ".nan")
+    return json.dumps(value)
+
+
+def file_of(content: Any) -> str:
+    """Return the text of a file: one section a line where there are sections."""
+    if not isinstance(content, dict) or not content:
+        return text_of(content)
+    return "".join(f"{text_of(key)}: {text_of(value)}\n" for key, value in content.items())
+
+
+SELDOM = st.sampled_from([False] * 9 + [True])
+OFTEN = st.sampled_from([True] * 9 + [False])
+
+
+# --- media ------------------------------------------------------------------------------------
+
+
+def within(low: float, high: float) -> st.SearchStrategy:
+    """Return numbers of a range, its ends and a few digits more often than others."""
+    return (
+        st.floats(low, high, allow_subnormal=False)
+        | st.floats(low, high, allow_subnormal=False).map(lambda x: float(f"{x:.3g}"))
+        | st.sampled_from([low, high])
+    )
+
+
+def rising(low: float, high: float, count: int = 2) -> st.SearchStrategy:
+    return st.lists(within(low, high), min_size=count, max_size=count, unique=True).map(sorted)
+
+
+def some(**strategies: st.SearchStrategy) -> st.SearchStrategy:
+    """Return mappings of some of these keys."""
+    return st.fixed_dictionaries({}, optional=strategies)
+
+
+def bell(low: float, high: float) -> st.SearchStrategy:
+    """Return (min, max, mean, sd) of a limited normal."""
+    return st.tuples(rising(low, high, 3), within(0.001, 0.5)).map(
+        lambda drawn: [drawn[0][0], drawn[0][2], drawn[0][1], drawn[1]]
+    )
+
+
+TABLE = {"wavelength_nm": [200, 100_000], "n": [1.3, 1.4], "k": [1e-9, 1e-3]}
+INDEX = (
+    within(1.0, 2.5)
+    | st.sampled_from(["1.31+1e-7j", "1.5", "1+1j", "warren_brandt_2008", "nowhere.csv", TABLE])
+    | within(0.1, 10.0).map(lambda factor: {"dataset": "warren_brandt_2008", "k_factor": factor})
+)
+READINGS = some(
+    entry=st.sampled_from(["uniform", "projected"]),
+    facets=st.sampled_from(["projected", "unweighted", "any"]),
+    wrong_side=st.sampled_from(["lobe", "mirrored"]),
+    boundary_fresnel=st.sampled_from(["yes", "no"]),
+    grain_on_last_leg=st.sampled_from(["reject", "keep", "skip"]),
+    grain_across_boundary=st.sampled_from(["reject", "keep", "skip"]),
+)
+SHARES = st.lists(within(0.0, 1.0), min_size=2, max_size=2).map(
+    lambda x: [min(x), max(x) - min(x), 1.0 - max(x)]
+)
+KEYWORDS = {
+    "snow": {
+        "grain_size_um": rising(20.0, 900.0),
+        "facetness": bell(0.0, 1.0),
+        "sphericity": bell(0.3, 1.0),
+        "saturation": within(0.0, 1.0),
+        "density_kg_m3": within(50.0, 900.0),
+        "temperature_c": within(-40.0, 0.0),
+        "depth_m": within(0.001, 0.02),
+        "refractive_index": st.dictionaries(st.sampled_from(["ice", "water"]), INDEX, max_size=2),
+        "readings": READINGS,
+    },
+    "sand": {
+        "iron_oxide": within(0.0, 0.05),
+        "hematite_ratio": within(0.0, 1.0),
+        "magnetite": within(0.0, 0.3),
+        "partition": SHARES,
+        "texture": within(0.0, 0.05).map(lambda clay: [clay, clay, 1.0 - 2.0 * clay]),
+        "saturation": within(0.0, 1.0),
+        "porosity": within(0.35, 0.6),
+        "roundness": st.tuples(within(0.0, 1.0), within(0.001, 0.5)),
+        "sphericity": bell(0.3, 1.0),
+        "depth_m": within(0.003, 0.01),
+        "refractive_index": st.dictionaries(
+            st.sampled_from(["quartz", "hematite", "goethite", "water"]), INDEX, max_size=2
+        ),
+        "readings": READINGS,
+    },
+    "layer": {
+        "optical_thickness": within(0.0, 20.0) | st.just(float("inf")),
+        "single_scattering_albedo": within(0.0, 0.99),
+        "asymmetry": within(-0.9, 0.9),
+        "refractive_index": within(1.0, 3.0),
+        "bottom_albedo": within(0.0, 1.0) | st.none(),
+        "surface": st.fixed_dictionaries(
+            {
+                "rms_height_m": within(1e-3, 0.02),
+                "wave_number_per_m": within(1.0, 50.0),
+                "correlation": st.just("gaussian"),
+            },
+            optional={
+                "waves": st.integers(1, 24),
+                "band_limit_per_m": within(50.0, 500.0),
+            },
+        ),
+        "phase_function": st.sampled_from(["henyey_greenstein", "rayleigh"]),
+        "polarized": st.booleans(),
+        "max_polarization": within(0.0, 1.0),
+        "opaque": st.booleans(),
+        "depth_m": within(0.5, 10.0),
+    },
+}
+BASES = {
+    "snow": ["splitsnow_table1"],
+    "sand": ["splits_base", "tec_10019201", "tec_13j9823"],
+    "layer": [],
+}
+
+# --- labels, instruments, figures -------------------------------------------------------------
+
+NAMES = [
+    "default", "a b", "Ångström µ", "0.10", "1e3", "yes", "a=b", "λ/2", "100-200", "x" * 60,
+    "%d {}", "$x$", "_", "$",
+]  # fmt: skip
+LABELS = st.sampled_from(NAMES) | st.text(
+    st.characters(codec="utf-8", categories=["L", "N", "P"]), min_size=1, max_size=8
+)
+WAVELENGTHS = st.lists(
+    st.integers(400, 2000), min_size=1, max_size=4, unique=True
+).map(sorted) | st.fixed_dictionaries(
+    {"start": st.just(400), "stop": st.integers(401, 2000), "step": st.integers(100, 500)},
+    optional={"also": st.lists(st.integers(400, 2000), max_size=2)},
+)  # fmt: skip
+AZIMUTHS = st.sampled_from([[0, 180], [0, 90, 180], [0, 45.5, 180, 359]])
+SETTINGS = {
+    "spectrophotometer": {"estimator": st.sampled_from(["spectral", "analog"])},
+    "goniophotometer": {
+        "estimator": st.sampled_from(["expansion", "cells", "local"]),
+        "target": st.sampled_from(["brdf", "btdf"]),
+        "polar_deg": rising(0.0, 89.0, 3),
+        "azimuth_deg": AZIMUTHS,
+        "cells": st.sampled_from([[2, 4], [6, 8]]),
+        "rays": st.integers(1, 5000),
+    },
+    "bssrdf": {"rays": st.integers(1, 5000), "half_width_m": within(1e-3, 1.0)},
+    "refractive_index": {},
+    "surface": {"half_width_m": within(0.1, 10.0), "realisations": st.integers(2, 5)},
+    "lens": {
+        "radius_m": within(0.1, 3.0),
+        "screen_depth_m": rising(0.5, 50.0, 3),
+        "half_width_m": within(1.0, 20.0),
+        "over": st.sampled_from(["crest", "trough", "origin"]),
+        "realisations": st.integers(1, 3),
+        "rays": st.integers(3, 100),
+    },
+}
+OF_MEDIUM = {
+    "snow": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
+    "sand": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
+    "layer": ["spectrophotometer", "goniophotometer", "bssrdf", "surface", "lens"],
+}
+QUANTITY = {
+    "spectrophotometer": ["reflectance", "transmittance", "absorptance"],
+    "goniophotometer": ["brdf", "btdf", "reflectance_factor", "anisotropy_factor"],
+}
+FITS = {"measured": "sand_reflectance_jhu.csv"}
+
+
+@st.composite
+def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
+    medium = draw(some(**KEYWORDS[kind]))
+    if rough and draw(OFTEN):
+        medium["surface"] = draw(KEYWORDS["layer"]["surface"])
+    if BASES[kind] and draw(st.booleans()):
+        medium["base"] = draw(st.sampled_from(BASES[kind]))
+    return {"kind": kind, **medium}
+
+
+@st.composite
+def instruments(draw, kind: str, of: str) -> dict[str, Any]:
+    known = SETTINGS[kind]
+    always = {"surface": ["half_width_m"], "lens": ["radius_m", "screen_depth_m", "half_width_m"]}
+    needed = {key: known[key] for key in always.get(kind, [])}
+    others = {key: values for key, values in known.items() if key not in needed}
+    instrument = draw(st.fixed_dictionaries(needed, optional=others))
+    if kind not in ("surface", "lens"):
+        if of != "snow" or draw(st.booleans()):
+            instrument["wavelength_nm"] = draw(WAVELENGTHS)
+        if kind != "refractive_index" and draw(st.booleans()):
+            diffuse = st.just("diffuse") if kind == "spectrophotometer" else st.nothing()
+            instrument["incidence_deg"] = draw(within(0.0, 89.0) | diffuse)
+    if draw(SELDOM):
+        instrument["seed"] = draw(st.integers(0, 2**31))
+    estimator = instrument.get("estimator")
+    if estimator == "cells":
+        instrument.pop("polar_deg", None)
+        instrument.pop("azimuth_deg", None)
+    elif draw(OFTEN):
+        instrument.pop("cells", None)
+    return {"kind": kind, **instrument}
+
+
+@st.composite
+def grids(draw, kind: str) -> dict[str, Any]:
+    """Return up to two parameters with up to three values, in a list or under labels."""
+    values = {
+        **KEYWORDS[kind],
+        "incidence_deg": within(0.0, 80.0),
+        "medium": some(**KEYWORDS[kind]),
+    }
+    grid = {}
+    for parameter in draw(st.lists(st.sampled_from(sorted(values)), max_size=2, unique=True)):
+        given = draw(st.lists(values[parameter], min_size=1, max_size=3))
+        named = any(isinstance(value, dict) for value in given)
+        if named or draw(st.booleans()):
+            names = draw(st.lists(LABELS, min_size=len(given), max_size=len(given), unique=True))
+            given = dict(zip(names, given, strict=True))
+        grid[parameter] = given
+    return grid
+
+
+@st.composite
+def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
+    figure = {}
+    if draw(st.booleans()):
+        figure["kind"] = draw(st.sampled_from([name for name in FIGURES[kind] if name != "fit"]))
+    shown = figure.get("kind", FIGURES[kind][0])
+    if kind in QUANTITY and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
+        several = st.lists(st.sampled_from(QUANTITY[kind]), min_size=1, max_size=3, unique=True)
+        figure["quantity"] = draw(several | several.map(lambda names: names[0]))
+    for parameter, given in grid.items():
+        if shown in OF_ONE_POINT or draw(SELDOM):
+            labels = [label_of(parameter, v) for v in given] if isinstance(given, list) else given
+            figure.setdefault("at", {})[parameter] = draw(st.sampled_from(list(labels)))
+    if draw(SELDOM):
+        figure["legend"] = draw(LABELS)
+    if draw(SELDOM):
+        figure["ylim"] = draw(rising(0.0, 2.0))
+    if kind == "spectrophotometer" and draw(SELDOM):
+        figure["wavelength_nm"] = draw(rising(300.0, 2500.0))
+        figure["measured"] = draw(
+            st.sampled_from(["aviris_ng_varsa2021.csv", "sand_reflectance_jhu.csv", "none.csv"])
+        )
+    return figure
+
+
+@st.composite
+def sound(draw) -> dict[str, Any]:
+    """Return the contents of an experiment file out of known keys."""
+    kind = draw(st.sampled_from(sorted(KEYWORDS)))
+    instrument = draw(st.sampled_from(OF_MEDIUM[kind]))
+    content: dict[str, Any] = {
+        "medium": draw(mediums(kind, instrument in ("surface", "lens"))),
+        "instrument": draw(instruments(instrument, kind)),
+    }
+    grid = {} if instrument == "refractive_index" else draw(grids(kind))
+    content["grid"] = grid
+    content["figure"] = draw(figures(instrument, grid))
+    if kind == "sand" and draw(SELDOM):
+        content["fit"] = dict(FITS)
+        content["figure"] = {"kind": "fit"}
+    for key in ("title", "caption"):
+        if draw(SELDOM):
+            content[key] = draw(LABELS)
+    if draw(SELDOM):
+        content["name"] = draw(st.sampled_from(["mine", "a_1", "simulate", "Mine", "1", "a b"]))
+    for key in ("grid", "figure", "instrument"):
+        if not content[key] or draw(SELDOM):
+            del content[key]
+    return content

@@ -1,0 +1,201 @@
+"""Generated experiment files: each is run or refused in one line, and what is run is sound.
+
+Short by default.  The campaign proper is ``make campaign``, or
+
+    CAMPAIGN=10000,300 python -m pytest -s tests/campaigns
+
+files read and experiments run; a third number is the seed (default 1).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+
+import generated
+import matplotlib
+import numpy as np
+import odd
+from chi2 import NEEDS_JIT
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from splits.experiments import ConfigError
+from splits.experiments.load import load_experiment
+from splits.experiments.model import Experiment
+from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
+from splits.figures import draw
+
+CAMPAIGN = os.environ.get("CAMPAIGN", "300,10")
+FILES, RUNS, SEED = (*map(int, CAMPAIGN.split(",")), 1)[:3]
+LONGEST_LINE = 500
+SECONDS = 20.0
+"""Of CPU time, for reading one file: what takes so long will not end for longer input."""
+TINY = Accuracy(max_stderr=0.3, relative_stderr=0.5, max_rays=2000)
+MEDIA = Path(__file__).parents[2] / "config" / "media"
+
+
+class TooLong(BaseException):
+    """Reading a file takes too long; no `Exception`, so that nothing on the way catches it."""
+
+
+@contextmanager
+def time_limit(seconds: float):
+    def stop(*_):
+        raise TooLong
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def each(strategy: st.SearchStrategy, count: int, judge: Callable[[str], str]) -> list[tuple]:
+    """Return (verdict, text) of generated texts: all of them, not only up to the first failure."""
+    found = []
+
+    @seed(SEED)
+    @settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(strategy)
+    def collect(text: str) -> None:
+        found.append((judge(text), text))
+
+    collect()
+    return found
+
+
+def report(found: list[tuple], fine: tuple[str, ...]) -> str:
+    """Print how often each verdict was given; return the worst with the shortest text of each."""
+    shortest: dict[str, str] = {}
+    counts: dict[str, int] = {}
+    for verdict, text in sorted(found, key=lambda pair: len(pair[1])):
+        counts[verdict] = counts.get(verdict, 0) + 1
+        shortest.setdefault(verdict, text)
+    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    print(f"{len(found)} generated: {told}")
+    bad = [verdict for verdict in counts if verdict not in fine]
+    return "\n".join(f"{counts[v]} × {v}: {shortest[v][:1000]!r}" for v in bad)
+
+
+def written(text: str, folder: Path) -> Path:
+    path = folder / "generated.yaml"
+    # Half a surrogate pair is no text: such a file is bytes that are not UTF-8.
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    return path
+
+
+def place_of(error: BaseException) -> str:
+    """Return the kind of an error and the line of the package that it comes from."""
+    trace, inner = error.__traceback__, ""
+    while trace:
+        code = trace.tb_frame.f_code
+        if "splits" in code.co_filename:
+            inner = f"{Path(code.co_filename).name}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return f"{type(error).__name__} at {inner}"
+
+
+def reading(folder: Path) -> Callable[[str], str]:
+    """Return the judge of a text that is read as an experiment file."""
+
+    def judge(text: str) -> str:
+        path = written(text, folder)
+        try:
+            with time_limit(SECONDS):
+                load_experiment(path, MEDIA)
+        except ConfigError as error:
+            line = str(error).replace(str(folder), "")
+            if len(line.splitlines()) != 1 or not line.isprintable():
+                return "not one line"
+            return "refused" if len(line) < LONGEST_LINE else "a long line"
+        except (Exception, TooLong) as error:
+            return place_of(error)
+        return "accepted"
+
+    return judge
+
+
+def test_every_file_is_accepted_or_refused_in_one_line(tmp_path):
+    begun = time.perf_counter()
+    found = each(odd.files(), FILES, reading(tmp_path))
+    bad = report(found, ("accepted", "refused"))
+    print(f"{time.perf_counter() - begun:.0f} s")
+    assert len(found) >= 0.9 * FILES
+    assert sum(verdict == "accepted" for verdict, _ in found) > 0.05 * len(found)
+    assert not bad, bad
+
+
+# --- runs -------------------------------------------------------------------------------------
+
+
+def limited(experiment: Experiment) -> Experiment:
+    """Return an experiment that takes few rays and not the tenth part of a second a point."""
+    instrument = experiment.instrument
+    most = {"rays": 1000, "realisations": 3}
+    given = {key: getattr(instrument, key) for key in most}
+    less = {key: min(value, most[key]) for key, value in given.items() if value is not None}
+    if instrument.kind == "bssrdf" or instrument.estimator == "cells":
+        less["rays"] = min(given["rays"] or 1000, 1000)
+    return experiment.model_copy(update={"instrument": instrument.model_copy(update=less)})
+
+
+def unsound(dataset) -> str:
+    """Return what is wrong with the numbers of a dataset, or nothing."""
+    for name, variable in dataset.data_vars.items():
+        values = variable.values
+        if values.dtype.kind != "f":
+            continue
+        if not np.isfinite(values).all():
+            return f"{name} not finite"
+        if str(name).endswith("_stderr") and values.min(initial=0.0) < 0.0:
+            return f"{name} negative"
+    return ""
+
+
+def running(folder: Path) -> Callable[[str], str]:
+    """Return the judge of a text that is read, run and drawn."""
+
+    def judge(text: str) -> str:
+        try:
+            experiment = load_experiment(written(text, folder), MEDIA)
+        except ConfigError:
+            return "refused"
+        try:
+            if experiment.fit:
+                return "a fit, not run"
+            dataset = run(limited(experiment), TINY, threads=1)
+            with matplotlib.rc_context({"figure.max_open_warning": 0}):
+                figure = draw(dataset, experiment.drawing())
+                figure.canvas.draw()
+                figure.clear()
+        except Exception as error:
+            return f"{place_of(error)}: {error}"
+        return unsound(dataset) or "sound"
+
+    return judge
+
+
+@NEEDS_JIT
+def test_what_is_accepted_runs_and_is_sound(tmp_path):
+    matplotlib.use("Agg")
+    begun = time.perf_counter()
+    # About half of them are accepted.
+    found = each(generated.sound().map(generated.file_of), 2 * RUNS, running(tmp_path))
+    bad = report(found, ("refused", "a fit, not run", "sound"))
+    print(f"{time.perf_counter() - begun:.0f} s")
+    assert sum(verdict not in ("refused", "a fit, not run") for verdict, _ in found) >= 0.5 * RUNS
+    assert not bad, bad

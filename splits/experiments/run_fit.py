@@ -22,7 +22,7 @@ from splits.experiments.parameters import Cube
 from splits.experiments.run import coordinate_values
 from splits.experiments.settings import Accuracy
 from splits.instruments.arguments import check_wavelengths
-from splits.transport import sources_digest
+from splits.sources import physics_digest
 
 FACTS = {
     "rmse": ("root mean square misfit", "1"),
@@ -212,7 +212,7 @@ def _dataset(
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         "max_stderr": max_stderr,
         "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
+        "physics_sources_sha256": physics_digest(fit=True),
         **provenance(),
     }
     return xr.Dataset(variables, coordinates, attributes(facts))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from numbers import Integral
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, refuse, suggestion
+from splits.instruments.threads import cpus
 from splits.media.granular import GranularMedium
 from splits.media.turbid import SurfaceMedium, TurbidMedium
 
@@ -93,5 +93,5 @@ def check_whole(key: str, value: object, low: int) -> int:
 def check_threads(threads: Any) -> int:
     """Return a number of threads, every CPU this process may use for None, or refuse it."""
     if threads is None:
-        return len(os.sched_getaffinity(0))
+        return cpus()
     return check_whole("threads", threads, 1)

@@ -65,7 +65,7 @@ def test_an_interrupted_run_ends_soon_and_the_next_completes(way, simulating):
     since = time.monotonic()
     send = os.kill if way == "snakemake alone" else os.killpg
     send(process.pid, signal.SIGINT)
-    said, _ = process.communicate(timeout=120)
+    said, _ = process.communicate(timeout=60)
     while members(process.pid):
         assert time.monotonic() - since < PROMPT_S
         time.sleep(0.1)

@@ -11,6 +11,10 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.interrupts import pass_on_interrupts
+
+# Or snakemake would wait for running jobs to complete.
+pass_on_interrupts()
 
 
 configfile: "config/config.yaml"

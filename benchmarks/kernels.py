@@ -39,6 +39,7 @@ import pandas as pd
 
 import splits
 from splits.analysis.tables import write_table
+from splits.instruments.threads import cpus
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, lanes
 from splits.transport.lanes.choice import features_for
@@ -248,7 +249,7 @@ def against_scalar(plan: Plan) -> list[dict[str, Any]]:
 
 def two_cores(plan: Plan) -> list[dict[str, Any]]:
     """Return two cores against one, for a spectrum by lanes."""
-    if len(os.sched_getaffinity(0)) < 2:
+    if cpus() < 2:
         print("two cores against one: left out, there is one core", flush=True)
         return []
     rows = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-import tempfile
+import uuid
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import listed, number, one_of, refuse
+from splits.interrupts import half_written
 
 CONVENTIONS = "CF-1.11"
 VOLATILE = ("date_created", "wall_time_s", "threads", "host_cpu")
@@ -97,20 +98,14 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         if np.issubdtype(variable.dtype, np.number) and not np.isfinite(variable).all():
             raise ValueError(f"{path.name}: {name} holds values that are not finite")
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, aside = tempfile.mkstemp(suffix=".nc", prefix=f".{path.stem}-", dir=path.parent)
-    os.close(handle)
-    try:
+    aside = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}.nc")
+    with half_written(aside):
         encoding = {name: {"_FillValue": None} for name in dataset.variables}
         dataset.to_netcdf(aside, engine="netcdf4", encoding=encoding)
         with xr.open_dataset(aside) as written:
             if set(written.variables) != set(dataset.variables):
                 raise OSError(f"{path}: written file lacks variables")
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(aside, 0o666 & ~umask)
         os.replace(aside, path)
-    finally:
-        Path(aside).unlink(missing_ok=True)
 
 
 def load(path: str | Path) -> xr.Dataset:

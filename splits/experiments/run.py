@@ -24,7 +24,7 @@ from splits.instruments import (
     surface_map,
 )
 from splits.media.turbid import Medium
-from splits.transport import sources_digest
+from splits.sources import physics_digest
 
 POINT_FACTS = {
     "rays": ("number of rays traced", "1"),
@@ -205,7 +205,7 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
         "experiment": experiment.name,
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
-        "physics_sources_sha256": sources_digest(),
+        "physics_sources_sha256": physics_digest(),
         **provenance(),
     }
     return xr.Dataset(variables, coordinates, attributes(facts))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -23,7 +21,8 @@ from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
 from splits.instruments.labels import Variable
-from splits.transport import sources_digest
+from splits.instruments.threads import Threads, cpus
+from splits.sources import physics_digest
 
 FACTS = {
     "rmse": ("root mean square misfit", "1"),
@@ -71,7 +70,7 @@ def run_fit(
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
     max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
     cases = list(itertools.product(experiment.settings(), samples))
-    workers = threads or len(os.sched_getaffinity(0))
+    workers = threads or cpus()
 
     def one(number: int) -> FitResult:
         (labels, settings, incidence), sample = cases[number]
@@ -90,7 +89,7 @@ def run_fit(
         )
 
     # Simulations of a fit are short: whole fits side by side keep more threads busy than theirs.
-    with ThreadPoolExecutor(min(workers, len(cases))) as pool:
+    with Threads(min(workers, len(cases))) as pool:
         results = list(pool.map(one, range(len(cases))))
     return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
 
@@ -223,7 +222,7 @@ def _dataset(
         "configuration": json.dumps(experiment.simulation(), sort_keys=True),
         "max_stderr": max_stderr,
         "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
+        "physics_sources_sha256": physics_digest(fit=True),
         **provenance(),
     }
     return xr.Dataset(variables, coordinates, attributes(facts))

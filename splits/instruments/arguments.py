@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
 from numbers import Integral
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, increasing, refuse, row_of, scalar, suggestion
+from splits.instruments.threads import cpus
 from splits.media.granular import GranularMedium
 from splits.media.turbid import SurfaceMedium, TurbidMedium
 
@@ -136,5 +136,5 @@ def check_size(wavelengths: int, directions: int) -> None:
 def check_threads(threads: Any) -> int:
     """Return a number of threads, every CPU this process may use for None, or refuse it."""
     if threads is None:
-        return len(os.sched_getaffinity(0))
+        return cpus()
     return check_whole("threads", threads, 1)

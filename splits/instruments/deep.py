@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from splits.instruments.arguments import (
 from splits.instruments.labels import quantity, run_facts, wavelength_axis
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
+from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
@@ -111,7 +111,7 @@ def deep_transmittance(
     first_guess = attenuation_rate(medium, wavelengths, seed, threads)
     grains, rules = medium.grains(), medium.readings.rules(False)
     results = np.zeros((5, len(wavelengths)))
-    with ThreadPoolExecutor(threads) as pool:
+    with Threads(threads) as pool:
         for row, guess in enumerate(first_guess):
             optics = shared_optics(index[row], absorption[row : row + 1])
             source = _Source(pool, seed, (grains, slab, rules, optics))
@@ -162,7 +162,7 @@ def deep_transmittance(
 class _Source(NamedTuple):
     """What traces families of rays of one wavelength."""
 
-    pool: ThreadPoolExecutor
+    pool: Threads
     seed: int
     scene: tuple
 

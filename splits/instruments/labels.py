@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.dataset import attributes, provenance
 from splits.media.turbid import Medium
-from splits.transport import sources_digest
+from splits.sources import physics_digest
 
 Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
 """Dimensions, values and attributes, as `xarray.Dataset` takes them."""
@@ -32,7 +32,7 @@ def run_facts(
         "seed": seed,
         **({} if threads is None else {"threads": threads}),
         "wall_time_s": round(time.perf_counter() - begun, 3),
-        "physics_sources_sha256": sources_digest(),
+        "physics_sources_sha256": physics_digest(),
     }
     return attributes(facts | provenance())
 

@@ -7,7 +7,6 @@ finite size.  Errors come from the scatter of batches of rays.
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from splits.checks import refuse
 from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import layer
 from splits.transport.layer import OPEN
@@ -177,8 +177,7 @@ def listen(
     wanted = pilot if goal.rays is None else max(2, -(-goal.rays // BATCH))
     most = max(2, goal.max_rays // BATCH) if goal.rays is None else wanted
     silent = not (scene.albedo > 0.0 and scene.extinction > 0.0) and scene.bottom <= 0.0
-    pool = ThreadPoolExecutor(runner.threads)
-    try:
+    with Threads(runner.threads) as pool:
         while True:
             while sums.batches < wanted:
                 for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
@@ -198,8 +197,6 @@ def listen(
                 left = spent * (more / sums.batches - 1.0)
                 progress = Progress(wanted * BATCH, error, goal.relative_stderr, spent, left)
                 runner.report(progress)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 class _Sums:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from splits.instruments.ensemble import BATCH, Level, Paths
+from splits.instruments.threads import Threads, cpus
 from splits.instruments.tracers import tracer_of
 from splits.media.turbid import Medium
 from splits.transport.lanes.rows import Features
@@ -71,7 +70,7 @@ class Runner:
     ) -> None:
         self.seed = seed
         self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, positions, orders)
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or cpus()
         self.report = report
         self.started = time.perf_counter()
         self._reported = 0.0
@@ -103,8 +102,7 @@ class Runner:
         rays = BATCH * sum(count for job in jobs for *_, count in job)
         total = sum(costs) * (1.0 + left / rays)
         done = 0.0
-        pool = ThreadPoolExecutor(self.threads)
-        try:
+        with Threads(self.threads) as pool:
             found = pool.map(self.tallies, jobs)
             for job, cost, tallied in zip(jobs, costs, found, strict=True):
                 for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
@@ -113,8 +111,6 @@ class Runner:
                 done += cost
                 pace = (time.perf_counter() - begun) / done
                 self._tell(rays, stderr, target, pace * (total - done))
-        finally:
-            pool.shutdown(cancel_futures=True)
 
     def jobs(self, work: Sequence[tuple[Paths, Level, int]]) -> list[list[Piece]]:
         """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""

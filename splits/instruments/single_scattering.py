@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from splits.checks import one_of
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.scattering import scatter
@@ -202,7 +202,7 @@ def _trace(
         )  # fmt: skip
 
     traced = []
-    with ThreadPoolExecutor(threads) as pool:
+    with Threads(threads) as pool:
         for node, (m, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
             served = weight > 0.0
             part = absorption[served]

@@ -7,18 +7,27 @@ from typing import Any
 import numpy as np
 from numba import config, njit
 
+from splits.transport.cache import keep
+
 ALIKE: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `kernel`."""
 
-kernel = njit(cache=True, **ALIKE)
-"""A small function that is inlined where it is called: scenes keep what they do not have out of
-the loop, and calls that pass dozens of scalars cost nothing.  Division by zero follows IEEE 754
-instead of raising, which spares a check at every division.  No other liberty is taken: were
-products and sums fused at will, bits would depend on whether code was just compiled or comes
-from the cache; `arithmetic.fused` says where they are."""
 
-entry = njit(cache=True, error_model="numpy", nogil=True)
-"""A function that Python calls, free of the interpreter's lock."""
+def kernel(function: Any) -> Any:
+    """Compile a small function that is inlined where it is called.
+
+    Scenes keep what they do not have out of the loop, and calls that pass dozens of scalars cost
+    nothing.  Division by zero follows IEEE 754 instead of raising, which spares a check at every
+    division.  No other liberty is taken: were products and sums fused at will, bits would depend
+    on whether code was just compiled or comes from the cache; `arithmetic.fused` says where they
+    are.
+    """
+    return keep(njit(**ALIKE)(function))
+
+
+def entry(function: Any) -> Any:
+    """Compile a function that Python calls, free of the interpreter's lock."""
+    return keep(njit(error_model="numpy", nogil=True)(function))
 
 
 def exact(value: float) -> float | np.float32:

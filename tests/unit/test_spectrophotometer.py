@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import splits
+from splits.sources import physics_digest
 
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 WAVELENGTHS = [500.0, 1030.0, 1500.0]
@@ -81,7 +82,7 @@ def test_attributes_hold_all_inputs_and_provenance(measured):
         assert facts[key] == value
     for key in ("Conventions", "source", "splits_version", "splits_commit", "date_created"):
         assert facts[key]
-    assert facts["physics_sources_sha256"]
+    assert facts["physics_sources_sha256"] == physics_digest()
     assert facts["threads"] == 1
     assert facts["stopped_by"] == "error"
     assert facts["rays"] > 0

@@ -40,10 +40,14 @@ class Project:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
 
+    def command(self, *arguments, config="accuracy=tiny"):
+        """Return what runs the shipped workflow in this folder."""
+        command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile")]
+        return [*command, "--directory", str(self.folder), *map(str, arguments), "--config", config]
+
     def snakemake(self, *arguments, config="accuracy=tiny"):
         """Run the shipped workflow in this folder."""
-        command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile")]
-        command += ["--directory", str(self.folder), *map(str, arguments), "--config", config]
+        command = self.command(*arguments, config=config)
         done = subprocess.run(
             command, env=self.environment, capture_output=True, text=True, cwd=self.folder
         )

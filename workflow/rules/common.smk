@@ -1,18 +1,11 @@
 import splits
+from splits.sources import sources
 
 PACKAGE = Path(splits.__file__).parent
 
 # A simulation depends on these sources and no others: plots and tables may change freely.
-PHYSICS = sorted(
-    str(path)
-    for folder in ("materials", "media", "transport", "instruments")
-    for path in (PACKAGE / folder).rglob("*.py")
-) + [str(PACKAGE / "experiments" / "run.py")]
-
-FITTING = [
-    str(PACKAGE / "experiments" / name)
-    for name in ("fit.py", "parameters.py", "run_fit.py")
-]
+PHYSICS = [str(path) for path in sources()]
+FITTING = [str(path) for path in sources(fit=True) if str(path) not in PHYSICS]
 
 # Experiments whose numbers the SPLITSnow tables are made of.
 TABLE_EXPERIMENTS = [

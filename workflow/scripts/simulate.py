@@ -2,6 +2,10 @@
 
 import sys
 
+from splits.interrupts import end_on_signals
+
+end_on_signals(snakemake.wildcards.experiment)
+
 from splits import save
 from splits.analysis.measured import read_measured
 from splits.experiments.run import run

@@ -1,0 +1,270 @@
+"""Compiled kernels between processes: damage, full disks, foreign folders, several writers."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import logging
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numba
+import pytest
+from chi2 import NEEDS_JIT
+from numba import njit
+
+from splits.transport import cache
+from splits.transport.cache import Folder, KernelCache, folders, keep
+
+SCRIPT = """
+import numpy as np
+from splits.transport.rng import mix64, start_stream, uniform
+state = np.zeros(1, dtype=np.uint64)
+start_stream(state, 1, 2, 3)
+print(uniform(state), mix64(np.uint64(7)))
+kernels = (mix64, start_stream, uniform)
+print(sum(sum(k.stats.cache_hits.values()) for k in kernels))
+"""
+COMMAND = [sys.executable, "-c", SCRIPT]
+
+
+def plus_one(x):
+    return x + 1
+
+
+def compiled():
+    """Return a function as another process would have it: not compiled yet."""
+    return keep(njit(plus_one))
+
+
+def hits(kernel):
+    return sum(kernel.stats.cache_hits.values())
+
+
+@pytest.fixture
+def places(monkeypatch, tmp_path):
+    """Return two folders for kernels, the user's own and one for when that fails."""
+    found = Folder(tmp_path / "own" / "numba", False), Folder(tmp_path / "temporary", False)
+    monkeypatch.setattr(cache, "folders", lambda: found)
+    cache.tell.cache_clear()
+    return found
+
+
+def kernels(folder):
+    return sorted(folder.path.rglob("*.nbc"))
+
+
+@NEEDS_JIT
+def test_a_kernel_is_compiled_once(places, caplog):
+    first, second = compiled(), compiled()
+    assert (first(1), second(1), second(1.5)) == (2, 2, 2.5)
+    assert hits(first) == 0 and hits(second) == 1
+    assert len(kernels(places[0])) == 2 and kernels(places[1]) == []
+    assert caplog.messages == []
+
+
+def emptied(content):
+    return b""
+
+
+def cut_short(content):
+    return content[: len(content) // 2]
+
+
+def replaced(content):
+    return b"\x80\x05garbage."
+
+
+def flipped(place):
+    def flip(content):
+        at = int(place * (len(content) - 1))
+        return content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :]
+
+    return flip
+
+
+DAMAGES = [emptied, cut_short, replaced, *(flipped(place / 10) for place in range(11))]
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_kernel_is_compiled_again(damage, places, caplog):
+    compiled()(1)
+    (path,) = kernels(places[0])
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    again = compiled()
+    assert again(1) == 2 and hits(again) == 0
+    (said,) = caplog.messages
+    assert str(places[0].path) in said and "damaged" in said and "\n" not in said
+    later = compiled()
+    assert later(1) == 2 and hits(later) == 1
+    assert len(caplog.messages) == 1 and kernels(places[0]) == [path]
+
+
+@NEEDS_JIT
+def test_damage_is_told_once(places, caplog):
+    first = compiled()
+    first(1), first(1.5)
+    for path in kernels(places[0]):
+        path.write_bytes(b"")
+    again = compiled()
+    assert (again(1), again(1.5)) == (2, 2.5)
+    assert len(caplog.messages) == 1
+
+
+@NEEDS_JIT
+def test_whole_files_of_no_use_are_compiled_again(places, caplog, monkeypatch):
+    compiled()(1)
+
+    def fail(*parts):
+        raise AttributeError("gone in this version")
+
+    monkeypatch.setattr(KernelCache._impl_class, "rebuild", fail)
+    assert compiled()(1) == 2
+    (said,) = caplog.messages
+    assert str(places[0].path) in said and "gone in this version" in said
+
+
+class _Full:
+    """A file on a full disk."""
+
+    def __init__(self, handle, mode):
+        os.close(handle)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        return False
+
+    def write(self, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@NEEDS_JIT
+def test_a_full_disk_stops_nothing(places, caplog, monkeypatch):
+    monkeypatch.setattr(cache, "open", _Full, raising=False)
+    assert compiled()(1) == 2
+    (said,) = caplog.messages
+    assert str(places[0].path) in said and "No space left" in said
+    assert not [path for place in places for path in place.path.iterdir()]
+
+
+@NEEDS_JIT
+def test_where_nothing_can_be_written_another_folder_serves(places, caplog):
+    # A file where a folder should be: nobody, root neither, can write below it.
+    places[0].path.parent.write_text("")
+    assert compiled()(1) == 2
+    assert len(kernels(places[1])) == 1
+    later = compiled()
+    assert later(1) == 2 and hits(later) == 1
+    assert caplog.messages == []
+
+
+@NEEDS_JIT
+def test_folders_are_made_for_the_user_alone(places):
+    compiled()(1)
+    about = places[0].path.stat()
+    assert about.st_mode & 0o777 == 0o700 and about.st_uid == os.getuid()
+
+
+class _Planted:
+    """What runs foreign code once it is loaded."""
+
+    def __reduce__(self):
+        return exec, ("raise SystemExit('foreign code runs')",)
+
+
+def plant(places):
+    """Put a file with a fitting checksum in place of the kernel."""
+    compiled()(1)
+    (path,) = kernels(places[0])
+    whole = pickle.dumps(_Planted())
+    path.write_bytes(hashlib.sha256(whole).digest() + whole)
+
+
+def test_the_planted_file_would_run(places):
+    with pytest.raises(SystemExit):
+        pickle.loads(pickle.dumps(_Planted()))
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("way", ["open to others", "a link", "of another user"])
+def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monkeypatch):
+    plant(places)
+    folder = places[0].path
+    if way == "open to others":
+        folder.chmod(0o777)
+    elif way == "a link":
+        folder.rename(folder.with_name("elsewhere"))
+        folder.symlink_to(folder.with_name("elsewhere"))
+    else:
+        monkeypatch.setattr(cache, "_user", lambda: os.getuid() + 1)
+    assert compiled()(1) == 2
+    assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
+    if way != "of another user":
+        assert len(kernels(places[1])) == 1
+
+
+def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    first, last = folders.__wrapped__()
+    assert first.path.is_relative_to(tmp_path) and first.named
+    assert first.path.name == f"numba-{cache.kernels_digest()}"
+    assert last.path.parent == Path(tempfile.gettempdir()) and not last.named
+    assert last.path.name == f"splits-{os.getuid()}-numba-{cache.kernels_digest()}"
+
+
+def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    (only,) = folders.__wrapped__()
+    assert only.path.parent == Path(tempfile.gettempdir())
+
+
+def test_a_line_is_told_as_it_is(capsys, monkeypatch):
+    cache.tell.cache_clear()
+    logger = logging.getLogger(cache.__name__)
+    monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
+    monkeypatch.setattr(logger, "propagate", False)
+    cache.tell("one line")
+    cache.tell("one line")
+    assert capsys.readouterr().err == "one line\n"
+
+
+def run(folder, count=1):
+    """Return what processes say that run the script at once, with kernels kept in a folder."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(folder)
+    started = [
+        subprocess.Popen(
+            COMMAND, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(count)
+    ]
+    return [(*process.communicate(timeout=300), process.returncode) for process in started]
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
+    told = run(tmp_path, 3)
+    assert {(err, code) for _, err, code in told} == {("", 0)}
+    (numbers,) = {out.splitlines()[0] for out, *_ in told}
+    ((out, err, code),) = run(tmp_path)
+    assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
+    for path in tmp_path.rglob("*.nb*"):
+        content = path.read_bytes()
+        path.write_bytes(flipped(0.5)(content))
+    ((out, err, code),) = run(tmp_path)
+    assert (out.splitlines()[0], code) == (numbers, 0)
+    (line,) = err.splitlines()
+    assert str(tmp_path) in line
+    ((out, err, code),) = run(tmp_path)
+    assert (out, err, code) == (f"{numbers}\n3\n", "", 0)

@@ -1,0 +1,81 @@
+"""What counts as physics: one list, for datasets' digests and for the workflow."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from splits import sources
+from splits.sources import FITTING, PACKAGE, physics_digest
+
+ROOT = PACKAGE.parent
+digest = physics_digest.__wrapped__
+
+
+@pytest.fixture
+def package(monkeypatch, tmp_path):
+    """Return a copy of the package that is asked instead."""
+    copy = tmp_path / "elsewhere"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(sources, "PACKAGE", copy)
+    return copy
+
+
+def test_the_place_of_the_package_does_not_matter(package):
+    there, fit = digest(), digest(fit=True)
+    assert (there, fit) == (physics_digest(), physics_digest(fit=True))
+    assert there != fit
+
+
+def test_the_ends_of_lines_do_not_matter(package):
+    before = digest()
+    path = package / "media" / "snow.py"
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    assert digest() == before
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "materials/mixing.py",
+        "media/snow.py",
+        "transport/lanes/batch.py",
+        "instruments/runner.py",
+        "experiments/run.py",
+    ],
+)
+def test_a_change_of_physics_changes_both_digests(package, name):
+    before = digest(), digest(fit=True)
+    with open(package / name, "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert all(
+        one != other for one, other in zip(before, (digest(), digest(fit=True)), strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_a_change_of_fitting_changes_the_digest_of_fits_only(package, name):
+    before = digest(), digest(fit=True)
+    with open(package / name, "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert digest() == before[0] and digest(fit=True) != before[1]
+
+
+def test_a_moved_file_changes_the_digest(package):
+    before = digest()
+    (package / "media" / "snow.py").rename(package / "materials" / "snow.py")
+    assert digest() != before
+
+
+def test_what_draws_and_compares_does_not_count(package):
+    before = digest(fit=True)
+    for name in ("figures/lines.py", "analysis/colour.py", "transport/notes.txt"):
+        with open(package / name, "a", encoding="utf-8") as file:
+            file.write("# changed\n")
+    assert digest(fit=True) == before
+
+
+def test_the_workflow_takes_the_list_from_here():
+    common = (ROOT / "workflow" / "rules" / "common.smk").read_text(encoding="utf-8")
+    assert "in sources()" in common and "in sources(fit=True)" in common

@@ -1,0 +1,147 @@
+"""Threads that work off jobs: in order, with errors passed on, and without waiting at the end."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from concurrent.futures import CancelledError
+
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.instruments.arguments import check_threads
+from splits.instruments.runner import Runner
+from splits.instruments.threads import Threads, cpus
+
+SNOW = splits.Snow(depth_m=0.02)
+LONG_S = 20.0
+"""How long a job would take that nobody waits for."""
+
+
+def test_systems_without_affinity_count_their_cpus(monkeypatch):
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.delattr(os, "process_cpu_count", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    assert cpus() == check_threads(None) == Runner(SNOW, 0.0, 1, None, False).threads == 6
+    monkeypatch.setattr(os, "process_cpu_count", lambda: 4, raising=False)
+    assert cpus() == 4
+    monkeypatch.setattr(os, "process_cpu_count", lambda: None)
+    assert cpus() == 1
+
+
+def test_cpus_are_those_that_this_process_may_use():
+    if not hasattr(os, "sched_getaffinity"):
+        pytest.skip("this system does not tell")
+    assert cpus() == len(os.sched_getaffinity(0))
+
+
+@pytest.mark.parametrize("number", [1, 2, 7])
+def test_results_come_in_order(number):
+    def late(x):
+        time.sleep(0.002 * (x % 3))
+        return x * x
+
+    with Threads(number) as threads:
+        assert list(threads.map(late, range(30))) == [x * x for x in range(30)]
+        assert list(threads.map(late, range(3))) == [0, 1, 4]
+    with pytest.raises(CancelledError):
+        threads.submit(late, 1)
+
+
+def test_no_more_threads_than_asked_for_nor_than_jobs():
+    seen = set()
+
+    def note(x):
+        time.sleep(0.01)
+        seen.add(threading.get_ident())
+
+    with Threads(3) as threads:
+        list(threads.map(note, range(20)))
+    assert len(seen) <= 3
+    before = threading.active_count()
+    with Threads(100) as threads:
+        list(threads.map(note, range(2)))
+        assert threading.active_count() <= before + 2
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_an_error_of_a_job_is_passed_on(error):
+    def fail(x):
+        if x == 1:
+            raise error("at one")
+        return x
+
+    with pytest.raises(error, match="at one"), Threads(2) as threads:
+        list(threads.map(fail, range(5)))
+
+
+def test_nobody_waits_for_jobs_of_a_run_that_is_broken_off():
+    begun, go_on = [], threading.Event()
+
+    def wait(x):
+        begun.append(x)
+        go_on.wait(LONG_S)
+
+    since = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt), Threads(2) as threads:
+        threads.map(wait, range(10))
+        while len(begun) < 2:
+            time.sleep(0.001)
+        raise KeyboardInterrupt
+    assert time.perf_counter() - since < LONG_S / 2
+    go_on.set()
+    time.sleep(0.1)
+    assert begun == [0, 1]
+
+
+def test_a_job_that_shares_out_work_ends_with_the_run_it_belongs_to():
+    inside, go_on, ended = threading.Event(), threading.Event(), []
+
+    def outer(x):
+        try:
+            with Threads(1) as inner:
+                while True:
+                    list(inner.map(abs, [x]))
+                    inside.set()
+                    go_on.wait(LONG_S)
+        except CancelledError:
+            ended.append(x)
+
+    with Threads(1) as threads:
+        threads.submit(outer, 1)
+        assert inside.wait(LONG_S)
+    go_on.set()
+    for _ in range(1000):
+        if ended:
+            break
+        time.sleep(0.01)
+    assert ended == [1]
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, RuntimeError])
+def test_what_a_report_of_progress_raises_ends_the_run(error, monkeypatch):
+    def tell(progress):
+        raise error("enough")
+
+    with pytest.raises(error, match="enough"):
+        splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=tell)
+    # Reports come twice a second at most: let the first be due.
+    monkeypatch.setattr(Runner, "_tell", lambda self, *told: self.report(told))
+    with pytest.raises(error, match="enough"):
+        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=tell)
+
+
+@NEEDS_JIT
+def test_numbers_are_the_same_after_a_run_that_was_broken_off(monkeypatch):
+    def enough(progress):
+        raise KeyboardInterrupt
+
+    whole = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Runner, "_tell", lambda self, *told: self.report(told))
+        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=enough)
+    again = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
+    assert whole.equals(again)

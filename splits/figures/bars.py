@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, style, subplots
 
 
 def sensitivity_bars(dataset: xr.Dataset) -> Figure:
@@ -19,7 +18,7 @@ def sensitivity_bars(dataset: xr.Dataset) -> Figure:
         Variables ``msi``, ``msi_stderr`` and ``published`` over ``quantity`` and ``parameter``.
     """
     with style():
-        figure, axes = plt.subplots(figsize=(6.4, 3.9))
+        figure, axes = subplots(figsize=(6.4, 3.9))
         x = np.arange(dataset.sizes["parameter"])
         width = 0.36
         for i, quantity in enumerate(dataset.quantity.values):

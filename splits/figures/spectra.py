@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, style
+from splits.figures.style import BAND, style, subplots
 
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
@@ -65,7 +64,7 @@ def spectra(
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     lines = Lines(dataset, dims)
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True,
             layout="constrained",
         )  # fmt: skip
@@ -117,7 +116,7 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         Variables ``n`` and ``k`` over wavelength and material.
     """
     with style():
-        figure, left = plt.subplots(figsize=(6.4, 3.9))
+        figure, left = subplots(figsize=(6.4, 3.9))
         right = left.twinx()
         for material, colour in MATERIAL_COLOURS.items():
             if material not in dataset.material.values:

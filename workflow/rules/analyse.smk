@@ -147,8 +147,6 @@ rule layer_trends:
 
 
 rule sand_compositions:
-    input:
-        physics=PHYSICS,
     output:
         report(
             f"{RESULTS}/tables/sand_compositions.csv",
@@ -163,6 +161,7 @@ rule sand_compositions:
         "../../environment.yml"
     threads: 1
     params:
+        physics=physics_digest(),
         experiments={
             name: e.simulation()
             for name, e in EXPERIMENTS.items()

@@ -1,18 +1,4 @@
-import splits
-
-PACKAGE = Path(splits.__file__).parent
-
-# A simulation depends on these sources and no others: plots and tables may change freely.
-PHYSICS = sorted(
-    str(path)
-    for folder in ("materials", "media", "transport", "instruments")
-    for path in (PACKAGE / folder).rglob("*.py")
-) + [str(PACKAGE / "experiments" / "run.py")]
-
-FITTING = [
-    str(PACKAGE / "experiments" / name)
-    for name in ("fit.py", "parameters.py", "run_fit.py")
-]
+from splits.sources import physics_digest
 
 # Experiments whose numbers the SPLITSnow tables are made of.
 TABLE_EXPERIMENTS = [
@@ -146,8 +132,3 @@ def threads_of(name):
     together = min(4, len(asked or EXPERIMENTS))
     cores = workflow.cores or 1
     return cores if EXPERIMENTS[name].fit else max(1, cores // together)
-
-
-def physics_of(name):
-    """Return the sources that an experiment's numbers depend on."""
-    return PHYSICS + FITTING if EXPERIMENTS[name].fit else PHYSICS

@@ -40,10 +40,8 @@ MERGED = ("readings", "refractive_index")
 """Keywords that are mappings: a grid's values add to those of the medium."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 RULES = (
-    "all", "agreement", "angular_trends", "archive", "benchmark_kernels", "benchmarks", "figure",
-    "figure_letcher", "figure_sensitivity", "figure_speed_against_error", "fitted_parameters",
-    "layer_trends", "sand_compositions", "sand_tables", "sensitivity", "simulate",
-    "speed_against_error",
+    "all", "archive", "benchmark_kernels", "benchmarks", "figure", "figure_speed_against_error",
+    "fitted_parameters", "simulate", "speed_against_error",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 

@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from splits.checks import one_of, refuse
+from splits.experiments.figure_sizes import check_size
 from splits.experiments.messages import line_of
 from splits.experiments.model import SAMPLE, ConfigError, Experiment
 from splits.experiments.run_fit import check_fit
@@ -99,6 +100,7 @@ def _experiment(path: Path, media: Path) -> Experiment:
         content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
     experiment = _checked(Experiment, content)
     refuse_unused(experiment, given)
+    check_size(experiment)
     folder = media.parent / "measured"
     tables = {"figure": experiment.figure.measured}
     tables["fit"] = experiment.fit.measured if experiment.fit else None
@@ -106,7 +108,7 @@ def _experiment(path: Path, media: Path) -> Experiment:
         if measured and not (folder / measured).is_file():
             one_of(f"{section}.measured", measured, [p.name for p in folder.glob("*.csv")])
     if experiment.fit:
-        if experiment.figure.kind != "fit":
+        if experiment.figure.kind not in ("fit", "none"):
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
         try:
             table = pd.read_csv(folder / experiment.fit.measured, comment="#")

@@ -78,6 +78,11 @@ class Experiment(Section):
             raise refuse("name", value, "none of the workflow's rules " + ", ".join(RULES))
         return value
 
+    @field_validator("figure", mode="before")
+    @classmethod
+    def _no_figure(cls, value: Any) -> Any:
+        return {"kind": "none"} if value == "none" else value
+
     @field_validator("grid", mode="before")
     @classmethod
     def _labelled(cls, value: Any) -> Any:
@@ -190,7 +195,8 @@ class Experiment(Section):
         """Refuse a figure that does not show what the instrument measures."""
         instrument = self.instrument
         known = FIGURES[instrument.kind]
-        if self.figure.kind is not None and self.figure.kind not in known:
+        drawn = self.figure.kind != "none"
+        if drawn and self.figure.kind is not None and self.figure.kind not in known:
             raise refuse(
                 "figure.kind",
                 self.figure.kind,
@@ -216,12 +222,12 @@ class Experiment(Section):
                 "all maps of one dataset have the same axes",
             )  # fmt: skip
         turned = instrument.azimuth_deg
-        if turned is not None and not {0.0, 180.0} <= set(turned):
+        if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
             raise refuse(
                 "instrument.azimuth_deg", turned, "with 0 and 180",
                 "figures show the principal plane",
             )  # fmt: skip
-        if instrument.cells is not None and instrument.cells[1] % 2:
+        if drawn and instrument.cells is not None and instrument.cells[1] % 2:
             raise refuse(
                 "instrument.cells", instrument.cells, "an even number around",
                 "figures show the principal plane",

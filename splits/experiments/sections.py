@@ -211,7 +211,7 @@ class FigureSection(Section):
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
         "principal_plane", "lobes", "cells", "spread", "surface", "lens",
-        "polarization",
+        "polarization", "none",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}
@@ -226,6 +226,9 @@ class FigureSection(Section):
 
     @model_validator(mode="after")
     def _fitting(self) -> FigureSection:
+        if self.kind == "none" and self.model_fields_set != {"kind"}:
+            others = sorted(self.model_fields_set - {"kind"})
+            raise refuse("figure.kind", "none", f"left out with {', '.join(others)}")
         shown = SHOWN.get(self.kind or "")
         if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
             raise refuse("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")

@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.facets import faceted
 from splits.figures.lines import Lines
 from splits.figures.style import BAND, style, subplots
+from splits.panels import facets
 
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
@@ -36,7 +38,7 @@ def spectra(
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw spectra with bands of two standard errors.
+    """Draw spectra with bands of two standard errors, of many points in several panels.
 
     Parameters
     ----------
@@ -57,11 +59,18 @@ def spectra(
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        For more lines than can be shown, see `splits.panels.facets`.
     """
     dataset = at_points(dataset, at or {})
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
+    if apart := facets({d: dataset.sizes[d] for d in dims}, len(quantity), at):
+        return faceted(dataset, quantity, apart, legend, ylim)
     lines = Lines(dataset, dims)
     with style():
         figure, panels = subplots(

@@ -7,6 +7,7 @@ LEFT_OUT = left_out(STUDIES, EXPERIMENTS, AVAILABLE)
 for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
+DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
 
 
@@ -21,7 +22,8 @@ def data(names):
 
 def products(name):
     """Return everything that one experiment makes."""
-    made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in (".png", ".svg")]
+    suffixes = (".png", ".svg") if name in DRAWN else ()
+    made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")
     return data([name]) + made

@@ -14,6 +14,8 @@ rule figure:
         f"{RESULTS}/logs/figure/{{experiment}}.log",
     benchmark:
         f"{RESULTS}/benchmarks/figure/{{experiment}}.tsv"
+    wildcard_constraints:
+        experiment="|".join(DRAWN) or "none",
     conda:
         "../../environment.yml"
     threads: 1

@@ -1,7 +1,7 @@
 """Light that snow, sand and rough layers send back: all experiments of config/, end to end.
 
 snakemake --cores 2                             everything
-snakemake --cores 2 fig08_grain_size            one experiment, by its name
+snakemake --cores 2 fig08_grain_size            one experiment or study, by its name
 snakemake --cores 2 --config accuracy=draft     a quick look
 """
 
@@ -41,11 +41,18 @@ include: "workflow/rules/archive.smk"
 include: "workflow/rules/benchmark.smk"
 
 
+onstart:
+    # Of a study that has some of its experiments, the others may have been forgotten.
+    for name, line in LEFT_OUT.items():
+        if set(STUDIES[name].needed()) & set(EXPERIMENTS):
+            logger.info(line)
+
+
 rule all:
     default_target: True
     input:
         [products(name) for name in EXPERIMENTS],
-        paper_products(),
+        study_products(),
         REPORTED,
 
 

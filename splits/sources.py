@@ -1,13 +1,14 @@
 """Which files of the package the numbers of a dataset depend on: one list for all who ask.
 
-The workflow runs a simulation again when one of them changes, and every dataset carries their
-digest.
+The workflow runs a simulation again when their digest changes, and every dataset carries it.
+Plots, tables and the reading of configuration files may change without that.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
@@ -17,25 +18,31 @@ FITTING = ("experiments/fit.py", "experiments/parameters.py", "experiments/run_f
 """Files behind a fit besides."""
 
 
-def sources(*, fit: bool = False) -> list[Path]:
-    """Return the Python files that a simulation, or a fit, depends on, in a fixed order."""
+def sources(*, fit: bool = False) -> list[str]:
+    """Return the Python files that a simulation, or a fit, depends on, relative to the package."""
     found = []
     for name in PHYSICS + (FITTING if fit else ()):
         path = PACKAGE / name
-        found += sorted(path.rglob("*.py"), key=_relative) if path.is_dir() else [path]
+        files = sorted(_relative(f) for f in path.rglob("*.py")) if path.is_dir() else [name]
+        found += files
     return found
 
 
 @functools.cache
 def physics_digest(*, fit: bool = False) -> str:
-    """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit.
+    """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
+    return files_digest(PACKAGE, sources(fit=fit))
 
-    The same on every machine: of paths relative to the package, and of content, however lines end.
+
+def files_digest(folder: Path, names: Iterable[str]) -> str:
+    """Return the SHA-256 (first 16 hex digits) of files of a folder.
+
+    The same on every machine: of names relative to the folder, and of content, however lines end.
     """
     digest = hashlib.sha256()
-    for path in sources(fit=fit):
-        content = path.read_bytes().replace(b"\r\n", b"\n")
-        digest.update(f"{_relative(path)}\0{len(content)}\0".encode() + content)
+    for name in names:
+        content = (folder / name).read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()[:16]
 
 

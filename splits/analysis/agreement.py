@@ -35,7 +35,7 @@ def agreement_table(
     Parameters
     ----------
     datasets : mapping
-        Experiments by name.
+        By role, see `splits.analysis.roles.SNOW`.
     published : pandas.DataFrame
         See `read_published`.
     sensitivities : xarray.Dataset
@@ -88,9 +88,9 @@ def _values(
     datasets: Mapping[str, xr.Dataset], sensitivities: xr.Dataset, aviris: pd.DataFrame
 ) -> dict[str, Value]:
     values: dict[str, Value] = {}
-    sample = datasets["table1_sample"].mean_grain_distance.sel(density_kg_m3=450)
+    sample = datasets["sample"].mean_grain_distance.sel(density_kg_m3=450)
     values["grain_distance"] = float(sample), 0.0
-    scene = datasets["fig24b_aviris"]
+    scene = datasets["aviris"]
     for label, wavelength in AVIRIS_BANDS.items():
         value = _at(scene, "reflectance", wavelength)
         values[f"table3_{label}"] = values[f"aviris_{label}"] = value
@@ -100,12 +100,12 @@ def _values(
     percent = 100 * np.abs(ours - extremes) / extremes
     error = 100 * (model.stderr.to_numpy()[:, np.newaxis] / extremes).mean()
     values["aviris_extremes"] = float(percent.mean()), float(error)
-    thick = datasets["fig07_transmittance"]
+    thick = datasets["thick_transmittance"]
     values["transmittance_max"] = _largest(thick, "transmittance", 400, 500)
     values["transmittance_950"] = _largest(thick, "transmittance", 960, 1000)
-    thin = datasets["fig14_density"].isel(density_kg_m3=0)
+    thin = datasets["density_transmittance"].isel(density_kg_m3=0)
     values["transmittance_1420"] = _at(thin, "transmittance", 1420)
-    values |= _density(datasets["fig10_density"])
+    values |= _density(datasets["density"])
     for quantity in sensitivities.quantity.values:
         for parameter in sensitivities.parameter.values:
             one = sensitivities.sel(quantity=quantity, parameter=parameter)
@@ -143,9 +143,9 @@ def _measured_rows(
 ) -> list[dict[str, object]]:
     """Return the RMSE against measured spectra, which nothing was fitted to."""
     tables: list[tuple[str, str, pd.DataFrame]] = [
-        ("AVIRIS-NG, 3 bands", "Table 3", bands(datasets["fig24b_aviris"], aviris))
+        ("AVIRIS-NG, 3 bands", "Table 3", bands(datasets["aviris"], aviris))
     ]
-    measured = letcher_bands(datasets["letcher2022"], letcher)
+    measured = letcher_bands(datasets["letcher"], letcher)
     for (facetness, depth), table in measured.groupby(["facetness", "depth_m"]):
         what = f"Letcher et al. (2022), {1e3 * depth:g} mm, mean facetness {facetness}"
         tables.append((what, "The Cryosphere 16, 4343", table))

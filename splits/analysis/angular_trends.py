@@ -41,16 +41,25 @@ def spread(plane: xr.Dataset, steepest: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def angular_trends(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Return one row per goniometric trend of SPLITSnow section 5.3 and SPLITS Fig 11."""
-    planes = {name: principal_plane(d) for name, d in datasets.items() if "brdf" in d}
-    return [
-        *_incidence(planes["fig19_incidence"].isel(wavelength=0)),
-        *_grazing(planes["fig16_incidence"].isel(wavelength=0)),
-        *_wavelength(planes["fig18_wavelength"]),
-        *_grain_size(planes),
-        _facetness(planes["fig22_facetness"].isel(wavelength=0)),
-        *_sand(planes["sand_fig11_brdf"].isel(wavelength=0)),
-    ]
+    """Return one row per goniometric trend of SPLITSnow section 5.3 and SPLITS Fig 11.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, some or all of `splits.analysis.roles.ANGULAR`.
+    """
+    planes = {role: principal_plane(dataset) for role, dataset in datasets.items()}
+    rows: list[dict[str, object]] = []
+    for role, rows_of in (("incidence", _incidence), ("grazing", _grazing)):
+        if role in planes:
+            rows += rows_of(planes[role].isel(wavelength=0))
+    if "wavelength" in planes:
+        rows += _wavelength(planes["wavelength"])
+    rows += _grain_size(planes)
+    for role, rows_of in (("facetness", _facetness), ("sand", _sand)):
+        if role in planes:
+            rows += rows_of(planes[role].isel(wavelength=0))
+    return rows
 
 
 def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
@@ -58,7 +67,8 @@ def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
     height, height_error = peak(plane)
     rows = [
         beyond(
-            f"nearly Lambertian at 0°, 600 nm: {LAMBERTIAN:g} less the relative range within 60°",
+            f"nearly Lambertian at 0°, {_nm(plane)}: "
+            f"{LAMBERTIAN:g} less the relative range within 60°",
             "Fig 19",
             LAMBERTIAN - np.atleast_1d(value),
             np.atleast_1d(error),
@@ -67,30 +77,33 @@ def _incidence(plane: xr.Dataset) -> list[dict[str, object]]:
     for i, angle in enumerate(plane.incidence_deg.values[1:], start=1):
         rows.append(
             beyond(
-                f"forward peak above the nadir at {angle:g}°, 600 nm",
+                f"forward peak above the nadir at {angle:g}°, {_nm(plane)}",
                 "Fig 19",
                 np.atleast_1d(height[i]),
                 np.atleast_1d(height_error[i]),
             )
         )
+    angles = ", ".join(f"{angle:g}°" for angle in plane.incidence_deg.values)
     side = plane.sel(angle=60.0)
     ratio, error = _over_nadir(side.brdf.values, side.brdf_stderr.values, plane)
     rows.append(
         beyond(
-            "forward side (60°) over the nadir rises with incidence, 0°, 30°, 60°: smallest step",
+            f"forward side (60°) over the nadir rises with incidence, {angles}: smallest step",
             "Fig 19",
             np.diff(ratio),
             np.hypot(error[1:], error[:-1]),
         )
     )
-    rows.append(
-        beyond(
-            "forward peak higher at 60° than at 30°, 600 nm",
-            "Fig 19",
-            np.diff(height[1:]),
-            np.hypot(height_error[2:], height_error[1:-1]),
+    for i in range(2, len(height)):
+        low, high = (f"{plane.incidence_deg.values[k]:g}°" for k in (i - 1, i))
+        rows.append(
+            beyond(
+                f"forward peak higher at {high} than at {low}, {_nm(plane)}",
+                "Fig 19",
+                np.atleast_1d(height[i] - height[i - 1]),
+                np.atleast_1d(np.hypot(height_error[i], height_error[i - 1])),
+            )
         )
-    )
     return rows
 
 
@@ -100,9 +113,11 @@ def _grazing(plane: xr.Dataset) -> list[dict[str, object]]:
     limb = plane.where((tilt >= FORWARD[0]) & (tilt <= FORWARD[1]), drop=True)
     top = limb.isel(angle=limb.brdf.argmax("angle"))
     ratio, error = _over_nadir(top.brdf.values, top.brdf_stderr.values, plane)
+    *most, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
+    angles = " and ".join(filter(None, [", ".join(most), last]))
     return [
         beyond(
-            "nadir darker than the limb at 52.8, 69.3 and 84.8°, 600 nm: smallest",
+            f"nadir darker than the limb at {angles}°, {_nm(plane)}: smallest",
             "Fig 16",
             ratio - 1.0,
             error,
@@ -122,7 +137,7 @@ def _wavelength(plane: xr.Dataset) -> list[dict[str, object]]:
     sides = [dark.sel(angle=angle) for angle in (-60.0, 60.0)]
     above = np.array([float(s.brdf - nadir.brdf) for s in sides])
     errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
-    value, error = spread(plane, 82.5)
+    value, error = spread(plane.sel(wavelength=[600.0, 1800.0]), 82.5)
     return [
         beyond("nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors),
         beyond(
@@ -141,14 +156,16 @@ def _grain_size(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
     """
     uniform = "Fig 20, struck_size: uniform"
     rows = []
-    for name, sign, place, statement, measure in (
-        ("fig20_grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _top),
-        ("fig20_struck_uniform", -1.0, uniform, "fine grains have the smallest peak", _top),
-        ("fig20_grain_size", -1.0, "Fig 20", "fine grains' peak is least above the nadir", peak),
-        ("fig20_struck_uniform", -1.0, uniform, "fine grains' peak is least above the nadir", peak),
-        ("fig21_grain_size", +1.0, "Fig 21", "fine grains have the largest peak", _top),
+    for role, sign, place, statement, measure in (
+        ("grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _top),
+        ("grain_size_uniform", -1.0, uniform, "fine grains have the smallest peak", _top),
+        ("grain_size", -1.0, "Fig 20", "fine grains' peak is least above the nadir", peak),
+        ("grain_size_uniform", -1.0, uniform, "fine grains' peak is least above the nadir", peak),
+        ("grain_size_infrared", +1.0, "Fig 21", "fine grains have the largest peak", _top),
     ):
-        plane = planes[name].isel(wavelength=0)
+        if role not in planes:
+            continue
+        plane = planes[role].isel(wavelength=0)
         value, error = measure(plane)
         rows.append(
             beyond(
@@ -159,6 +176,14 @@ def _grain_size(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
             )
         )
     return rows
+
+
+def _beam(plane: xr.Dataset) -> str:
+    return f"{float(plane.attrs['incidence_deg']):g}°"
+
+
+def _nm(plane: xr.Dataset) -> str:
+    return f"{float(plane.wavelength):g} nm"
 
 
 def _over_nadir(
@@ -178,14 +203,16 @@ def _top(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return top.brdf.values, top.brdf_stderr.values
 
 
-def _facetness(plane: xr.Dataset) -> dict[str, object]:
+def _facetness(plane: xr.Dataset) -> list[dict[str, object]]:
     value, error = spread(plane, 75.0)
-    return beyond(
-        "low facetness varies most with the angle, 60°, 600 nm",
-        "Fig 22",
-        value[0] - value[1:],
-        np.hypot(error[0], error[1:]),
-    )
+    return [
+        beyond(
+            f"low facetness varies most with the angle, {_beam(plane)}, {_nm(plane)}",
+            "Fig 22",
+            value[0] - value[1:],
+            np.hypot(error[0], error[1:]),
+        )
+    ]
 
 
 def _sand(plane: xr.Dataset) -> list[dict[str, object]]:
@@ -197,7 +224,7 @@ def _sand(plane: xr.Dataset) -> list[dict[str, object]]:
         side = part.sel(angle=angle)
         rows.append(
             beyond(
-                f"sand, {statement} at 60° incidence, 600 nm: {angle:g}° above the nadir",
+                f"sand, {statement} at 60° incidence, {_nm(plane)}: {angle:g}° above the nadir",
                 "SPLITS Fig 11",
                 np.atleast_1d(float(side.brdf - nadir.brdf)),
                 np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
@@ -15,27 +15,34 @@ STEEPEST = 75.0
 
 
 def layer_trends(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Return one row per statement; see `splits.analysis.trends.beyond` for its columns."""
-    return [
-        _lens(datasets["layer_fig02_lens"]),
-        _volume(_plane(datasets["layer_fig03_glass"])),
-        _change(
-            _plane(datasets["layer_slope_correlation"]), "surface",
+    """Return one row per statement; see `splits.analysis.trends.beyond` for its columns.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, some or all of `splits.analysis.roles.LAYER`.
+    """
+    rows: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
+        "lens": _lens,
+        "volume": lambda d: _volume(_plane(d)),
+        "slope_correlation": lambda d: _change(
+            _plane(d), "surface",
             "same slopes correlated over 3 m instead of 0.01 m, free path 1 m: largest relative "
             "change of the BRDF", "section 1",
         ),
-        _change(
-            _plane(datasets["layer_polarization"]), "polarized",
+        "polarization": lambda d: _change(
+            _plane(d), "polarized",
             "Rayleigh layer under smooth glass, polarization followed or not: largest relative "
             "change of the radiance factor", "section 1",
         ),
-        _change(
-            _plane(datasets["layer_multiple_reflection"]), "polarized",
+        "multiple_reflection": lambda d: _change(
+            _plane(d), "polarized",
             "multiple reflections in rough glass, polarization followed or not: largest relative "
             "change of the BRDF (up to 30 % in the paper's reference 6)", "section 1",
         ),
-        _band(datasets["layer_band_limit"]),
-    ]  # fmt: skip
+        "band_limit": _band,
+    }  # fmt: skip
+    return [row(datasets[role]) for role, row in rows.items() if role in datasets]
 
 
 def _plane(dataset: xr.Dataset) -> xr.Dataset:

@@ -54,7 +54,7 @@ def sensitivity_table(
         Experiments by name.
     pairs : mapping
         Per parameter ``experiment``, ``readings`` (experiment over readings), ``parameter``
-        (grid dimension), ``low`` and ``high``.
+        (grid dimension), ``low`` and ``high``; ``readings`` may be None.
 
     Returns
     -------
@@ -67,13 +67,15 @@ def sensitivity_table(
         dimension = pair["parameter"]
         ranges = datasets[pair["experiment"]]
         values = list(ranges[dimension].values)
-        readings = datasets[pair["readings"]]
+        readings = datasets[pair["readings"]] if pair["readings"] else None
         for quantity in QUANTITIES:
             for i, low in enumerate(values):
                 for high in values[i + 1 :]:
                     s = pair_sensitivity(ranges, dimension, low, high, quantity)
                     chosen = _same(low, pair["low"]) and _same(high, pair["high"])
                     rows.append(_row(name, quantity, "default", low, high, chosen, s))
+            if readings is None:
+                continue
             # The experiment over ranges holds the default readings.
             for reading in readings.readings.values[readings.readings.values != "default"]:
                 part = at_points(readings, {"readings": str(reading)})
@@ -83,18 +85,29 @@ def sensitivity_table(
     return pd.DataFrame(rows)
 
 
-def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame) -> xr.Dataset:
-    """Return the chosen pairs' indices beside the published ones, over quantity and parameter."""
+def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = None) -> xr.Dataset:
+    """Return the chosen pairs' indices over quantity and parameter, beside published ones.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        See `sensitivity_table`.
+    published : pandas.DataFrame, optional
+        See `splits.analysis.agreement.read_published`; with a row for each index.
+    """
     chosen = table[table.chosen]
     parameters = list(dict.fromkeys(chosen.parameter))
     shape = (len(QUANTITIES), len(parameters))
-    columns = {name: np.zeros(shape) for name in ("msi", "msi_stderr", "published")}
+    names = ("msi", "msi_stderr") if published is None else ("msi", "msi_stderr", "published")
+    columns = {name: np.zeros(shape) for name in names}
     for i, quantity in enumerate(QUANTITIES):
         for j, parameter in enumerate(parameters):
             row = chosen[(chosen.quantity == quantity) & (chosen.parameter == parameter)].iloc[0]
             columns["msi"][i, j] = row.msi
             columns["msi_stderr"][i, j] = row.msi_stderr
-            columns["published"][i, j] = published.loc[f"msi_{quantity[0]}_{parameter}"].published
+            if published is not None:
+                row = published.loc[f"msi_{quantity[0]}_{parameter}"]
+                columns["published"][i, j] = row.published
     labels = {
         "msi": "mean sensitivity index",
         "msi_stderr": "standard error of mean sensitivity index (upper bound)",

@@ -36,33 +36,39 @@ def steps(
 
 
 def trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Return one row per trend: the smallest step in the stated direction, with its error."""
+    """Return one row per trend: the smallest step in the stated direction, with its error.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, see `splits.analysis.roles.SNOW`.
+    """
     rows = [
-        monotone(datasets, "fig08_grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
+        monotone(datasets, "grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
                   "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
-        monotone(datasets, "fig11_depth", "transmittance", "depth_m", -1, 400, 700,
+        monotone(datasets, "depth", "transmittance", "depth_m", -1, 400, 700,
                   "transmittance falls with depth, 400-700 nm", "Fig 11"),
-        monotone(datasets, "fig12_grain_size", "transmittance", "grain_size_um", +1, 400, 700,
-                  "transmittance rises with grain size, 400-700 nm", "Fig 12"),
-        monotone(datasets, "fig13_saturation", "transmittance", "saturation", +1, 400, 700,
+        monotone(datasets, "grain_size_transmittance", "transmittance", "grain_size_um", +1, 400,
+                  700, "transmittance rises with grain size, 400-700 nm", "Fig 12"),
+        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", +1, 400, 700,
                   "transmittance rises with saturation, 400-700 nm", "Fig 13"),
-        monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 800, 1450,
+        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", -1, 800, 1450,
                   "transmittance falls with every step of saturation, mean over 800-1450 nm",
                   "Fig 13"),
-        monotone({"ends": datasets["fig13_saturation"].isel(saturation=[0, -1])}, "ends",
+        monotone({"ends": datasets["saturation_transmittance"].isel(saturation=[0, -1])}, "ends",
                   "transmittance", "saturation", -1, 800, 1450,
                   "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
-        monotone(datasets, "fig13_saturation", "transmittance", "saturation", -1, 940, 1450,
+        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", -1, 940, 1450,
                   "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
-        monotone(datasets, "fig14_density", "transmittance", "density_kg_m3", -1, 400, 700,
+        monotone(datasets, "density_transmittance", "transmittance", "density_kg_m3", -1, 400, 700,
                   "transmittance falls with density, 400-700 nm", "Fig 14"),
     ]  # fmt: skip
-    sizes = datasets["fig08_grain_size"]
+    sizes = datasets["grain_size"]
     rows += [
-        *_rise(datasets["fig09_facetness"]),
+        *_rise(datasets["facetness"]),
         _steepest_band(sizes),
         *(_peak(sizes, peak, *valleys) for peak, valleys in PEAKS.items()),
-        *_halving(datasets["fig11_depth"]),
+        *_halving(datasets["depth"]),
     ]
     return rows
 
@@ -124,11 +130,11 @@ def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> d
 
 
 def monotone(
-    datasets: Mapping[str, xr.Dataset], experiment: str, quantity: str, dimension: str,
+    datasets: Mapping[str, xr.Dataset], role: str, quantity: str, dimension: str,
     sign: int, low: float, high: float, statement: str, place: str,
 ) -> dict[str, object]:  # fmt: skip
     """Return the row of a band mean (nm) that rises (+1) or falls (-1) along a grid's dimension."""
-    step, error = steps(datasets[experiment], quantity, dimension, low, high)
+    step, error = steps(datasets[role], quantity, dimension, low, high)
     return beyond(f"{statement}: smallest step", place, sign * step, error)
 
 

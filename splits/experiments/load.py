@@ -9,6 +9,7 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from splits.checks import named, one_of, refuse
+from splits.experiments.figure_sizes import check_size
 from splits.experiments.messages import line_of
 from splits.experiments.model import Experiment
 from splits.experiments.run_fit import check_fit
@@ -65,6 +66,7 @@ def _experiment(path: Path, media: Path) -> Experiment:
         content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
     experiment = _checked(Experiment, content)
     refuse_unused(experiment, given)
+    check_size(experiment)
     folder = media.parent / "measured"
     if experiment.figure.measured:
         table = _measured("figure.measured", folder, experiment.figure.measured)
@@ -74,7 +76,7 @@ def _experiment(path: Path, media: Path) -> Experiment:
             name = experiment.figure.measured
             raise refuse("figure.measured", name, f"a table with columns {columns}")
     if experiment.fit:
-        if experiment.figure.kind != "fit":
+        if experiment.figure.kind not in ("fit", "none"):
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
         check_fit(experiment, _measured("fit.measured", folder, experiment.fit.measured))
     return experiment

@@ -253,7 +253,7 @@ class FigureSection(Section):
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
         "principal_plane", "lobes", "cells", "spread", "surface", "lens",
-        "polarization",
+        "polarization", "none",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}
@@ -294,6 +294,9 @@ class FigureSection(Section):
             limits = getattr(self, key)
             if limits is not None and not limits[0] < limits[1]:
                 raise refuse(f"figure.{key}", list(limits), "low < high")
+        if self.kind == "none" and self.model_fields_set != {"kind"}:
+            others = sorted(self.model_fields_set - {"kind"})
+            raise refuse("figure.kind", "none", f"left out with {', '.join(others)}")
         shown = SHOWN.get(self.kind or "")
         if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
             raise refuse("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")

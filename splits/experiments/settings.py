@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -10,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import one_of, suggestion
 from splits.experiments.model import Experiment
 from splits.experiments.sections import Section
+from splits.experiments.studies import Study, check_studies
 from splits.experiments.yaml_files import ConfigError
 
 
@@ -19,16 +21,6 @@ class Accuracy(Section):
     max_stderr: float = Field(ge=1e-6, le=0.5)
     relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
     max_rays: int | None = Field(default=None, ge=1, lt=2**63)
-
-
-class SensitivityPair(Section):
-    """Two values of a parameter between which a spectrum's sensitivity is taken."""
-
-    parameter: str
-    experiment: str
-    readings: str
-    low: float | str
-    high: float | str
 
 
 class Settings(Section):
@@ -42,7 +34,7 @@ class Settings(Section):
     media_folder: str = "config/media"
     results: str = "results"
     archive: tuple[str, ...] | Literal["all"] = "all"
-    sensitivity: dict[str, SensitivityPair] = Field(default_factory=dict)
+    studies: dict[str, Study] = Field(default_factory=dict)
 
     @field_validator("experiments", mode="before")
     @classmethod
@@ -68,12 +60,13 @@ class Settings(Section):
         Raises
         ------
         ConfigError
-            For a name that is not available, anywhere in the settings.
+            For a name that is not available or taken twice, or a study that cannot be made.
         """
         for key, names in (("experiments", self.experiments), ("archive", self.archive)):
             for name in () if names == "all" else names:
                 if name not in available:
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+        check_studies(self.studies, available, Path(self.media_folder).parent)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.checks import refuse
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
 from splits.figures.directions import NAMES, collectors, principal_planes
@@ -61,7 +62,14 @@ def draw(
         See `splits.experiments.model.FigureSection`.
     measured : pandas.DataFrame, optional
         Measured values to show with spectra.
+
+    Raises
+    ------
+    ValueError
+        For a section that draws nothing, or more than can be shown.
     """
+    if section["kind"] == "none":
+        raise refuse("figure.kind", "none", "a kind of figure")
     if section["kind"] == "refractive_index":
         return refractive_indices(dataset)
     if section["kind"] == "points":

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, style, subplots
 
 
 def sensitivity_bars(dataset: xr.Dataset) -> Figure:
-    """Draw the mean sensitivity index of each parameter, ours and published.
+    """Draw the mean sensitivity index of each parameter, ours and, where there are, published ones.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Variables ``msi``, ``msi_stderr`` and ``published`` over ``quantity`` and ``parameter``.
+        Variables ``msi``, ``msi_stderr`` and optionally ``published`` over ``quantity`` and
+        ``parameter``.
     """
     with style():
-        figure, axes = plt.subplots(figsize=(6.4, 3.9))
+        figure, axes = subplots(figsize=(6.4, 3.9))
         x = np.arange(dataset.sizes["parameter"])
         width = 0.36
         for i, quantity in enumerate(dataset.quantity.values):
@@ -30,10 +30,11 @@ def sensitivity_bars(dataset: xr.Dataset) -> Figure:
             axes.errorbar(
                 at, part.msi, BAND * part.msi_stderr, fmt="none", ecolor="black", capsize=3
             )
-            axes.plot(
-                at, part.published, "D", color="white", mec="black", ms=6, ls="none",
-                label="published" if i == 0 else None,
-            )  # fmt: skip
+            if "published" in part:
+                axes.plot(
+                    at, part.published, "D", color="white", mec="black", ms=6, ls="none",
+                    label="published" if i == 0 else None,
+                )  # fmt: skip
         axes.set_xticks(x, [str(p).replace("_", " ") for p in dataset.parameter.values])
         axes.set_ylabel("mean sensitivity index")
         axes.set_ylim(0, 1.05)

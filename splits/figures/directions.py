@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.directions import merged_cells, principal_plane
 from splits.dataset import at_points
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, Colour, colours, style, value_label
+from splits.figures.style import BAND, Colour, Drawing, colours, style, subplots, value_label
 
 STEEPEST_DEG = 82.5
 """Angle from the normal up to which directions are drawn; errors are held up to there."""
@@ -58,7 +58,7 @@ def principal_planes(
     plane = plane_of(part_at(dataset, at))
     lines = lines_of(plane, quantity[0])
     with style():
-        figure = plt.figure(figsize=(8.8, 3.9 * len(quantity)), layout="constrained")
+        figure = Drawing(figsize=(8.8, 3.9 * len(quantity)), layout="constrained")
         flats = []
         for row, name in enumerate(quantity):
             polar = figure.add_subplot(len(quantity), 2, 2 * row + 1, projection="polar")
@@ -119,7 +119,7 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
     counts = dataset.sizes["polar"], dataset.sizes["azimuth"]
     factors = [f for f in (9, 5, 3, 1) if not (counts[0] % f or counts[1] % (2 * f))]
     with style():
-        figure, axes = plt.subplots(figsize=(6.4, 3.9), layout="constrained")
+        figure, axes = subplots(figsize=(6.4, 3.9), layout="constrained")
         for factor, colour in zip(factors, colours(len(factors)), strict=True):
             plane = _with_gap(principal_plane(merged_cells(dataset, factor)))
             angle, value = plane.angle.values, plane.brdf.values
@@ -227,5 +227,5 @@ def half_circle(axes: Axes, top: float | None, down: bool = False) -> None:
         np.degrees(directions(ticks, down)), [f"{t}°".replace("-", "−") for t in ticks]
     )
     axes.tick_params(labelsize=9)
-    axes.yaxis.set_major_locator(plt.MaxNLocator(3))
+    axes.yaxis.set_major_locator(MaxNLocator(3))
     axes.grid(color=".85", lw=0.6)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.efficiency import METHODS, SCALED, THEORIES
-from splits.figures.style import Colour, colours, style
+from splits.figures.style import Colour, colours, style, subplots
 
 MARKERS = ("s", "D", "v", "^", "o", "P", "X")
 GREYS = ("0.15", "0.5")
@@ -34,7 +33,7 @@ def speed_against_error(table: pd.DataFrame) -> Figure:
     shades: list[Colour] = [*colours(len(METHODS) - len(THEORIES), "sample"), *GREYS]
     looks = dict(zip(METHODS, zip(shades, MARKERS, strict=True), strict=True))
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             rows, columns, figsize=(4.2 * columns, 3.2 * rows + 1.1), sharex=True, sharey=True,
             squeeze=False, layout="constrained",
         )  # fmt: skip

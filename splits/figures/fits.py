@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, style, value_label
+from splits.figures.style import BAND, style, subplots, value_label
 
 
 def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
@@ -28,7 +27,7 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
         float((dataset.reflectance + BAND * dataset.reflectance_stderr).max()),
     )
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             2, len(samples), figsize=(3.4 * len(samples) + 0.8, 5.2), sharex=True, sharey="row",
             gridspec_kw={"height_ratios": [2.2, 1]}, squeeze=False,
         )  # fmt: skip

@@ -180,9 +180,11 @@ class Lines:
         count = len(self.shades)
         norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
         ticks = np.arange(0, count, -(-count // LEGIBLE))
+        places = [panel.get_subplotspec() for panel in axes]
+        rows = len({place.rowspan.start for place in places if place is not None})
         bar = figure.colorbar(
             ScalarMappable(norm, ListedColormap(self.shades)), ax=list(axes), ticks=ticks,
-            aspect=20 * len(axes), label=title or parameter_label(self.main), pad=0.02,
+            aspect=20 * rows, label=title or parameter_label(self.main), pad=0.02,
         )  # fmt: skip
         bar.ax.set_yticklabels([value_label(self._values[self.main][i], self.main) for i in ticks])
         bar.ax.minorticks_off()

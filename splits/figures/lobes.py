@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.colors import to_rgb
@@ -21,7 +20,7 @@ from splits.figures.directions import (
     part_of,
     plane_of,
 )
-from splits.figures.style import BAND, Colour, parameter_label, style, value_label
+from splits.figures.style import BAND, Colour, Drawing, parameter_label, style, value_label
 
 COLUMNS = 4
 
@@ -52,7 +51,7 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     columns = min(COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
     with style():
-        figure = plt.figure(figsize=(3.1 * columns, 0.5 + 4.6 * rows), layout="constrained")
+        figure = Drawing(figsize=(3.1 * columns, 0.5 + 4.6 * rows), layout="constrained")
         for number, one in enumerate(lines):
             row, column = divmod(number, columns)
             place = 2 * row * columns + column + 1

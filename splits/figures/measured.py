@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, style, subplots
 
 
 def measured_albedo(table: pd.DataFrame) -> Figure:
@@ -19,7 +18,7 @@ def measured_albedo(table: pd.DataFrame) -> Figure:
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             2, len(depths), figsize=(8.4, 5.4), sharex=True, sharey="row",
             gridspec_kw={"height_ratios": [2, 1]},
         )  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.lines import DEFAULT, Lines, beside
-from splits.figures.style import BAND, colours, parameter_label, style, value_label
+from splits.figures.style import BAND, colours, parameter_label, style, subplots, value_label
 
 
 def points(
@@ -48,7 +47,7 @@ def points(
     default = next((i for i, v in enumerate(alone) if DEFAULT in v), None)
     series = Lines(dataset, ["wavelength"])
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             1, len(quantity), figsize=(2.8 + 3.6 * len(quantity), 1.6 + 0.32 * len(names)),
             sharey=True, squeeze=False, layout="constrained",
         )  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -19,7 +18,7 @@ from splits.figures.directions import (
     part_of,
     plane_of,
 )
-from splits.figures.style import BAND, style
+from splits.figures.style import BAND, style, subplots
 
 
 def polarization(
@@ -41,7 +40,7 @@ def polarization(
     plane = plane_of(at_points(dataset, at or {}))
     lines = lines_of(plane, "brdf")
     with style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(8.8, 3.9), layout="constrained")
+        figure, (left, right) = subplots(1, 2, figsize=(8.8, 3.9), layout="constrained")
         for one in lines.all:
             line = part_of(plane, one.labels)
             angle = line.angle.values

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -13,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.facets import faceted
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, style
+from splits.figures.style import BAND, style, subplots
+from splits.panels import facets
 
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
@@ -37,7 +38,7 @@ def spectra(
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw spectra with bands of two standard errors.
+    """Draw spectra with bands of two standard errors, of many points in several panels.
 
     Parameters
     ----------
@@ -58,14 +59,21 @@ def spectra(
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        For more lines than can be shown, see `splits.panels.facets`.
     """
     dataset = at_points(dataset, at or {})
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
+    if apart := facets({d: dataset.sizes[d] for d in dims}, len(quantity), at):
+        return faceted(dataset, quantity, apart, legend, ylim)
     lines = Lines(dataset, dims)
     with style():
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True,
             layout="constrained",
         )  # fmt: skip
@@ -117,7 +125,7 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         Variables ``n`` and ``k`` over wavelength and material.
     """
     with style():
-        figure, left = plt.subplots(figsize=(6.4, 3.9))
+        figure, left = subplots(figsize=(6.4, 3.9))
         right = left.twinx()
         for material, colour in MATERIAL_COLOURS.items():
             if material not in dataset.material.values:

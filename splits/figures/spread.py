@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.colors import LogNorm
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from splits.dataset import at_points
 from splits.figures.lines import FEW, beside
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, style, subplots
 
 FAINTEST = 0.25
 """Relative error beyond which a value is not drawn."""
@@ -30,7 +29,7 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
     """
     dataset = at_points(dataset, at or {})
     with style():
-        figure, (left, right) = plt.subplots(
+        figure, (left, right) = subplots(
             1, 2, figsize=(8.8, 3.9), width_ratios=(1.15, 1.0), layout="constrained"
         )
         shades = colours(dataset.sizes["wavelength"])

@@ -6,14 +6,14 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
+import matplotlib.style
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 Colour = tuple[float, float, float] | str
@@ -112,8 +112,39 @@ SUFFIXES = (".png", ".svg")
 @contextmanager
 def style() -> Iterator[None]:
     """Draw in the project's style."""
-    with plt.style.context(Path(__file__).with_name("paper.mplstyle")):
+    with matplotlib.style.context(Path(__file__).with_name("paper.mplstyle")):
         yield
+
+
+class Drawing(Figure):
+    """A figure beside pyplot: it needs no display, and no backend is chosen for the process.
+
+    A notebook shows it where it is the value of a cell.
+    """
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        # It measures its text before it is written.
+        FigureCanvasAgg(self)
+
+    def _repr_png_(self) -> bytes:
+        held = BytesIO()
+        with style():
+            self.savefig(held, format="png")
+        return held.getvalue()
+
+
+def subplots(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    figsize: tuple[float, float],
+    layout: str | None = None,
+    **settings: Any,
+) -> tuple[Figure, Any]:
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `Drawing`."""
+    figure = Drawing(figsize=figsize, layout=layout)
+    return figure, figure.subplots(rows, columns, **settings)
 
 
 def colours(count: int, parameter: str | None = None) -> list[Colour]:
@@ -128,7 +159,7 @@ def colours(count: int, parameter: str | None = None) -> list[Colour]:
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
-    """Write ``stem.png`` and ``stem.svg`` and close the figure.
+    """Write ``stem.png`` and ``stem.svg``: the same bytes for the same figure.
 
     Parameters
     ----------
@@ -147,8 +178,8 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
         path = stem.with_name(stem.name + suffix)
         aside = path.with_name(f".{path.name}")
         metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
-        figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
+        with style():
+            figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
         os.replace(aside, path)
         paths.append(path)
-    plt.close(figure)
     return paths

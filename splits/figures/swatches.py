@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.analysis.colour import colours
-from splits.figures.style import parameter_label, style, value_label
+from splits.figures.style import parameter_label, style, subplots, value_label
 
 
 def swatches(dataset: xr.Dataset) -> Figure:
@@ -34,7 +33,7 @@ def swatches(dataset: xr.Dataset) -> Figure:
     patches = table[["red", "green", "blue"]].to_numpy().reshape(columns, rows, 3)
     light = table["L"].to_numpy().reshape(columns, rows)
     with style():
-        figure, axes = plt.subplots(figsize=(1.0 + 1.35 * columns, 0.9 + 0.75 * rows + 0.25))
+        figure, axes = subplots(figsize=(1.0 + 1.35 * columns, 0.9 + 0.75 * rows + 0.25))
         axes.imshow(np.swapaxes(patches, 0, 1), aspect="auto", interpolation="nearest")
         for i in range(columns):
             for j in range(rows):

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
-from matplotlib.colors import LightSource
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.style import BAND, colours, style
+from splits.figures.style import BAND, colours, style, subplots
 
 _EXPECTED: dict[str, Any] = {"color": "0.6", "lw": 0.8, "ls": "--"}
 """The look of lines to compare with."""
@@ -25,7 +26,7 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
 
 def _panels(width: float, count: int, plan: int, **settings: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure and its panels, side by side; one of them shows x and y from above."""
-    figure, panels = plt.subplots(1, count, figsize=(width, 3.9), layout="constrained", **settings)
+    figure, panels = subplots(1, count, figsize=(width, 3.9), layout="constrained", **settings)
     panels[plan].set(xlabel="x (m)", ylabel="y (m)")
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
@@ -50,13 +51,13 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
         reach = float(np.abs(height).max())
         light = LightSource(azdeg=315, altdeg=35)
         shaded = light.shade(
-            height, plt.get_cmap("Blues_r"), blend_mode="soft", vmin=-reach, vmax=reach,
+            height, colormaps["Blues_r"], blend_mode="soft", vmin=-reach, vmax=reach,
             dx=x[1] - x[0], dy=y[1] - y[0],
         )  # fmt: skip
         extent = (x[0], x[-1], y[0], y[-1])
         left.imshow(shaded, origin="lower", extent=extent, interpolation="bilinear")
         left.spines[:].set_visible(True)
-        scale = plt.cm.ScalarMappable(plt.Normalize(-reach, reach), "Blues_r")
+        scale = ScalarMappable(Normalize(-reach, reach), "Blues_r")
         figure.colorbar(scale, ax=left, label="height (m)", location="top", shrink=0.7, aspect=30)
         slopes = np.sort(dataset.rms_slope.values)
         share = (np.arange(slopes.size) + 0.5) / slopes.size

@@ -99,7 +99,7 @@ def test_an_empty_folder_is_refused(tmp_path):
         ({"seed": -1}, "seed = -1"),
         ({"accuracies": {"standard": {"max_stderr": 0}}}, r"accuracies\.standard\.max_stderr = 0"),
         ({"accuracies": {"standard": {"max_error": 0.1}}}, "max_stderr"),
-        ({"sensitivity": {"a": {"parameter": "b"}}}, r"sensitivity\.a\.experiment: missing"),
+        ({"studies": {"a": {"experiments": {}}}}, r"studies\.a\.kind: missing"),
         ({"results": None}, "results = None"),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,12 +10,6 @@ from splits.figures import collectors, lobes, polarization, principal_planes
 
 POLAR = np.arange(0.0, 90.0, 5.0)
 AZIMUTH = np.arange(0.0, 360.0, 30.0)
-
-
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    plt.close("all")
 
 
 def dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,12 +12,6 @@ from splits.figures.lines import DASHES, Lines
 from splits.figures.style import colours, value_label
 
 X = np.linspace(400.0, 1000.0, 13)
-
-
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    plt.close("all")
 
 
 def dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):

@@ -12,13 +12,13 @@ from splits.experiments.composition_table import composition_table
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
 GRIDS = {
-    "sand_fig06_tec_samples": ("medium", ["one", "two"], 0.0),
-    "sand_fig08_iron_oxide": ("iron_oxide", [0.01, 0.05], -0.1),
-    "sand_fig08_magnetite": ("magnetite", [0.0, 0.3], -0.1),
-    "sand_fig08_texture": ("texture", ["coarse", "fine"], 0.1),
-    "sand_fine_fraction": ("texture", ["no clay", "clay"], 0.1),
-    "sand_fig08_hematite_ratio": ("hematite_ratio", [0.0, 0.9], 0.0),
-    "sand_fig07_wet_colours": ("saturation", [0.0, 0.5, 1.0], -0.1),
+    "samples": ("medium", ["one", "two"], 0.0),
+    "iron_oxide": ("iron_oxide", [0.01, 0.05], -0.1),
+    "magnetite": ("magnetite", [0.0, 0.3], -0.1),
+    "texture": ("texture", ["coarse", "fine"], 0.1),
+    "fine_fraction": ("texture", ["no clay", "clay"], 0.1),
+    "hematite_ratio": ("hematite_ratio", [0.0, 0.9], 0.0),
+    "wet_colours": ("saturation", [0.0, 0.5, 1.0], -0.1),
 }
 
 
@@ -38,8 +38,8 @@ def made(dimension, values, step, error=0.005, redder=0.0):
 
 def datasets(error=0.0005):
     found = {name: made(*grid, error=error) for name, grid in GRIDS.items()}
-    ratio = GRIDS["sand_fig08_hematite_ratio"]
-    found["sand_fig08_hematite_ratio"] = made(*ratio, error=error, redder=2.0)
+    ratio = GRIDS["hematite_ratio"]
+    found["hematite_ratio"] = made(*ratio, error=error, redder=2.0)
     return found
 
 
@@ -51,8 +51,8 @@ def test_trends_that_hold_are_shown():
 
 def test_trends_that_do_not_hold_are_told_apart():
     given = datasets()
-    given["sand_fig08_iron_oxide"] = made("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
-    given["sand_fig08_magnetite"] = made("magnetite", [0.0, 0.3], -1e-4, error=0.005)
+    given["iron_oxide"] = made("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
+    given["magnetite"] = made("magnetite", [0.0, 0.3], -1e-4, error=0.005)
     table = sand_trends(given).set_index("quantity")
     verdicts = {q: v for q, v in table.verdict.items() if v != "agrees"}
     assert sorted(verdicts.values()) == ["not resolved at this accuracy", "outside"]

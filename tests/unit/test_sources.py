@@ -9,7 +9,6 @@ import pytest
 from splits import sources
 from splits.sources import FITTING, PACKAGE, physics_digest
 
-ROOT = PACKAGE.parent
 digest = physics_digest.__wrapped__
 
 
@@ -74,8 +73,3 @@ def test_what_draws_and_compares_does_not_count(package):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
     assert digest(fit=True) == before
-
-
-def test_the_workflow_takes_the_list_from_here():
-    common = (ROOT / "workflow" / "rules" / "common.smk").read_text(encoding="utf-8")
-    assert "in sources()" in common and "in sources(fit=True)" in common

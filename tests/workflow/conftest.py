@@ -30,9 +30,10 @@ class Run:
 class Project:
     """A working directory with its own configuration."""
 
-    def __init__(self, folder, environment):
+    def __init__(self, folder, environment, snakefile=ROOT / "Snakefile"):
         self.folder = folder
         self.environment = environment
+        self.snakefile = snakefile
 
     def put(self, name, text):
         """Write an experiment file."""
@@ -42,7 +43,7 @@ class Project:
 
     def command(self, *arguments, config="accuracy=tiny"):
         """Return what runs the shipped workflow in this folder."""
-        command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile")]
+        command = [sys.executable, "-m", "snakemake", "--snakefile", str(self.snakefile)]
         return [*command, "--directory", str(self.folder), *map(str, arguments), "--config", config]
 
     def snakemake(self, *arguments, config="accuracy=tiny"):

@@ -44,8 +44,8 @@ def test_everything_can_be_planned(shipped):
     for rule in ("simulate", "figure"):
         assert re.search(rf"^{rule} +{len(experiments)}$", run.text, re.MULTILINE)
     for rule in (
-        "sensitivity", "agreement", "figure_sensitivity", "figure_letcher", "sand_tables",
-        "sand_compositions",
+        "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
+        "layer_trends",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()

@@ -1,177 +1,209 @@
-rule sensitivity:
-    input:
-        data=data(SENSITIVITY_EXPERIMENTS),
-        published="config/published/splitsnow2021.csv",
-    output:
-        data=f"{RESULTS}/data/fig23_sensitivity.nc",
-        table=report(
-            f"{RESULTS}/tables/sensitivity.csv",
-            caption="../report/sensitivity_table.rst",
-            category="Sensitivity",
-        ),
-        table2=report(
-            f"{RESULTS}/tables/table2.csv",
-            caption="../report/sensitivity.rst",
-            category="Sensitivity",
-        ),
-    log:
-        f"{RESULTS}/logs/sensitivity.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/sensitivity.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    params:
-        pairs={name: pair.model_dump() for name, pair in SETTINGS.sensitivity.items()},
-    message:
-        "Taking mean sensitivity indices"
-    script:
-        "../scripts/sensitivity.py"
+# Caption and category in the report, by kind of study and product.
+REPORTS = {
+    "sensitivity": {
+        "table": ("sensitivity_table", "Sensitivity"),
+        "chosen": ("sensitivity", "Sensitivity"),
+        "figure": ("sensitivity", "Experiments"),
+    },
+    "agreement": {
+        "agreement": ("agreement", "Agreement"),
+        "bands": ("measured_bands", "Agreement"),
+        "table1": ("table1", "Agreement"),
+        "table3": ("table3", "Agreement"),
+        "figure": ("letcher", "Agreement"),
+    },
+    "sand_tables": {
+        "trends": ("sand_trends", "Sand"),
+        "weights": ("sand_weights", "Sand"),
+        "colours": ("sand_colours", "Sand"),
+    },
+    "sand_compositions": {"table": ("sand_compositions", "Sand")},
+    "angular_trends": {"table": ("angular_trends", "Angles")},
+    "layer_trends": {"table": ("layer_trends", "Layers")},
+}
 
 
-rule agreement:
-    input:
-        data=data(TABLE_EXPERIMENTS),
-        sensitivity=f"{RESULTS}/data/fig23_sensitivity.nc",
-        published="config/published/splitsnow2021.csv",
-        aviris="config/measured/aviris_ng_varsa2021.csv",
-        letcher="config/measured/snow_albedo_letcher2022.csv",
-    output:
-        agreement=report(
-            f"{RESULTS}/tables/agreement.csv",
-            caption="../report/agreement.rst",
-            category="Agreement",
-        ),
-        bands=report(
-            f"{RESULTS}/tables/measured_bands.csv",
-            caption="../report/measured_bands.rst",
-            category="Agreement",
-        ),
-        table1=report(
-            f"{RESULTS}/tables/table1.csv",
-            caption="../report/table1.rst",
-            category="Agreement",
-        ),
-        table3=report(
-            f"{RESULTS}/tables/table3.csv",
-            caption="../report/table3.rst",
-            category="Agreement",
-        ),
-    log:
-        f"{RESULTS}/logs/agreement.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/agreement.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    message:
-        "Holding results against published and measured numbers"
-    script:
-        "../scripts/agreement.py"
+def of_kind(kind):
+    """Return the names of the studies of a kind that can be made."""
+    return [name for name in MADE if STUDIES[name].kind == kind]
 
 
-rule sand_tables:
-    input:
-        data=data(SAND_EXPERIMENTS),
-    output:
-        trends=report(
-            f"{RESULTS}/tables/sand_trends.csv",
-            caption="../report/sand_trends.rst",
-            category="Sand",
-        ),
-        weights=report(
-            f"{RESULTS}/tables/sand_weights.csv",
-            caption="../report/sand_weights.rst",
-            category="Sand",
-        ),
-        colours=report(
-            f"{RESULTS}/tables/sand_colours.csv",
-            caption="../report/sand_colours.rst",
-            category="Sand",
-        ),
-    log:
-        f"{RESULTS}/logs/sand_tables.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/sand_tables.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    message:
-        "Holding sand against the trends of SPLITS"
-    script:
-        "../scripts/sand_tables.py"
+def study_output(name):
+    """Return what a study makes, by key; the first file of each is for the report."""
+    made = {}
+    for key, paths in STUDIES[name].paths(name).items():
+        first, *others = (f"{RESULTS}/{path}" for path in paths)
+        if key in REPORTS[STUDIES[name].kind]:
+            caption, category = REPORTS[STUDIES[name].kind][key]
+            labels = {"experiment": Path(first).stem} if others else None
+            first = report(
+                first,
+                caption=f"../report/{caption}.rst",
+                category=category,
+                labels=labels,
+            )
+        made[key] = [first, *others] if others else first
+    return made
 
 
-rule angular_trends:
-    input:
-        data=data(ANGULAR_EXPERIMENTS),
-    output:
-        report(
-            f"{RESULTS}/tables/angular_trends.csv",
-            caption="../report/angular_trends.rst",
-            category="Angles",
-        ),
-    log:
-        f"{RESULTS}/logs/angular_trends.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/angular_trends.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    message:
-        "Holding BRDFs against the trends of the papers"
-    script:
-        "../scripts/angular_trends.py"
+def study_files(name):
+    """Return the tables of numbers that a study reads, by key."""
+    kind = STUDIES[name].kind
+    folder = Path(SETTINGS.media_folder).parent
+    return {
+        key: str(folder / FILES[kind][key] / file)
+        for key, file in STUDIES[name].files.items()
+    }
 
 
-rule layer_trends:
-    input:
-        data=data(LAYER_EXPERIMENTS),
-    output:
-        report(
-            f"{RESULTS}/tables/layer_trends.csv",
-            caption="../report/layer_trends.rst",
-            category="Layers",
-        ),
-    log:
-        f"{RESULTS}/logs/layer_trends.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/layer_trends.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    message:
-        "Holding rough layers against what their paper says"
-    script:
-        "../scripts/layer_trends.py"
+for NAME in of_kind("sensitivity"):
+
+    rule:
+        name:
+            NAME
+        input:
+            **study_files(NAME),
+            data=data(STUDIES[NAME].needed()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            pairs={key: pair.model_dump() for key, pair in STUDIES[NAME].pairs.items()},
+        message:
+            "Taking mean sensitivity indices"
+        script:
+            "../scripts/sensitivity.py"
 
 
-rule sand_compositions:
-    input:
-        physics=PHYSICS,
-    output:
-        report(
-            f"{RESULTS}/tables/sand_compositions.csv",
-            caption="../report/sand_compositions.rst",
-            category="Sand",
-        ),
-    log:
-        f"{RESULTS}/logs/sand_compositions.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/sand_compositions.tsv"
-    conda:
-        "../../environment.yml"
-    threads: 1
-    params:
-        experiments={
-            name: e.simulation()
-            for name, e in EXPERIMENTS.items()
-            if e.medium.get("kind") == "sand"
-        },
-    message:
-        "Listing the compositions of all sands"
-    script:
-        "../scripts/sand_compositions.py"
+for NAME in of_kind("agreement"):
+
+    rule:
+        name:
+            NAME
+        input:
+            **study_files(NAME),
+            data=data(STUDIES[NAME].experiments.values()),
+            sensitivity=study_output(STUDIES[NAME].sensitivity)["data"],
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            roles=list(STUDIES[NAME].experiments),
+        message:
+            "Holding results against published and measured numbers"
+        script:
+            "../scripts/agreement.py"
+
+
+for NAME in of_kind("sand_tables"):
+
+    rule:
+        name:
+            NAME
+        input:
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            roles=list(STUDIES[NAME].experiments),
+        message:
+            "Holding sand against the trends of SPLITS"
+        script:
+            "../scripts/sand_tables.py"
+
+
+for NAME in of_kind("angular_trends"):
+
+    rule:
+        name:
+            NAME
+        input:
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            roles=list(STUDIES[NAME].experiments),
+        message:
+            "Holding BRDFs against the trends of the papers"
+        script:
+            "../scripts/angular_trends.py"
+
+
+for NAME in of_kind("layer_trends"):
+
+    rule:
+        name:
+            NAME
+        input:
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            roles=list(STUDIES[NAME].experiments),
+        message:
+            "Holding rough layers against what their paper says"
+        script:
+            "../scripts/layer_trends.py"
+
+
+for NAME in of_kind("sand_compositions"):
+
+    rule:
+        name:
+            NAME
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            physics=physics_digest(),
+            experiments={
+                name: e.simulation()
+                for name, e in EXPERIMENTS.items()
+                if e.medium.get("kind") == "sand"
+            },
+        message:
+            "Listing the compositions of all sands"
+        script:
+            "../scripts/sand_compositions.py"
 
 
 rule fitted_parameters:

@@ -4,7 +4,7 @@ ARCHIVED = list(EXPERIMENTS) if SETTINGS.archive == "all" else list(SETTINGS.arc
 rule archive:
     input:
         [products(name) for name in ARCHIVED],
-        paper_products() if SETTINGS.archive == "all" else [],
+        study_products() if SETTINGS.archive == "all" else [],
     output:
         f"{RESULTS}/archive/splits-results.zip",
     log:

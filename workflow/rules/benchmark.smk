@@ -1,5 +1,6 @@
-PROGRAMS = Path(workflow.basedir) / "benchmarks"
-QUICK = "" if SETTINGS.accuracy == "standard" else "--quick"
+from splits.sources import PACKAGE, files_digest
+
+QUICK = [] if SETTINGS.accuracy == "standard" else ["--quick"]
 BENCHMARKED = [
     f"{RESULTS}/benchmarks/speed_against_error.csv",
     f"{RESULTS}/benchmarks/speed_against_error.png",
@@ -14,6 +15,11 @@ REPORTED = (
 )
 
 
+def program_digest(name):
+    """Return what changes with the source of a benchmark."""
+    return files_digest(Path(workflow.basedir) / "benchmarks", [name])
+
+
 rule benchmarks:
     input:
         BENCHMARKED,
@@ -21,13 +27,6 @@ rule benchmarks:
 
 # Each takes all cores given, whatever it uses of them, so that nothing runs beside it.
 rule speed_against_error:
-    input:
-        physics=PHYSICS,
-        theories=[
-            str(PACKAGE / "analysis" / name)
-            for name in ("efficiency.py", "radiative_transfer.py")
-        ],
-        program=str(PROGRAMS / "speed_against_error.py"),
     output:
         report(
             f"{RESULTS}/benchmarks/speed_against_error.csv",
@@ -40,17 +39,20 @@ rule speed_against_error:
         "../../environment.yml"
     threads: 64
     params:
-        quick=QUICK,
+        program="speed_against_error.py",
+        options=QUICK,
+        source=lambda wildcards: program_digest("speed_against_error.py"),
+        physics=physics_digest(),
+        theories=files_digest(
+            PACKAGE / "analysis", ["efficiency.py", "radiative_transfer.py"]
+        ),
     message:
         "Measuring time against error of every way to a spectrum"
-    shell:
-        "python {input.program} {output} {params.quick} 2>&1 | tee {log}"
+    script:
+        "../scripts/benchmark.py"
 
 
 rule benchmark_kernels:
-    input:
-        physics=PHYSICS,
-        program=str(PROGRAMS / "kernels.py"),
     output:
         report(
             f"{RESULTS}/benchmarks/kernels.csv",
@@ -63,11 +65,14 @@ rule benchmark_kernels:
         "../../environment.yml"
     threads: 64
     params:
-        quick=QUICK,
+        program="kernels.py",
+        options=QUICK,
+        source=lambda wildcards: program_digest("kernels.py"),
+        physics=physics_digest(),
     message:
         "Measuring the kernels against each other"
-    shell:
-        "python {input.program} {output} {params.quick} 2>&1 | tee {log}"
+    script:
+        "../scripts/benchmark.py"
 
 
 rule figure_speed_against_error:

@@ -1,6 +1,5 @@
 rule simulate:
     input:
-        physics=lambda wildcards: physics_of(wildcards.experiment),
         tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].tables(),
         measured=lambda wildcards: fitted_files(wildcards.experiment),
     output:
@@ -18,6 +17,10 @@ rule simulate:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
+        # Not inputs: these would be recorded with the place where the package lies.
+        physics=lambda wildcards: physics_digest(
+            fit=bool(EXPERIMENTS[wildcards.experiment].fit)
+        ),
     message:
         "Simulating {wildcards.experiment}"
     script:

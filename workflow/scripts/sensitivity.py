@@ -6,10 +6,13 @@ from splits import load, save
 from splits.analysis.agreement import read_published
 from splits.analysis.sensitivity_tables import chosen_sensitivities, sensitivity_table
 from splits.analysis.tables import write_table
+from splits.figures import save_figure, sensitivity_bars
 
 datasets = {Path(path).stem: load(path) for path in snakemake.input.data}
 table = sensitivity_table(datasets, snakemake.params.pairs)
-chosen = chosen_sensitivities(table, read_published(snakemake.input.published))
+published = snakemake.input.get("published")
+chosen = chosen_sensitivities(table, read_published(published) if published else None)
 write_table(table, snakemake.output.table)
-write_table(chosen.to_dataframe().reset_index(), snakemake.output.table2)
+write_table(chosen.to_dataframe().reset_index(), snakemake.output.chosen)
 save(chosen, snakemake.output.data)
+save_figure(sensitivity_bars(chosen), Path(snakemake.output.figure[0]).with_suffix(""))

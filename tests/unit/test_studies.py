@@ -1,0 +1,129 @@
+"""Studies: which can be made, what is refused, and names that nothing else may have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.analysis.angular_trends import angular_trends
+from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
+from splits.experiments.load import read_yaml
+from splits.experiments.studies import left_out
+
+ROOT = Path(__file__).parents[2]
+CONTENT = read_yaml(ROOT / "config" / "config.yaml")
+CONTENT |= {"media_folder": str(ROOT / "config" / "media")}
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
+
+
+def settings(studies):
+    return load_settings({**CONTENT, "studies": CONTENT["studies"] | studies})
+
+
+def test_shipped_studies_have_all_that_they_need(shipped):
+    made = load_settings(CONTENT)
+    assert set(made.select(shipped)) == set(shipped)
+    assert left_out(made.studies, shipped, shipped) == {}
+    paths = {p for name, one in made.studies.items() for ps in one.paths(name).values() for p in ps}
+    assert paths == {
+        "data/fig23_sensitivity.nc", "figures/fig23_sensitivity.png",
+        "figures/fig23_sensitivity.svg", "tables/sensitivity.csv", "tables/table2.csv",
+        "tables/agreement.csv", "tables/measured_bands.csv", "tables/table1.csv",
+        "tables/table3.csv", "figures/letcher2022_measured.png",
+        "figures/letcher2022_measured.svg", "tables/sand_trends.csv", "tables/sand_weights.csv",
+        "tables/sand_colours.csv", "tables/sand_compositions.csv", "tables/angular_trends.csv",
+        "tables/layer_trends.csv",
+    }  # fmt: skip
+
+
+def test_no_name_of_an_experiment_decides_in_the_code(shipped):
+    rules = [*(ROOT / "workflow").rglob("*.smk"), *(ROOT / "workflow" / "scripts").glob("*.py")]
+    for path in [*rules, *(ROOT / "splits").rglob("*.py"), ROOT / "Snakefile"]:
+        text = path.read_text(encoding="utf-8")
+        for name in shipped:
+            # The Snakefile's docstring shows how one is named.
+            assert f'"{name}"' not in text, (path, name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["fig23_sensitivity", "letcher2022_measured", "sensitivity", "table2", "agreement",
+     "sand_fit_parameters", "angular_trends", "sand_colours"],
+)  # fmt: skip
+def test_names_that_studies_and_fits_have_are_refused(shipped, name):
+    taken = Experiment.model_validate({"name": name})
+    with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be one that"):
+        load_settings(CONTENT).select({**shipped, name: taken})
+
+
+@pytest.mark.parametrize(
+    ("study", "message"),
+    [
+        ({"kind": "trends"}, r"studies\.own\.kind = 'trends': must be one of .*angular_trends"),
+        ({"kind": "layer_trends"}, r"own\.experiments = {}: must be with one of lens, volume"),
+        ({"kind": "angular_trends", "experiments": {"facets": "a"}},
+         r"own\.experiments\.facets: unknown key.*did you mean facetness"),
+        ({"kind": "angular_trends", "experiments": {"facetness": "fig21_grain_size"}},
+         r"own\.experiments\.facetness = 'fig21_grain_size': must be .*over facetness"),
+        ({"kind": "angular_trends", "experiments": {"incidence": "fig16_incidence"}},
+         r"incidence = 'fig16_incidence': must be .*incidence_deg = 0"),
+        ({"kind": "angular_trends", "experiments": {"wavelength": "fig08_grain_size"}},
+         r"'fig08_grain_size': must be an experiment with a goniophotometer"),
+        ({"kind": "sand_compositions", "experiments": {"lens": "a"}}, "must be left out for kind"),
+        ({"kind": "sensitivity"}, r"own\.pairs = {}: must be at least one pair"),
+        ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
+          "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
+         r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
+        ({"kind": "sensitivity", "pairs": {"a": {"parameter": "b"}}},
+         r"studies\.own\.pairs\.a\.experiment: missing"),
+        ({"kind": "sensitivity", "pairs": {"a": {
+            "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
+         r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
+        ({"kind": "sand_compositions", "products": {"table": "table2"}},
+         r"studies\.own: name = 'table2': must be one that nothing else has \(the study sens"),
+        ({"kind": "sand_compositions", "products": {"table": "fig08_grain_size"}},
+         "experiment fig08_grain_size: name = 'fig08_grain_size': must be one that nothing else"),
+    ],
+)  # fmt: skip
+def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        settings({"own": study}).select(shipped)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_study_lacks_is_said(shipped):
+    own = {"kind": "angular_trends", "experiments": {"facetness": "fig22_facetnes"}}
+    lacking = left_out(settings({"own": own}).studies, {}, shipped)
+    assert lacking["own"] == (
+        "study own is left out: no such experiment: fig22_facetnes (did you mean fig22_facetness?)"
+    )
+    assert lacking["layer_trends"].startswith("study layer_trends is left out: not selected: layer")
+    assert lacking["sand_compositions"].endswith("no experiment with sand is selected")
+    assert "sensitivity_density" in lacking["agreement"], "an agreement needs its sensitivity"
+
+
+def test_a_study_of_some_roles_has_their_rows():
+    polar, azimuth = np.arange(0.0, 90.0, 2.5), np.array([0.0, 180.0])
+    value = 0.3 + 0.1 * np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
+    shape = (1, *value.shape)
+    about = {"incidence_deg": [0.0, 40.0], "wavelength": [700.0], "polar": polar,
+             "azimuth": azimuth}  # fmt: skip
+    values = np.stack([0.3 + 0.0 * value, value]).reshape(2, *shape)
+    mine = xr.Dataset(
+        {"brdf": (tuple(about), values), "brdf_stderr": (tuple(about), 0.0 * values + 1e-3)}, about
+    )
+    rows = angular_trends({"incidence": mine})
+    assert [row["quantity"] for row in rows] == [
+        "nearly Lambertian at 0°, 700 nm: 0.2 less the relative range within 60°",
+        "forward peak above the nadir at 40°, 700 nm",
+        "forward side (60°) over the nadir rises with incidence, 0°, 40°: smallest step",
+    ]
+    assert all(row["verdict"] == "agrees" for row in rows)
+    assert len(angular_trends({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2

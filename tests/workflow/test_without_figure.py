@@ -1,0 +1,22 @@
+"""An experiment without a figure: its data only, in the plan, the archive and the report."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+INDICES = "figure: none\ninstrument: {kind: refractive_index, wavelength_nm: [500]}\n"
+
+
+def test_no_figure_is_made(project):
+    project.put("bare", INDICES)
+    run = project.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Simulating bare"]
+    assert project.results("results/tiny") == ["data/bare.nc"]
+    run = project.snakemake("--dry-run", "archive")
+    assert run.jobs() == ["Packing results for deposit"]
+    run = project.snakemake("--dry-run", "results/tiny/figures/bare.png")
+    assert run.code != 0 and "MissingRuleException" in run.text
+    assert project.snakemake("--report", "report.html").code == 0

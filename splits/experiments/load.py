@@ -33,12 +33,17 @@ class _UniqueKeys(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes what `_UniqueKeys` reads."""
+
+
 # YAML 1.1 takes 1e5 for text, which nobody means.
-_UniqueKeys.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    [*"-+.0123456789"],
-)
+for _yaml in (_UniqueKeys, _Dumper):
+    _yaml.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)[eE][-+]?\d+$"),
+        [*"-+.0123456789"],
+    )
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -61,6 +66,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: must be a mapping of keys to values")
     return content
+
+
+def yaml_of(content: dict[str, Any]) -> str:
+    """Return the text that `read_yaml` takes for that content."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
 
 
 def load_experiment(path: str | Path, media_folder: str | Path = "config/media") -> Experiment:

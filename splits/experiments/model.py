@@ -8,6 +8,7 @@ so that a limit stands in one place only.
 from __future__ import annotations
 
 import itertools
+import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ from splits.experiments.sections import (
     Instrument,
     Section,
 )
+from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import check_beam, check_incidence
 from splits.media import Layer, Sand, Snow
 from splits.media.turbid import Medium, TurbidMedium
@@ -249,13 +251,7 @@ class Experiment(Section):
 
     def tables(self) -> list[str]:
         """Return the files of users' own refractive indices, on which the numbers depend."""
-        found: set[str] = set()
-        for _, settings, _ in self.settings():
-            given = settings.get("refractive_index", {})
-            for spec in given.values() if isinstance(given, Mapping) else ():
-                if isinstance(spec, str) and spec.endswith(".csv"):
-                    found.add(spec)
-        return sorted(found)
+        return tables_in([settings for _, settings, _ in self.settings()])
 
     def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
@@ -315,6 +311,10 @@ class Experiment(Section):
         if self.fit:
             del content["instrument"]["wavelength_nm"]
         return content
+
+    def configuration(self) -> str:
+        """Return `simulation` as JSON for a dataset, users' tables by name and content."""
+        return json.dumps(renamed(self.simulation(), by_content), sort_keys=True)
 
 
 def label_of(parameter: str, value: Any) -> str:

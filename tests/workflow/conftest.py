@@ -43,7 +43,8 @@ class Project:
     def snakemake(self, *arguments, config="accuracy=tiny"):
         """Run the shipped workflow in this folder."""
         command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile")]
-        command += ["--directory", str(self.folder), *map(str, arguments), "--config", config]
+        command += ["--directory", str(self.folder), *map(str, arguments)]
+        command += ["--config", *config.split()] if config else []
         done = subprocess.run(
             command, env=self.environment, capture_output=True, text=True, cwd=self.folder
         )

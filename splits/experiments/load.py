@@ -113,6 +113,9 @@ def _experiment(path: Path, media: Path) -> Experiment:
     tables = {"figure": experiment.figure.measured}
     tables["fit"] = experiment.fit.measured if experiment.fit else None
     for section, measured in tables.items():
+        if measured and (Path(measured).is_absolute() or ".." in Path(measured).parts):
+            hint = "an archive takes these; copy the table there"
+            raise refuse(f"{section}.measured", measured, f"the name of a file of {folder}", hint)
         if measured and not (folder / measured).is_file():
             one_of(f"{section}.measured", measured, [p.name for p in folder.glob("*.csv")])
     if experiment.fit:

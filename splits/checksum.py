@@ -1,17 +1,20 @@
 """Checksums of datasets: what a netCDF file holds is what was written into it.
 
-The attribute `CHECKSUM` of a file is the SHA-256 of its content: of all attributes but itself, and
-of all variables with names, dimensions, types, values and attributes.  How the content is stored
-(chunks, compression, order) does not count.  Attributes that name the occasion of a run count, so
-that no flipped byte goes unnoticed: two runs that agree in all numbers differ in their checksums.
+A file has two.  The attribute `CHECKSUM` is the SHA-256 of its content: of all attributes but
+itself, and of all variables with names, dimensions, types, values and attributes.  How the content
+is stored (chunks, compression, order) does not count, so that it stays right in a copy by another
+program.  Attributes that name the occasion of a run count, so that no change goes unnoticed: two
+runs that agree in all numbers differ in their checksums.
 
-Only netCDF4 and NumPy are needed, so that a workflow can check all its files when it starts.
+The last bytes of a file, behind what netCDF reads, are the SHA-256 of all bytes before them.  HDF5
+crashes or never comes back from some damaged files, so the bytes are checked before it sees them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,12 @@ import netCDF4
 import numpy as np
 
 CHECKSUM = "content_sha256"
+LOCK = threading.RLock()
+"""Held wherever files are written or read: the libraries underneath bear one thread at a time."""
 REMEDY = "make it again; a run of snakemake does so by itself"
+_SEAL = b"splits-sha256:"
+_SEAL_SIZE = len(_SEAL) + 64
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 class DamagedError(ValueError):
@@ -39,37 +47,49 @@ def content_sha256(file: netCDF4.Dataset) -> str:
 
 
 def seal(path: str | Path) -> None:
-    """Write the checksum of a netCDF file's content into it."""
-    with netCDF4.Dataset(path, "a") as file:
+    """Write both checksums into a netCDF file."""
+    with LOCK, netCDF4.Dataset(path, "a") as file:
         file.setncattr(CHECKSUM, content_sha256(file))
+    with open(path, "rb+") as file:
+        digest = hashlib.sha256(file.read()).hexdigest()
+        file.write(_SEAL + digest.encode())
 
 
-def checked_attributes(path: str | Path) -> dict[str, Any]:
-    """Return the attributes of a netCDF file if its content is what was written.
+def check(path: str | Path) -> dict[str, Any]:
+    """Return the attributes of a netCDF file if it holds what was written into it.
 
-    A file without a checksum passes; see `CHECKSUM` among what is returned.
+    A file that has neither checksum passes if it can be read.
 
     Raises
     ------
     DamagedError
-        If the file cannot be read as netCDF, or its content does not have its checksum.
+        If the bytes or the content do not have their checksum, or cannot be read as netCDF.
     OSError
         If the file cannot be opened.
     """
-    # From memory: a disk that fails, a missing right or a file in use is no damage.
+    # Read here: a disk that fails, a missing right or a file in use is no damage.
     content = Path(path).read_bytes()
+    body, mark = content[:-_SEAL_SIZE], content[-_SEAL_SIZE:]
+    sealed = mark.startswith(_SEAL)
+    if sealed and mark[len(_SEAL) :] != hashlib.sha256(body).hexdigest().encode():
+        raise _damaged(path, "its bytes have another checksum")
     if not content:
-        raise DamagedError(f"{path}: damaged, the file is empty ({REMEDY})")
+        raise _damaged(path, "the file is empty")
+    # HDF5's superblock (versions 2 and 3) says how long the file is.
+    if not sealed and content.startswith(_HDF5) and content[8:9] in (b"\2", b"\3"):
+        size = int.from_bytes(content[28:36], "little")
+        if size != len(content):
+            raise _damaged(path, f"{len(content)} bytes where {size} belong")
     try:
-        with netCDF4.Dataset("memory", memory=content) as file:
+        with LOCK, netCDF4.Dataset("memory", memory=content) as file:
             attributes = {name: file.getncattr(name) for name in file.ncattrs()}
-            found = content_sha256(file)
+            found = "" if sealed else content_sha256(file)
     # Damaged bytes make the libraries underneath raise errors of almost any kind.
     except Exception as error:
         what = " ".join(str(error).replace(": 'memory'", "").split()) or type(error).__name__
-        raise DamagedError(f"{path}: damaged, cannot be read: {what} ({REMEDY})") from None
-    if attributes.get(CHECKSUM, found) != found:
-        raise DamagedError(f"{path}: damaged, its content has another checksum ({REMEDY})")
+        raise _damaged(path, f"cannot be read: {what}") from None
+    if not sealed and attributes.get(CHECKSUM, found) != found:
+        raise _damaged(path, "its content has another checksum")
     return attributes
 
 
@@ -83,13 +103,17 @@ def damage(path: str | Path, experiment: str = "") -> str:
         Whose dataset it must be; "" for one of none.
     """
     try:
-        found = checked_attributes(path).get("experiment", "")
+        found = check(path).get("experiment", "")
     except DamagedError as error:
         return str(error)
     if found != experiment:
         held = f"the dataset of experiment {found}" if found else "no experiment's dataset"
         return f"{path}: holds {held}, not of {experiment or 'several'} ({REMEDY})"
     return ""
+
+
+def _damaged(path: str | Path, what: str) -> DamagedError:
+    return DamagedError(f"{path}: damaged, {what} ({REMEDY})")
 
 
 def _attributes(owner: netCDF4.Dataset | netCDF4.Variable) -> bytes:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import refuse
-from splits.checksum import CHECKSUM, checked_attributes, seal
+from splits.checksum import CHECKSUM, LOCK, check, seal
 from splits.files import whole
 
 CONVENTIONS = "CF-1.11"
@@ -101,9 +101,9 @@ def without_volatile(dataset: xr.Dataset) -> xr.Dataset:
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to netCDF so that the file appears whole or not at all.
 
-    Every array has checksums of its own (fletcher32), and the whole content has one in the
-    attribute `splits.checksum.CHECKSUM`, which `load` checks.  Coordinates whose values are texts,
-    or numbers in no order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
+    Every array has checksums of its own (fletcher32), and the whole file has those of
+    `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
+    order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
     coordinates of their dimension again.
 
@@ -128,7 +128,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
         for name, v in stored.variables.items()
     }
-    with whole(path) as aside:
+    with LOCK, whole(path) as aside:
         stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
         seal(aside)
         if not _read(aside).equals(dataset):
@@ -161,10 +161,11 @@ def load(path: str | Path) -> xr.Dataset:
 
 def _read(path: str | Path) -> xr.Dataset:
     """Return what a file holds, its checksum included, with coordinates that label dimensions."""
-    checked_attributes(path)
-    with xr.open_dataset(path, engine="netcdf4") as file:
-        dataset = file.load()
-    for dimension in map(str, dataset.dims):
+    with LOCK:
+        check(path)
+        with xr.open_dataset(path, engine="netcdf4") as file:
+            dataset = file.load()
+    for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
         for name in (dimension + LABEL, dimension + VALUE):
             if name in dataset.coords and dataset[name].dims == (dimension,):
                 axis = (dimension, dataset[name].values, dataset[name].attrs)

@@ -16,7 +16,10 @@ def check_files():
     """
     for path in map(Path, data([*EXPERIMENTS, "fig23_sensitivity"])):
         experiment = path.stem if path.stem in EXPERIMENTS else ""
-        wrong = damage(path, experiment) if path.is_file() else ""
+        try:
+            wrong = damage(path, experiment) if path.is_file() else ""
+        except OSError as error:
+            raise WorkflowError(str(error)) from None
         if wrong:
             done = "" if DRY else f"; set aside as {set_aside(path).name}"
             logger.warning(wrong + done)

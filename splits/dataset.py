@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import subprocess
-import uuid
+import warnings
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -17,11 +16,17 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import listed, number, one_of, refuse
-from splits.interrupts import half_written
+from splits.checksum import CHECKSUM, LOCK, check, seal
+from splits.files import whole
 
 CONVENTIONS = "CF-1.11"
-VOLATILE = ("date_created", "wall_time_s", "threads", "host_cpu")
+VOLATILE = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
 """Attributes that differ between runs of one and the same simulation."""
+SUFFIXES = (".nc", ".nc4", ".netcdf")
+"""What names of datasets end in."""
+LABEL = "_label"
+VALUE = "_value"
+"""What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
 
 
 def package_version() -> str:
@@ -50,8 +55,15 @@ def commit() -> str:
         return "unknown"
 
 
-def provenance() -> dict[str, Any]:
-    """Return the attributes that say which program made a dataset, when and where."""
+def provenance(what: str = "dataset made") -> dict[str, Any]:
+    """Return the attributes that say which program made a dataset, when and where.
+
+    Parameters
+    ----------
+    what : str
+        What the program did, for the attribute ``history``: "experiment fig08_grain_size".
+    """
+    now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": CONVENTIONS,
         "source": f"splits {package_version()}",
@@ -59,7 +71,8 @@ def provenance() -> dict[str, Any]:
         "splits_commit": commit(),
         "python_version": platform.python_version(),
         "numpy_version": np.__version__,
-        "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "date_created": now,
+        "history": f"{now} splits {package_version()}: {what}",
     }
 
 
@@ -88,39 +101,94 @@ def without_volatile(dataset: xr.Dataset) -> xr.Dataset:
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to netCDF so that the file appears whole or not at all.
 
+    Every array has checksums of its own (fletcher32), and the whole file has those of
+    `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
+    order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
+    ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
+    coordinates of their dimension again.
+
     Raises
     ------
     ValueError
-        If a data variable holds a value that is not finite.
+        If a data variable holds a value that is not finite, or the path's suffix is not one of
+        `SUFFIXES`.
+    OSError
+        If the file cannot be written, or does not hold the dataset afterwards.
     """
     path = Path(path)
+    if path.suffix not in SUFFIXES:
+        hint = "this writes netCDF; tables come from dataset.to_dataframe().to_csv(…)"
+        raise refuse("path", str(path), "a name that ends in " + ", ".join(SUFFIXES), hint)
     for name, variable in dataset.data_vars.items():
         if np.issubdtype(variable.dtype, np.number) and not np.isfinite(variable).all():
             raise ValueError(f"{path.name}: {name} holds values that are not finite")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}.nc")
-    with half_written(aside):
-        encoding = {name: {"_FillValue": None} for name in dataset.variables}
-        dataset.to_netcdf(aside, engine="netcdf4", encoding=encoding)
-        with xr.open_dataset(aside) as written:
-            if set(written.variables) != set(dataset.variables):
-                raise OSError(f"{path}: written file lacks variables")
-        os.replace(aside, path)
+    stored = _for_file(dataset)
+    encoding = {
+        # HDF5 has checksums for arrays of numbers only.
+        name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
+        for name, v in stored.variables.items()
+    }
+    with LOCK, whole(path) as aside:
+        stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
+        seal(aside)
+        if not _read(aside).equals(dataset):
+            raise OSError(f"{path}: the file written does not hold the dataset")
 
 
 def load(path: str | Path) -> xr.Dataset:
-    """Read a dataset into memory and check that this package wrote it.
+    """Read a dataset into memory and check that this package wrote it and that it is undamaged.
+
+    A dataset without checksum, as older versions of this package wrote it, is read with a warning.
 
     Raises
     ------
+    splits.checksum.DamagedError
+        A ValueError: if the file cannot be read, or holds something else than was written.
     ValueError
         If the file has no provenance of this package.
+    OSError
+        If the file cannot be opened.
     """
-    with xr.open_dataset(path, engine="netcdf4") as file:
-        dataset = file.load()
+    dataset = _read(path)
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
+    if CHECKSUM not in dataset.attrs:
+        older = "an older version or another program wrote it"
+        warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)
+    dataset.attrs.pop(CHECKSUM, None)
     return dataset
+
+
+def _read(path: str | Path) -> xr.Dataset:
+    """Return what a file holds, its checksum included, with coordinates that label dimensions."""
+    with LOCK:
+        check(path)
+        with xr.open_dataset(path, engine="netcdf4") as file:
+            dataset = file.load()
+    for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
+        for name in (dimension + LABEL, dimension + VALUE):
+            if name in dataset.coords and dataset[name].dims == (dimension,):
+                axis = (dimension, dataset[name].values, dataset[name].attrs)
+                dataset = dataset.drop_vars(name).assign_coords({dimension: axis})
+    return dataset
+
+
+def _for_file(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset with coordinates as CF has them: numbers, strictly up or down."""
+    for dimension in map(str, dataset.dims):
+        if dimension not in dataset.coords:
+            continue
+        axis = dataset[dimension]
+        index = axis.to_index()
+        text = axis.dtype.kind in "OUS"
+        ordered = index.is_monotonic_increasing or index.is_monotonic_decreasing
+        if text or not (ordered and index.is_unique):
+            name = dimension + (LABEL if text else VALUE)
+            auxiliary = (dimension, axis.values, axis.attrs)
+            dataset = dataset.drop_vars(dimension).assign_coords({name: auxiliary})
+    stored = dataset.copy()
+    stored.attrs.pop(CHECKSUM, None)
+    return stored
 
 
 def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:

@@ -12,7 +12,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-PHYSICS = ("materials", "media", "transport", "instruments", "experiments/run.py")
+PHYSICS = (
+    "materials", "media", "transport", "instruments",
+    "experiments/coordinates.py", "experiments/run.py",
+)  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""
 FITTING = ("experiments/fit.py", "experiments/parameters.py", "experiments/run_fit.py")
 """Files behind a fit besides."""

@@ -118,8 +118,11 @@ def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = N
             k: (("quantity", "parameter"), v, {"long_name": labels[k], "units": "1"})
             for k, v in columns.items()
         },
-        {"quantity": list(QUANTITIES), "parameter": parameters},
-        attributes({"title": "Mean sensitivity index of snow", **provenance()}),
+        {
+            "quantity": ("quantity", list(QUANTITIES), {"long_name": "quantity"}),
+            "parameter": ("parameter", parameters, {"long_name": "parameter of the snow"}),
+        },
+        attributes({"title": "Mean sensitivity index of snow", **provenance("sensitivity")}),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import bands
+from splits.files import whole
 
 TABLE1 = {
     "snow_grain_size_um": "grain size min, max (µm)",
@@ -24,11 +24,8 @@ TABLE1 = {
 
 def write_table(table: pd.DataFrame, path: str | Path) -> None:
     """Write a table as CSV with six significant digits."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}")
-    table.to_csv(aside, index=False, float_format="%.6g")
-    os.replace(aside, path)
+    with whole(path) as aside:
+        table.to_csv(aside, index=False, float_format="%.6g")
 
 
 def table1(sample: xr.Dataset) -> pd.DataFrame:

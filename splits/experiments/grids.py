@@ -111,13 +111,6 @@ def _label(key: str, value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else f"{number(key, value):g}"
 
 
-def coordinate_values(values: Mapping[str, Any]) -> np.ndarray:
-    """Return numbers where all grid values are numbers, and labels otherwise."""
-    if all(_is_number(v) for v in values.values()):
-        return np.array([float(v) for v in values.values()])
-    return np.array(list(values), dtype=object).astype(str)
-
-
 def label_at(parameter: str, values: Mapping[str, Any], given: float | str) -> str:
     """Return the label of the value that a figure is to hold fixed, or refuse what is none.
 

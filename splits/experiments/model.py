@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from splits.checks import one_of, refuse
-from splits.experiments.grids import coordinate_values, label_at
+from splits.experiments.coordinates import coordinate_values
+from splits.experiments.grids import label_at
 from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text

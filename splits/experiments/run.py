@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
-from splits.experiments.grids import coordinate_values
+from splits.experiments.coordinates import grid_coordinates
 from splits.experiments.sections import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
@@ -160,8 +159,7 @@ def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) ->
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}
-    for parameter, choices in experiment.grid.items():
-        coordinates[parameter] = (parameter, coordinate_values(choices), {"long_name": parameter})
+    coordinates |= grid_coordinates(experiment.grid)
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
     constant = {
         key: value
@@ -173,11 +171,11 @@ def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) ->
         **constant,
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
-        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        "configuration": experiment.configuration(),
         "rays": int(sum(r.attrs["rays"] for r in results)),
         **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
         "wall_time_s": round(seconds, 3),
-        **provenance(),
+        **provenance(f"experiment {experiment.name}"),
     }
     if "stopped_by" in first.attrs:
         reasons = {r.attrs["stopped_by"] for r in results}
@@ -203,9 +201,9 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
     facts = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
-        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        "configuration": experiment.configuration(),
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
         "physics_sources_sha256": physics_digest(),
-        **provenance(),
+        **provenance(f"experiment {experiment.name}"),
     }
     return xr.Dataset(variables, coordinates, attributes(facts))

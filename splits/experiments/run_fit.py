@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,8 +13,8 @@ import xarray as xr
 
 from splits.checks import in_range, one_of, refuse, under
 from splits.dataset import attributes, provenance
+from splits.experiments.coordinates import grid_coordinates
 from splits.experiments.fit import Effort, FitResult, fit
-from splits.experiments.grids import coordinate_values
 from splits.experiments.parameters import Cube
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
@@ -208,21 +207,22 @@ def _dataset(
         variables[name] = (dims, stacked([getattr(r, name) for r in results]), about(long_name))
     coordinates: dict[str, Any] = {
         "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
-        "sample": samples,
-        "parameter": parameters,
-        "coordinate": list(first.names),
-        "other_coordinate": list(first.names),
+        "sample": ("sample", samples, {"long_name": "sample measured"}),
+        "parameter": ("parameter", parameters, {"long_name": "parameter of the sand"}),
+        **{
+            axis: (axis, list(first.names), {"long_name": "coordinate of the fit"})
+            for axis in ("coordinate", "other_coordinate")
+        },
+        **grid_coordinates(experiment.grid),
     }
-    for parameter, choices in experiment.grid.items():
-        coordinates[parameter] = (parameter, coordinate_values(choices), {"long_name": parameter})
     facts = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "medium": "sand",
-        "configuration": json.dumps(experiment.simulation(), sort_keys=True),
+        "configuration": experiment.configuration(),
         "max_stderr": max_stderr,
         "wall_time_s": round(time.perf_counter() - begun, 3),
         "physics_sources_sha256": physics_digest(fit=True),
-        **provenance(),
+        **provenance(f"experiment {experiment.name}"),
     }
     return xr.Dataset(variables, coordinates, attributes(facts))

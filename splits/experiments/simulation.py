@@ -8,6 +8,7 @@ so that a limit stands in one place only.
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import named, one_of, refuse, unknown_key
 from splits.experiments.grids import labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
+from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
 from splits.media import Layer, Sand, Snow
 from splits.media.turbid import Medium, TurbidMedium
@@ -147,13 +149,7 @@ class Simulation(Section):
 
     def tables(self) -> list[str]:
         """Return the files of users' own refractive indices, on which the numbers depend."""
-        found: set[str] = set()
-        for _, settings, _ in self.settings():
-            given = settings.get("refractive_index", {})
-            for spec in given.values() if isinstance(given, Mapping) else ():
-                if isinstance(spec, str) and spec.endswith(".csv"):
-                    found.add(spec)
-        return sorted(found)
+        return tables_in([settings for _, settings, _ in self.settings()])
 
     def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
@@ -211,6 +207,10 @@ class Simulation(Section):
         if self.fit:
             del content["instrument"]["wavelength_nm"]
         return content
+
+    def configuration(self) -> str:
+        """Return `simulation` as JSON for a dataset, users' tables by name and content."""
+        return json.dumps(renamed(self.simulation(), by_content), sort_keys=True)
 
 
 def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,8 @@ import matplotlib.style
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from splits.files import whole
 
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
@@ -172,14 +173,11 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     list of Path
     """
     stem = Path(stem)
-    stem.parent.mkdir(parents=True, exist_ok=True)
     paths = []
     for suffix in SUFFIXES:
         path = stem.with_name(stem.name + suffix)
-        aside = path.with_name(f".{path.name}")
         metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
-        with style():
+        with style(), whole(path) as aside:
             figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
-        os.replace(aside, path)
         paths.append(path)
     return paths

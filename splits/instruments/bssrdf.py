@@ -290,7 +290,7 @@ def _dataset(
         variables |= quantity(name, over, values, stderr, long_name, units)
     across = half_width * ((2.0 * np.arange(CELLS) + 1.0) / CELLS - 1.0)
     coordinates = {
-        "side": list(SIDES),
+        "side": ("side", list(SIDES), {"long_name": "side of the sample that light leaves"}),
         "wavelength": wavelength_axis(wavelengths),
         "quantile": ("quantile", list(QUANTILES), {"long_name": "part of the light", "units": "1"}),
         "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),

@@ -34,7 +34,7 @@ def run_facts(
         "wall_time_s": round(time.perf_counter() - begun, 3),
         "physics_sources_sha256": physics_digest(),
     }
-    return attributes(facts | provenance())
+    return attributes(facts | provenance(instrument))
 
 
 def quantity(

@@ -137,8 +137,8 @@ def lens(
     }
     coordinates = {
         at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
-        "axis": ["x", "y"],
-        "point": ["x", "y", "z"],
+        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
+        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
     }
     return xr.Dataset(variables, coordinates, facts)
 

@@ -167,7 +167,11 @@ def single_scattering(
         dims = ("wavelength", "order")[: values[name].ndim]
         stderr = values.get(f"{name}_stderr")
         variables |= quantity(name, dims, values[name], stderr, long_name, units)
-    coordinates = {"wavelength": wavelength_axis(wavelengths), "order": np.arange(moments + 1)}
+    order = {"long_name": "order of the Legendre moment", "units": "1"}
+    coordinates = {
+        "wavelength": wavelength_axis(wavelengths),
+        "order": ("order", np.arange(moments + 1), order),
+    }
     return xr.Dataset(variables, coordinates, facts)
 
 

@@ -38,7 +38,9 @@ def _table(compound: str, page: str, name: str) -> Tabulated:
     return Tabulated(name, source, *_orderly(w * 1e3, n, k))
 
 
-def _orderly(w: np.ndarray, n: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, ...]:
+def _orderly(
+    w: np.ndarray, n: np.ndarray, k: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Leave out rows that cannot stand in a table.
 
     Querry's tables repeat or misprint a few wavelengths beyond 1.9 µm (3.6911 for 3.8911 µm):

@@ -86,6 +86,8 @@ class Tabulated:
         What the table is called and where it is from.
     wavelength_nm, n, k : numpy.ndarray
         Vacuum wavelengths (nm, strictly increasing), n > 0, k ≥ 0.
+    sha256 : str
+        Of the content of the file that a user's table was read from; "" for others.
     """
 
     name: str
@@ -93,6 +95,7 @@ class Tabulated:
     wavelength_nm: np.ndarray
     n: np.ndarray
     k: np.ndarray
+    sha256: str = ""
 
     def __post_init__(self) -> None:
         w, n, k = self.wavelength_nm, self.n, self.k

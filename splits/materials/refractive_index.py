@@ -5,6 +5,8 @@ Wherever an index is asked for, a named dataset can stand, a constant, or a user
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -97,20 +99,20 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
 
 def _user_table(key: str, path: Path) -> Tabulated:
     try:
-        found = path.is_file()
+        content = path.read_bytes()
     except OSError:
-        found = False
-    if not found:
-        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}")
+        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
     try:
-        table = pd.read_csv(path, comment="#", skipinitialspace=True)
-        columns = [table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k")]
+        table = pd.read_csv(io.BytesIO(content), comment="#", skipinitialspace=True)
+        w, n, k = (table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k"))
     except (KeyError, ValueError) as error:
         missing = isinstance(error, KeyError)
         hint = f"no column {error}" if missing else " ".join(str(error).split())
         allowed = "a CSV file with columns wavelength_nm, n, k of numbers"
         raise refuse(key, str(path), allowed, hint) from None
-    return Tabulated(path.name, str(path), *columns)
+    # The path says nothing on another machine; the content does.
+    digest = hashlib.sha256(content).hexdigest()
+    return Tabulated(path.name, "table of the user", w, n, k, digest)
 
 
 def absorption_coefficient(index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:

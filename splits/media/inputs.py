@@ -58,4 +58,6 @@ def described(medium: Any) -> dict[str, Any]:
     }
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name
+        if digest := getattr(index, "sha256", ""):
+            inputs[f"refractive_index_{material}_sha256"] = digest
     return inputs | {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}

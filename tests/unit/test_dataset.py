@@ -95,6 +95,19 @@ def test_values_that_are_not_finite_are_refused_by_name(tmp_path, bad):
     assert names(tmp_path) == []
 
 
+@pytest.mark.parametrize("name", ["made.csv", "made", "made.nc.gz", "made.NC"])
+def test_other_suffixes_are_refused_with_a_hint(tmp_path, name):
+    with pytest.raises(ValueError, match=r"^path = .*: must be a name that ends in \.nc, .*to_csv"):
+        splits.save(make(), tmp_path / name)
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["made.nc", "made.nc4", "made.netcdf"])
+def test_suffixes_of_netcdf(tmp_path, name):
+    splits.save(make(), tmp_path / name)
+    xr.testing.assert_equal(splits.load(tmp_path / name), make())
+
+
 def test_datasets_of_others_are_refused(tmp_path):
     path = tmp_path / "foreign.nc"
     xr.Dataset({"x": ("t", [1.0, 2.0])}).to_netcdf(path)
@@ -108,7 +121,9 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_provenance_names_program_versions_and_time():
-    facts = provenance()
+    facts = provenance("experiment sunny")
+    assert facts["history"].startswith(f"{facts['date_created']} splits ")
+    assert facts["history"].endswith(": experiment sunny")
     assert facts["Conventions"] == CONVENTIONS
     assert facts["source"] == f"splits {facts['splits_version']}"
     assert facts["date_created"].endswith("+00:00")

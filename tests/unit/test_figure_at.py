@@ -8,7 +8,8 @@ import xarray as xr
 
 from splits.dataset import at_points
 from splits.experiments import Experiment
-from splits.experiments.grids import coordinate_values, label_at, labelled
+from splits.experiments.coordinates import coordinate_values
+from splits.experiments.grids import label_at, labelled
 
 CROSSED = {"0.1": 1.0, "1": 0.1}
 

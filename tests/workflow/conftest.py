@@ -44,7 +44,8 @@ class Project:
     def command(self, *arguments, config="accuracy=tiny"):
         """Return what runs the shipped workflow in this folder."""
         command = [sys.executable, "-m", "snakemake", "--snakefile", str(self.snakefile)]
-        return [*command, "--directory", str(self.folder), *map(str, arguments), "--config", config]
+        command += ["--directory", str(self.folder), *map(str, arguments)]
+        return command + (["--config", *config.split()] if config else [])
 
     def snakemake(self, *arguments, config="accuracy=tiny"):
         """Run the shipped workflow in this folder."""

@@ -7,11 +7,17 @@ import json
 import zipfile
 
 import pytest
+import xarray as xr
+import yaml
 
 import splits
-from splits.archive import pack
+from splits.archive import configuration_members, pack
+from splits.dataset import without_volatile
+from splits.experiments import load_settings
+from splits.experiments.settings import Settings
 
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
+TABLES = "refractive_index: {ice: %s, water: my_water.csv}"
 ALWAYS = {"README.md", "SHA256SUMS", "versions.json"}
 
 
@@ -31,20 +37,46 @@ def verify(members):
 
 
 @pytest.mark.slow
-def test_the_archive_target(project, tmp_path):
-    project.put("alone", EXPERIMENT)
-    run = project.snakemake("archive", "--cores", 1)
+def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_factory, environment):
+    own = tmp_path_factory.mktemp("somewhere") / "my_ice.csv"
+    own.write_text("wavelength_nm,n,k\n400,1.32,2e-9\n1000,1.30,2e-6\n")
+    near = tmp_path / "my_water.csv"
+    near.write_text("wavelength_nm,n,k\n400,1.34,2e-9\n1000,1.33,3e-6\n")
+    project.put("other", EXPERIMENT)
+    project.put(
+        "deep/alone", f"{EXPERIMENT}name: single\n".replace("0.01}", f"0.01, {TABLES % own}}}")
+    )
+    media = tmp_path_factory.mktemp("far") / "media"
+    (tmp_path / "config" / "media").rename(media)
+    chosen = f"accuracy=tiny experiments=single seed=7 media_folder={media}"
+    run = project.snakemake("archive", "--cores", 2, config=chosen)
     assert run.code == 0, run.text
     members = contents(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip")
-    assert set(members) >= ALWAYS
-    assert {"data/alone.nc", "figures/alone.png", "figures/alone.svg"} <= set(members)
-    assert {"config/config.yaml", "config/media/splitsnow_table1.yaml"} <= set(members)
-    assert members["config/experiments/alone.yaml"].decode() == EXPERIMENT
+    verify(members)
+    assert set(members) >= ALWAYS | {"requirements.txt", "config/config.yaml"}
+    assert {"data/single.nc", "figures/single.png", "figures/single.svg"} <= set(members)
+    assert {"config/experiments/deep/alone.yaml", "config/media/splits_base.yaml"} <= set(members)
+    assert not any("other" in name or ".." in name or name.startswith("/") for name in members)
+    tables = [name for name in members if name.endswith(("my_ice.csv", "my_water.csv"))]
+    assert sorted(members[name] for name in tables) == sorted([own.read_bytes(), near.read_bytes()])
     versions = json.loads(members["versions.json"])
     assert {"numpy", "numba", "snakemake", "xarray"} <= {name.lower() for name in versions}
-    verify(members)
-    (tmp_path / "from_archive.nc").write_bytes(members["data/alone.nc"])
-    assert splits.load(tmp_path / "from_archive.nc").attrs["experiment"] == "alone"
+
+    empty = tmp_path_factory.mktemp("empty")
+    with zipfile.ZipFile(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip") as file:
+        file.extractall(empty)
+    own.unlink()
+    near.unlink()
+    run = type(project)(empty, environment).snakemake("--cores", 2, config="")
+    assert run.code == 0, run.text
+    packed = splits.load(empty / "data" / "single.nc")
+    repeated = splits.load(empty / "results" / "tiny" / "data" / "single.nc")
+    xr.testing.assert_identical(without_volatile(repeated), without_volatile(packed))
+    assert packed.attrs["seed"] == 7
+    assert packed.attrs["snow_refractive_index_ice"] == "my_ice.csv"
+    assert len(packed.attrs["snow_refractive_index_ice_sha256"]) == 64
+    texts = [value for value in packed.attrs.values() if isinstance(value, str)]
+    assert not any(str(own.parent) in text or str(tmp_path) in text for text in texts)
 
 
 @pytest.mark.slow
@@ -58,20 +90,79 @@ def test_the_report_needs_no_cores(project, tmp_path):
 
 def test_packing_keeps_relative_places(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("out/data/a.nc", "out/tables/b.csv", "config/c.yaml", "config/deep/d.yaml"):
+    for name in ("out/data/a.nc", "out/tables/b.csv"):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
-    pack(["out/data/a.nc", "out/tables/b.csv"], ["config"], "out/archive/made.zip")
+    configuration = {"config/c.yaml": b"c", "config/deep/d.yaml": b"d"}
+    pack(["out/data/a.nc", "out/tables/b.csv"], configuration, "out/archive/made.zip")
     members = contents("out/archive/made.zip")
-    assert set(members) - ALWAYS == {
-        "data/a.nc", "tables/b.csv", "config/c.yaml", "config/deep/d.yaml",
-    }  # fmt: skip
-    assert members["config/deep/d.yaml"] == b"config/deep/d.yaml"
+    assert set(members) - ALWAYS == {"data/a.nc", "tables/b.csv", *configuration}
+    assert members["config/deep/d.yaml"] == b"d"
     verify(members)
+
+
+@pytest.mark.parametrize("name", ["/etc/config.yaml", "../config.yaml", "config/../../x.yaml"])
+def test_members_outside_of_the_archive_are_refused(tmp_path, name):
+    with pytest.raises(ValueError, match=r"^archive = '.*x?\.yaml': must be of members"):
+        pack([], {name: b"x"}, tmp_path / "out" / "archive" / "made.zip")
+    assert not list(tmp_path.rglob("*.zip"))
+
+
+@pytest.mark.parametrize("result", ["elsewhere/a.nc", "out/../elsewhere/a.nc"])
+def test_results_of_elsewhere_are_refused(tmp_path, monkeypatch, result):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("elsewhere", "out"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "elsewhere" / "a.nc").write_text("a")
+    with pytest.raises(ValueError, match=r"^archive = '.*a\.nc': must be of "):
+        pack([result], {}, "out/archive/made.zip")
+    assert not list(tmp_path.rglob("*.zip"))
+
+
+def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiments" / "deep").mkdir(parents=True)
+    (tmp_path / "media").mkdir()
+    (tmp_path / "config" / "tables").mkdir(parents=True)
+    kept = tmp_path / "config" / "tables" / "kept.csv"
+    moved = tmp_path / "moved.csv"
+    kept.write_text("kept")
+    moved.write_text("moved")
+    plain = "# A comment.\nmedium: {refractive_index: {ice: config/tables/kept.csv}}\n"
+    (tmp_path / "experiments" / "plain.yaml").write_text(plain)
+    (tmp_path / "experiments" / "deep" / "b.yml").write_text(
+        f"name: second\ntitle: '1e-5'\ngrid: {{refractive_index: {{mine: {{ice: {moved}}}}}}}\n"
+    )
+    (tmp_path / "experiments" / "not_chosen.yaml").write_text("{}")
+    (tmp_path / "media" / "base.yaml").write_text("refractive_index: {water: config/../moved.csv}")
+    settings = Settings(
+        experiments=("plain", "second"), archive=("plain", "not_chosen"), accuracy="rough", seed=3,
+        accuracies={"rough": {"max_stderr": 0.1}}, results="/somewhere/results",
+        experiments_folder=str(tmp_path / "experiments"), media_folder="experiments/../media",
+    )  # fmt: skip
+    members = configuration_members(settings)
+    digest = hashlib.sha256(b"moved").hexdigest()[:16]
+    place = f"config/tables/{digest}/moved.csv"
+    assert set(members) == {
+        "config/config.yaml", "config/experiments/plain.yaml", "config/experiments/deep/b.yml",
+        "config/media/base.yaml", "config/tables/kept.csv", place,
+    }  # fmt: skip
+    assert members["config/experiments/plain.yaml"].decode() == plain
+    assert members[place] == b"moved"
+    content = yaml.safe_load(members["config/experiments/deep/b.yml"])
+    assert content["grid"] == {"refractive_index": {"mine": {"ice": place}}}
+    assert "'1e-5'" in members["config/experiments/deep/b.yml"].decode()
+    assert yaml.safe_load(members["config/media/base.yaml"])["refractive_index"]["water"] == place
+    in_force = load_settings(yaml.safe_load(members["config/config.yaml"]))
+    folders = {
+        "experiments_folder": "config/experiments", "media_folder": "config/media",
+        "results": "results", "archive": ("plain",),
+    }  # fmt: skip
+    assert in_force == settings.model_copy(update=folders)
 
 
 def test_nothing_is_left_when_a_result_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.nc"):
-        pack([tmp_path / "out" / "data" / "a.nc"], [], tmp_path / "out" / "archive" / "made.zip")
+        pack([tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))

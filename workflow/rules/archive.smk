@@ -1,10 +1,18 @@
-ARCHIVED = list(EXPERIMENTS) if SETTINGS.archive == "all" else list(SETTINGS.archive)
+from splits.archive import configuration_files
+
+ARCHIVED = [
+    name
+    for name in EXPERIMENTS
+    if SETTINGS.archive == "all" or name in SETTINGS.archive
+]
 
 
 rule archive:
     input:
-        [products(name) for name in ARCHIVED],
-        study_products() if SETTINGS.archive == "all" else [],
+        results=[products(name) for name in ARCHIVED]
+        + (study_products() if SETTINGS.archive == "all" else []),
+        configuration=lambda wildcards: configuration_files(SETTINGS).values(),
+        tables=sorted({t for e in EXPERIMENTS.values() for t in e.tables()}),
     output:
         f"{RESULTS}/archive/splits-results.zip",
     log:
@@ -15,7 +23,8 @@ rule archive:
         "../../environment.yml"
     threads: 1
     params:
-        configuration=["config", SETTINGS.media_folder, SETTINGS.experiments_folder],
+        settings=SETTINGS.model_dump(mode="json"),
+        lock=str(Path(workflow.basedir) / "requirements.txt"),
     message:
         "Packing results for deposit"
     script:

@@ -1,5 +1,7 @@
 """Pack results for deposit (map snakemake to `splits.archive`)."""
 
-from splits.archive import pack
+from splits.archive import configuration_members, pack
+from splits.experiments.settings import Settings
 
-pack(snakemake.input, snakemake.params.configuration, snakemake.output[0])
+configuration = configuration_members(Settings.model_validate(snakemake.params.settings))
+pack(snakemake.input.results, configuration, snakemake.output[0], snakemake.params.lock)

@@ -1,0 +1,77 @@
+"""What the parameters of a grid are called in datasets, and their units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+PARAMETERS: dict[str, tuple[str, str]] = {
+    "asymmetry": ("mean cosine of the scattering angle", "1"),
+    "bottom_albedo": ("albedo of the bottom", "1"),
+    "density_kg_m3": ("mass of ice per volume", "kg m-3"),
+    "depth_m": ("thickness of the sample", "m"),
+    "facetness": ("facetness of the grains, mean", "1"),
+    "grain_size_um": ("major-axis diameter of the grains, smallest to largest", "um"),
+    "hematite_ratio": ("mass of hematite per mass of iron oxide", "1"),
+    "incidence_deg": ("angle of incidence", "degree"),
+    "iron_oxide": ("mass of hematite and goethite per mass of sand", "1"),
+    "magnetite": ("mass of magnetite per mass of sand", "1"),
+    "max_polarization": ("largest degree of polarization of light scattered once", "1"),
+    "medium": ("sample", "1"),
+    "opaque": ("whether nothing comes back from below the surface", "1"),
+    "optical_thickness": ("optical thickness", "1"),
+    "partition": ("mass fractions of pure, mixed and coated particles", "1"),
+    "phase_function": ("phase function", "1"),
+    "polarized": ("whether the Stokes vector is followed", "1"),
+    "porosity": ("volume of pores per volume", "1"),
+    "readings": ("reading of the papers", "1"),
+    "refractive_index": ("refractive index", "1"),
+    "relative_coating_thickness": ("thickness of coatings per major axis of the particle", "1"),
+    "roundness": ("roundness of the particles, mean and standard deviation", "1"),
+    "saturation": ("volume of water per volume of pores", "1"),
+    "single_scattering_albedo": ("single-scattering albedo", "1"),
+    "size_tail": ("mass beyond the outermost size limits per mass", "1"),
+    "sphericity": ("sphericity of the grains, mean", "1"),
+    "surface": ("surface of the layer", "1"),
+    "temperature_c": ("temperature", "degC"),
+    "texture": ("mass fractions of clay, silt and sand", "1"),
+}
+"""Long names and units (UDUNITS) of all parameters that a grid can have."""
+
+Coordinate = tuple[str, np.ndarray, dict[str, str]]
+"""Dimension, values and attributes, as `xarray.Dataset` takes them."""
+
+
+def grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
+    """Return the coordinates of an experiment's grid.
+
+    Parameters
+    ----------
+    grid : mapping
+        Per parameter its values by label.
+
+    Returns
+    -------
+    dict
+        Per parameter numbers in the parameter's unit where all values are numbers, and labels
+        otherwise; labels have no units, so that their long name says the unit.
+    """
+    found = {}
+    for parameter, choices in grid.items():
+        long_name, units = PARAMETERS[parameter]
+        values = coordinate_values(choices)
+        if values.dtype.kind == "f":
+            about = {"long_name": long_name, "units": units}
+        else:
+            about = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+        found[parameter] = (parameter, values, about)
+    return found
+
+
+def coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
+    """Return numbers where all grid values are numbers, and labels otherwise."""
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in choices.values()):
+        return np.array([float(v) for v in choices.values()])
+    return np.array(list(choices), dtype=object).astype(str)

@@ -1,0 +1,118 @@
+"""Coordinates of datasets: units and long names, in files as the CF conventions want them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.dataset import attributes, provenance
+from splits.experiments.model import MEDIA, Experiment
+from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
+
+WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
+LENS = {
+    "name": "small_lens",
+    "medium": {"kind": "layer", "surface": WAVES},
+    "instrument": {
+        "kind": "lens", "radius_m": 0.01, "screen_depth_m": [0.05, 0.1], "over": "origin",
+        "rays": 3,
+    },
+    "grid": {"refractive_index": [1.5, 1.3, 1.4], "polarized": {"no": False, "yes": True}},
+    "figure": {"at": {"refractive_index": 1.5, "polarized": "no"}},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    """Return a dataset over numbers in no order, texts, increasing and decreasing numbers."""
+    return xr.Dataset(
+        {
+            "reflectance": (("medium", "depth_m"), np.arange(6.0).reshape(2, 3), {"units": "1"}),
+            "transmittance": (("up", "down"), np.ones((2, 2)), {"units": "1"}),
+        },
+        {
+            "medium": ("medium", ["dune", "beach"], {"long_name": "sample"}),
+            "depth_m": ("depth_m", [3.0, 1.0, 2.0], {"long_name": "depth", "units": "m"}),
+            "up": ("up", [1, 2], {"units": "1"}),
+            "down": ("down", [2.0, 1.0], {"units": "1"}),
+        },
+        attributes({"title": "made up", **provenance("made by a test")}),
+    )
+
+
+@pytest.fixture(scope="module")
+def small_lens():
+    """Return the dataset of an experiment that takes no time."""
+    return run(Experiment.model_validate(LENS), Accuracy(max_stderr=0.5))
+
+
+def test_every_parameter_has_a_long_name_and_units():
+    from splits.experiments.coordinates import PARAMETERS
+
+    keywords = {field.name for medium in MEDIA.values() for field in fields(medium)}
+    assert set(PARAMETERS) == keywords | {"medium", "incidence_deg"}
+    assert all(long_name and units for long_name, units in PARAMETERS.values())
+
+
+def test_grid_coordinates_have_units_if_they_are_numbers(small_lens):
+    index = small_lens.refractive_index
+    assert index.attrs == {"long_name": "refractive index", "units": "1"}
+    assert "units" not in small_lens.polarized.attrs
+    for name, coordinate in small_lens.coords.items():
+        assert coordinate.attrs["long_name"], name
+        assert coordinate.dtype.kind in "OU" or coordinate.attrs["units"], name
+
+
+def test_units_of_labels_stand_in_their_long_name():
+    from splits.experiments.coordinates import grid_coordinates
+
+    grid = {"grain_size_um": {"100-200": [100, 200]}, "temperature_c": {"-1": -1, "-5": -5}}
+    sizes, degrees = grid_coordinates(grid).values()
+    assert sizes[2]["long_name"].endswith("(um)")
+    assert degrees[2]["units"] == "degC"
+    assert degrees[1].tolist() == [-1.0, -5.0]
+
+
+def test_history_names_program_and_experiment(small_lens):
+    line = small_lens.attrs["history"]
+    assert line.startswith(small_lens.attrs["date_created"])
+    assert line.endswith(f"{small_lens.attrs['source']}: experiment small_lens")
+
+
+@pytest.mark.parametrize("which", ["dataset", "small_lens"])
+def test_coordinate_variables_of_files_are_numbers_in_order(tmp_path, request, which):
+    made = request.getfixturevalue(which)
+    splits.save(made, tmp_path / "made.nc")
+    with netCDF4.Dataset(tmp_path / "made.nc") as file:
+        for name in set(file.variables) & set(file.dimensions):
+            steps = np.diff(file[name][...])
+            assert (steps > 0).all() or (steps < 0).all(), name
+        for name, variable in file.variables.items():
+            listed = getattr(variable, "coordinates", "").split()
+            assert set(listed) <= set(file.variables), name
+            for dimension in variable.dimensions:
+                labels = {f"{dimension}_label", f"{dimension}_value"} & set(file.variables)
+                if name in made.data_vars:
+                    assert labels <= set(listed), name
+    again = splits.load(tmp_path / "made.nc")
+    xr.testing.assert_equal(again, made)
+    for name, variable in made.variables.items():
+        assert again[name].attrs == variable.attrs, name
+
+
+def test_labels_select_before_and_after_the_file(tmp_path, dataset):
+    splits.save(dataset, tmp_path / "made.nc")
+    for either in (dataset, splits.load(tmp_path / "made.nc")):
+        assert float(either.reflectance.sel(medium="beach", depth_m=1.0)) == 4.0
+        assert float(either.transmittance.sel(up=2, down=1.0)) == 1.0
+    with netCDF4.Dataset(tmp_path / "made.nc") as file:
+        assert set(file["reflectance"].coordinates.split()) == {"medium_label", "depth_m_value"}
+        assert {"up", "down"} <= set(file.variables)
+        assert not {"medium", "depth_m"} & set(file.variables)
+        assert file["depth_m_value"].units == "m"

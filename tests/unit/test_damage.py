@@ -1,0 +1,192 @@
+"""Damaged datasets: each is refused in one line, whatever happened to the file."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.dataset import attributes, provenance
+
+VALUES = np.linspace(0.1, 0.9, 24).reshape(2, 3, 4)
+
+
+def make(name="first"):
+    """Return a dataset over texts, numbers out of order and wavelength."""
+    return xr.Dataset(
+        {
+            "reflectance": (("medium", "depth_m", "wavelength"), VALUES, {"units": "1"}),
+            "rays": ((), 4096, {"units": "1"}),
+        },
+        {
+            "medium": ["dune", "beach"],
+            "depth_m": [3.0, 1.0, 2.0],
+            "wavelength": ("wavelength", [500.0, 600.0, 700.0, 800.0], {"units": "nm"}),
+        },
+        attributes({"title": f"made up: {name}", "experiment": name, **provenance()}),
+    )
+
+
+def flip(path, place):
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+
+
+def flip_data(path):
+    flip(path, path.read_bytes().index(VALUES[0].tobytes()) + 6)
+
+
+def flip_header(path):
+    flip(path, 12)
+
+
+def flip_text(path):
+    flip(path, path.read_bytes().index(b"made up"))
+
+
+def flip_label(path):
+    flip(path, path.read_bytes().index(b"beach"))
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def zero_fill(path):
+    half = path.stat().st_size // 2
+    path.write_bytes(path.read_bytes()[:half] + bytes(path.stat().st_size - half))
+
+
+def zero_block(path):
+    content = bytearray(path.read_bytes())
+    content[2000:2200] = bytes(200)
+    path.write_bytes(content)
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+def text(path):
+    path.write_text("this is no netCDF\n")
+
+
+def other_attribute(path):
+    with netCDF4.Dataset(path, "a") as file:
+        file.title = "made up: second"
+
+
+def other_values(path):
+    with netCDF4.Dataset(path, "a") as file:
+        file["reflectance"][0, 0, 0] += 1e-12
+
+
+def deleted_variable(path):
+    with xr.open_dataset(path) as file:
+        fewer = file.load().drop_vars("rays")
+    fewer.to_netcdf(path)
+
+
+WAYS = {
+    way.__name__: way
+    for way in (
+        flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty, text,
+        other_attribute, other_values, deleted_variable,
+    )
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_damage_is_named_in_one_line(tmp_path, way):
+    path = tmp_path / "made.nc"
+    splits.save(make(), path)
+    WAYS[way](path)
+    with pytest.raises(ValueError, match="damaged") as error:
+        splits.load(path)
+    line = str(error.value)
+    assert line.startswith(f"{path}: damaged, ")
+    assert "make it again" in line
+    assert "\n" not in line
+
+
+def test_a_removed_checksum_is_named(tmp_path):
+    path = tmp_path / "made.nc"
+    splits.save(make(), path)
+    with netCDF4.Dataset(path, "a") as file:
+        file.delncattr("content_sha256")
+    with pytest.warns(UserWarning, match=r"made\.nc: has no checksum") as warned:
+        again = splits.load(path)
+    assert len(warned) == 1
+    xr.testing.assert_identical(again, make().assign_attrs(again.attrs))
+
+
+def test_the_dataset_of_another_experiment_is_named(tmp_path):
+    from splits.checksum import damage
+
+    path = tmp_path / "first.nc"
+    splits.save(make("second"), path)
+    assert damage(path, "second") == ""
+    line = damage(path, "first")
+    assert line.startswith(f"{path}: holds the dataset of experiment second, not of first")
+    assert "\n" not in line
+
+
+def test_any_flipped_byte_is_found(tmp_path):
+    path = tmp_path / "made.nc"
+    splits.save(make(), path)
+    sound = path.read_bytes()
+    for place in np.random.default_rng(1).choice(len(sound), 300, replace=False):
+        flip(path, place)
+        with pytest.raises(ValueError, match=r"made\.nc: damaged, "):
+            splits.load(path)
+        path.write_bytes(sound)
+
+
+def test_the_checksum_is_of_the_content_and_not_of_how_it_is_stored(tmp_path):
+    from splits.checksum import CHECKSUM, check, seal
+
+    path, other = tmp_path / "made.nc", tmp_path / "other.nc"
+    splits.save(make(), path)
+    with xr.open_dataset(path) as file:
+        content = file.load()
+    del content.attrs[CHECKSUM]
+    compressed = {"zlib": True, "chunksizes": (1, 2, 2), "_FillValue": None}
+    plain = {name: {"_FillValue": None} for name in content.variables}
+    content.to_netcdf(other, encoding=plain | {"reflectance": compressed})
+    seal(other)
+    assert check(other)[CHECKSUM] == check(path)[CHECKSUM]
+
+
+def test_what_was_loaded_and_changed_can_be_saved_again(tmp_path):
+    splits.save(make(), tmp_path / "made.nc")
+    part = splits.load(tmp_path / "made.nc").isel(medium=[1]).assign_attrs(note="a part")
+    splits.save(part, tmp_path / "part.nc")
+    xr.testing.assert_identical(splits.load(tmp_path / "part.nc"), part)
+
+
+def test_threads_save_and_load_at_once(tmp_path):
+    def one(number):
+        path = tmp_path / f"made{number % 4}.nc"
+        splits.save(make(), path)
+        return splits.load(path)
+
+    with ThreadPoolExecutor(4) as pool:
+        for again in pool.map(one, range(16)):
+            xr.testing.assert_equal(again, make())
+
+
+def test_a_missing_right_is_no_damage(tmp_path, monkeypatch):
+    path = tmp_path / "made.nc"
+    splits.save(make(), path)
+
+    def refuse(_path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(type(path), "read_bytes", refuse)
+    with pytest.raises(PermissionError):
+        splits.load(path)

@@ -1,0 +1,56 @@
+"""Damaged datasets in a workflow: named, set aside and made again; leftovers are swept."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+
+import pytest
+import xarray as xr
+
+import splits
+from splits.dataset import without_volatile
+
+pytestmark = pytest.mark.slow
+
+EXPERIMENT = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
+NAMES = ("damaged", "swapped", "sound")
+
+
+def test_damaged_and_swapped_datasets_are_made_again(project):
+    for name in NAMES:
+        project.put(name, EXPERIMENT)
+    files = [f"results/tiny/data/{name}.nc" for name in NAMES]
+    run = project.snakemake(*files, "--cores", 2)
+    assert run.code == 0, run.text
+    data = project.folder / "results" / "tiny" / "data"
+    before = {name: splits.load(data / f"{name}.nc") for name in NAMES}
+    content = bytearray((data / "damaged.nc").read_bytes())
+    content[len(content) // 2 :] = bytes(len(content) - len(content) // 2)
+    (data / "damaged.nc").write_bytes(content)
+    shutil.copy(data / "sound.nc", data / "swapped.nc")
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    host = socket.gethostname().replace(".", "_")
+    left = data / f".aside.{host}.{dead.pid}.0123abcd.sound.nc"
+    left.write_text("half")
+
+    dry = project.snakemake(*files, "--dry-run")
+    assert "damaged.nc: damaged" in dry.text
+    assert (data / "damaged.nc").read_bytes() == content
+    assert left.exists()
+
+    run = project.snakemake(*files, "--cores", 2)
+    assert run.code == 0, run.text
+    assert run.jobs() == ["Simulating damaged", "Simulating swapped"]
+    for name, what in (("damaged", "damaged, cannot be read"), ("swapped", "holds the dataset of")):
+        (line,) = [x for x in run.text.splitlines() if f"data/{name}.nc: " in x]
+        assert what in line
+        assert f"set aside as {name}.nc.damaged" in line
+        xr.testing.assert_identical(
+            without_volatile(splits.load(data / f"{name}.nc")), without_volatile(before[name])
+        )
+    assert (data / "damaged.nc.damaged").read_bytes() == content
+    assert not left.exists()

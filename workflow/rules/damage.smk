@@ -1,0 +1,31 @@
+import re
+
+from snakemake.logging import logger
+
+from splits.checksum import damage
+from splits.files import set_aside, sweep
+
+DRY = any(re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv)
+
+
+def check_files():
+    """Set aside datasets that are damaged or of other experiments, and sweep the folders.
+
+    Plans are made from the files that are there: what is set aside before is made again.  A dry
+    run only names it.
+    """
+    for path in map(Path, data([*EXPERIMENTS, "fig23_sensitivity"])):
+        experiment = path.stem if path.stem in EXPERIMENTS else ""
+        try:
+            wrong = damage(path, experiment) if path.is_file() else ""
+        except OSError as error:
+            raise WorkflowError(str(error)) from None
+        if wrong:
+            done = "" if DRY else f"; set aside as {set_aside(path).name}"
+            logger.warning(wrong + done)
+    for folder in Path(RESULTS).glob("*") if not DRY else ():
+        sweep(folder)
+
+
+if workflow.is_main_process:
+    check_files()

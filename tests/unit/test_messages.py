@@ -78,7 +78,7 @@ def test_a_misspelt_figure_is_told(tmp_path):
 @pytest.mark.parametrize("rays", ["1e5", "1.0e5", "1E+5", "100_000"])
 def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     path = tmp_path / "made.yaml"
-    path.write_text(f"instrument: {{kind: bssrdf, rays: {rays}}}\n", "utf-8")
+    path.write_text(f"instrument: {{kind: bssrdf, wavelength_nm: [500], rays: {rays}}}\n", "utf-8")
     assert load_experiment(path, MEDIA).instrument.rays == 100_000
 
 

@@ -22,58 +22,58 @@ TWO = "grid: {saturation: {start: 0, stop: 0.1, step: 0.1}}\n"
 AT = "figure: {at: {saturation: 0.1}}\n"
 NAMED = "grid: {saturation: {dry: 0, damp: 0.1}}\n"
 CASES = {
-    "snow_spectra": SNOW + "instrument: {wavelength_nm: [500, 1030, 1500]}\n"
+    "trip_snow_spectra": SNOW + "instrument: {wavelength_nm: [500, 1030, 1500]}\n"
     "grid: {saturation: {'0.1': 1.0, '1': 0.1}, incidence_deg: {beam: 60, sky: diffuse}}\n"
     "figure: {kind: spectra, at: {saturation: '0.1'}, quantity: [reflectance, absorptance]}\n",
-    "snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + NAMED
+    "trip_snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + NAMED
     + "figure: {kind: points, quantity: [transmittance, mean_grain_distance]}\n",
-    "snow_swatches": SNOW + DAYLIGHT + NAMED + "figure: {kind: swatches}\n",
-    "snow_indices": SNOW + "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
+    "trip_snow_swatches": SNOW + DAYLIGHT + NAMED + "figure: {kind: swatches}\n",
+    "trip_snow_indices": SNOW + "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
     "grid: {saturation: [0.2]}\n",
-    "snow_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600, 1300]}\n"
+    "trip_snow_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600, 1300]}\n"
     + TWO + "figure: {at: {saturation: 0}, quantity: [brdf, btdf]}\n",
-    "snow_lobes": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "trip_snow_lobes": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {saturation: [0, 0.1], incidence_deg: [0, 60]}\n"
     "figure: {kind: lobes, at: {incidence_deg: 60}}\n",
-    "snow_cells": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
+    "trip_snow_cells": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
     " estimator: cells, cells: [9, 18], rays: 20000}\n" + NAMED
     + "figure: {kind: cells, at: {saturation: damp}}\n",
-    "snow_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    "trip_snow_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO + AT,
-    "sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
+    "trip_sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
     "figure: {at: {medium: red}}\n",
-    "sand_swatches": SAND + DAYLIGHT + "grid: {iron_oxide: [0.001, 0.02]}\n"
+    "trip_sand_swatches": SAND + DAYLIGHT + "grid: {iron_oxide: [0.001, 0.02]}\n"
     "figure: {kind: swatches}\n",
-    "sand_fit": "medium: {kind: sand}\ninstrument: {incidence_deg: 8}\n"
+    "trip_sand_fit": "medium: {kind: sand}\ninstrument: {incidence_deg: 8}\n"
     "grid: {porosity: {loose: 0.5}}\n"
     "fit: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706]}\n"
     "figure: {kind: fit, at: {porosity: loose}}\n",
-    "sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "trip_sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     + TWO + AT,
-    "sand_spread": SAND + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    "trip_sand_spread": SAND + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO + AT,
-    "layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
+    "trip_layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
     "grid: {polarized: [true, false], bottom_albedo: [0.5, null]}\n"
     "figure: {kind: spectra, at: {polarized: true}}\n",
-    "layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
+    "trip_layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
     "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",
-    "layer_local": LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
+    "trip_layer_local": LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
     " estimator: local, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {at: {optical_thickness: 2}}\n",
-    "layer_polarization": "medium: {kind: layer, polarized: true, phase_function: rayleigh}\n"
+    "trip_layer_polarization": "medium: {kind: layer, polarized: true, phase_function: rayleigh}\n"
     "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: local,"
     " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
-    "layer_spread": LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
+    "trip_layer_spread": LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
     " half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
     "figure: {at: {optical_thickness: 2}}\n",
-    "waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
+    "trip_waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
     " estimator: cells, cells: [9, 18], rays: 5000}\n"
     "grid: {refractive_index: [1.3, 1.5]}\nfigure: {kind: principal_plane}\n",
-    "waves_surface": WAVES + "instrument: {kind: surface, half_width_m: 1}\n"
+    "trip_waves_surface": WAVES + "instrument: {kind: surface, half_width_m: 1}\n"
     "grid: {refractive_index: [1.3, 1.5]}\nfigure: {at: {refractive_index: 1.5}}\n",
-    "waves_lens": WAVES + "instrument: {kind: lens, radius_m: 0.1, screen_depth_m: [1, 2],"
+    "trip_waves_lens": WAVES + "instrument: {kind: lens, radius_m: 0.1, screen_depth_m: [1, 2],"
     " half_width_m: 1}\n"
     "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\nfigure: {at: {refractive_index: glass}}\n",
 }  # fmt: skip
@@ -92,9 +92,9 @@ def finished(make_project, tmp_path_factory):
 def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
     project, run = finished
     results = project.folder / "results" / "tiny"
-    assert (results / "data" / f"{name}.nc").is_file(), run.text
+    assert (results / "data" / f"{name}.nc").is_file(), run.text[-3000:]
     for suffix in (".png", ".svg"):
-        assert (results / "figures" / f"{name}{suffix}").is_file(), run.text
+        assert (results / "figures" / f"{name}{suffix}").is_file(), run.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name
     for variable in dataset.data_vars.values():

@@ -14,7 +14,8 @@ def check_files():
     Plans are made from the files that are there: what is set aside before is made again.  A dry
     run only names it.
     """
-    for path in map(Path, data([*EXPERIMENTS, "fig23_sensitivity"])):
+    studies = [path for path in study_products() if path.endswith(".nc")]
+    for path in map(Path, data(EXPERIMENTS) + studies):
         experiment = path.stem if path.stem in EXPERIMENTS else ""
         try:
             wrong = damage(path, experiment) if path.is_file() else ""

@@ -1,5 +1,3 @@
-from splits.sources import PACKAGE, files_digest
-
 QUICK = [] if SETTINGS.accuracy == "standard" else ["--quick"]
 BENCHMARKED = [
     f"{RESULTS}/benchmarks/speed_against_error.csv",
@@ -13,11 +11,6 @@ REPORTED = (
     if "--report" in sys.argv and all(Path(path).exists() for path in BENCHMARKED)
     else []
 )
-
-
-def program_digest(name):
-    """Return what changes with the source of a benchmark."""
-    return files_digest(Path(workflow.basedir) / "benchmarks", [name])
 
 
 rule benchmarks:

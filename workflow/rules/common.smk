@@ -1,5 +1,5 @@
 from splits.experiments.studies import FILES, left_out
-from splits.sources import physics_digest
+from splits.sources import PACKAGE, files_digest, physics_digest
 
 STUDIES = SETTINGS.studies
 # Studies that lack experiments, each with the line that says so.
@@ -9,6 +9,30 @@ for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
 
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
+
+# Caption and category in the report, by kind of study and product.
+REPORTS = {
+    "sensitivity": {
+        "table": ("sensitivity_table", "Sensitivity"),
+        "chosen": ("sensitivity", "Sensitivity"),
+        "figure": ("sensitivity", "Experiments"),
+    },
+    "agreement": {
+        "agreement": ("agreement", "Agreement"),
+        "bands": ("measured_bands", "Agreement"),
+        "table1": ("table1", "Agreement"),
+        "table3": ("table3", "Agreement"),
+        "figure": ("letcher", "Agreement"),
+    },
+    "sand_tables": {
+        "trends": ("sand_trends", "Sand"),
+        "weights": ("sand_weights", "Sand"),
+        "colours": ("sand_colours", "Sand"),
+    },
+    "sand_compositions": {"table": ("sand_compositions", "Sand")},
+    "angular_trends": {"table": ("angular_trends", "Angles")},
+    "layer_trends": {"table": ("layer_trends", "Layers")},
+}
 
 
 wildcard_constraints:
@@ -61,3 +85,41 @@ def threads_of(name):
     together = min(4, len(asked or EXPERIMENTS))
     cores = workflow.cores or 1
     return cores if EXPERIMENTS[name].fit else max(1, cores // together)
+
+
+def of_kind(kind):
+    """Return the names of the studies of a kind that can be made."""
+    return [name for name in MADE if STUDIES[name].kind == kind]
+
+
+def study_output(name):
+    """Return what a study makes, by key; the first file of each is for the report."""
+    made = {}
+    for key, paths in STUDIES[name].paths(name).items():
+        first, *others = (f"{RESULTS}/{path}" for path in paths)
+        if key in REPORTS[STUDIES[name].kind]:
+            caption, category = REPORTS[STUDIES[name].kind][key]
+            labels = {"experiment": Path(first).stem} if others else None
+            first = report(
+                first,
+                caption=f"../report/{caption}.rst",
+                category=category,
+                labels=labels,
+            )
+        made[key] = [first, *others] if others else first
+    return made
+
+
+def study_files(name):
+    """Return the tables of numbers that a study reads, by key."""
+    kind = STUDIES[name].kind
+    folder = Path(SETTINGS.media_folder).parent
+    return {
+        key: str(folder / FILES[kind][key] / file)
+        for key, file in STUDIES[name].files.items()
+    }
+
+
+def program_digest(name):
+    """Return what changes with the source of a benchmark."""
+    return files_digest(Path(workflow.basedir) / "benchmarks", [name])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from splits.experiments import Experiment
 from splits.materials import Constant, absorption_coefficient, dataset_names, refractive_index
+from splits.media import Snow
 
 TABULATED = ("ice", "water", "hematite", "magnetite")
 NAMED = [(material, name) for material in TABULATED for name in dataset_names(material)]
@@ -220,3 +223,19 @@ def test_a_csv_file_without_its_columns_is_refused(tmp_path, text):
 def test_absorption_coefficient_is_four_pi_k_over_wavelength():
     alpha = absorption_coefficient(np.array([1.31 + 1e-6j]), np.array([1000.0]))
     assert alpha == pytest.approx(4e-6 * np.pi / 1e-6)
+
+
+def test_datasets_name_a_table_of_the_user_by_its_content(tmp_path):
+    path = tmp_path / "my_ice.csv"
+    path.write_text("wavelength_nm,n,k\n400,1.32,2e-9\n1000,1.30,2e-6\n")
+    facts = Snow(refractive_index={"ice": path}).describe()
+    assert facts["refractive_index_ice"] == "my_ice.csv"
+    assert facts["refractive_index_ice_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert "refractive_index_water_sha256" not in facts
+    assert not any(str(tmp_path) in str(value) for value in facts.values())
+    grid = {"refractive_index": {"mine": {"ice": str(path)}}}
+    instrument = {"wavelength_nm": [500.0]}
+    experiment = Experiment(name="mine", instrument=instrument, grid=grid)
+    assert str(tmp_path) not in experiment.configuration()
+    assert facts["refractive_index_ice_sha256"] in experiment.configuration()
+    assert experiment.tables() == [str(path)]

@@ -13,7 +13,7 @@ import yaml
 import splits
 from splits.archive import configuration_members, pack
 from splits.dataset import without_volatile
-from splits.experiments import load_settings
+from splits.experiments import ConfigError, load_experiment, load_settings
 from splits.experiments.settings import Settings
 
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
@@ -166,3 +166,14 @@ def test_nothing_is_left_when_a_result_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.nc"):
         pack([tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
+
+
+@pytest.mark.parametrize("place", ["{}/mine.csv", "../measured/mine.csv"])
+def test_measured_tables_that_an_archive_would_lack_are_refused(tmp_path, place):
+    folder = tmp_path / "config" / "measured"
+    folder.mkdir(parents=True)
+    (folder / "mine.csv").write_text("wavelength_nm,mine\n500,0.5\n")
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"figure: {{measured: {place.format(folder)}}}\n")
+    with pytest.raises(ConfigError, match=r"figure\.measured = .*must be the name of a file of"):
+        load_experiment(path, tmp_path / "config" / "media")

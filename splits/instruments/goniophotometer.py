@@ -35,7 +35,7 @@ from splits.instruments.cells import (
 )
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
-from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Progress, Runner
@@ -43,6 +43,7 @@ from splits.instruments.tracers import KERNELS
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.directions import basis_of
+from splits.uncertainty import Variable, quantity
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())

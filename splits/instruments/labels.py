@@ -10,9 +10,7 @@ import numpy as np
 from splits.dataset import attributes, provenance
 from splits.media.turbid import Medium
 from splits.transport import sources_digest
-
-Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
-"""Dimensions, values and attributes, as `xarray.Dataset` takes them."""
+from splits.uncertainty import Variable
 
 
 def run_facts(
@@ -35,25 +33,6 @@ def run_facts(
         "physics_sources_sha256": sources_digest(),
     }
     return attributes(facts | provenance())
-
-
-def quantity(
-    name: str,
-    dims: str | tuple[str, ...],
-    values: np.ndarray,
-    stderr: np.ndarray | None,
-    long_name: str,
-    units: str = "1",
-) -> dict[str, Variable]:
-    """Return a variable and, unless it is None, its standard error ``…_stderr``, by name."""
-    about = {"long_name": long_name, "units": units}
-    if stderr is None:
-        return {name: (dims, values, about)}
-    error = f"{name}_stderr"
-    return {
-        name: (dims, values, {**about, "ancillary_variables": error}),
-        error: (dims, stderr, {**about, "long_name": f"standard error of {long_name}"}),
-    }
 
 
 def wavelength_axis(wavelengths: np.ndarray) -> Variable:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.analysis.sensitivity import Sensitivity, mean_sensitivity_index
 from splits.dataset import at_points, attributes, provenance
+from splits.uncertainty import quantity as quantity_of
 
 QUANTITIES: dict[str, dict[str, Any]] = {
     "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
@@ -95,16 +96,15 @@ def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame) -> xr.Dat
             columns["msi"][i, j] = row.msi
             columns["msi_stderr"][i, j] = row.msi_stderr
             columns["published"][i, j] = published.loc[f"msi_{quantity[0]}_{parameter}"].published
-    labels = {
-        "msi": "mean sensitivity index",
-        "msi_stderr": "standard error of mean sensitivity index (upper bound)",
-        "published": "mean sensitivity index published in SPLITSnow Table 2",
+    over, label = ("quantity", "parameter"), "mean sensitivity index"
+    theirs = columns["published"]
+    variables = {
+        **quantity_of("msi", over, columns["msi"], columns["msi_stderr"], label),
+        **quantity_of("published", over, theirs, None, f"{label} published in SPLITSnow Table 2"),
     }
+    variables["msi_stderr"][2]["long_name"] += " (upper bound)"
     return xr.Dataset(
-        {
-            k: (("quantity", "parameter"), v, {"long_name": labels[k], "units": "1"})
-            for k, v in columns.items()
-        },
+        variables,
         {"quantity": list(QUANTITIES), "parameter": parameters},
         attributes({"title": "Mean sensitivity index of snow", **provenance()}),
     )

@@ -117,7 +117,9 @@ def goniophotometer(
     max_rays : int
         A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
         first: "error", "rays", or "degree" where the light goes into lobes too narrow for the
-        polynomials, which no rays mend; take cells then.
+        polynomials, which no rays mend; take cells then.  "detail" is "error" but for a direction
+        in a lobe: what is too weak there to be told from noise keeps its error, which is stated,
+        above the one asked for (see ``relative_stderr_reached``); ask for a smaller one.
     threads : int, optional
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
@@ -229,10 +231,11 @@ def _expand(
     reached: list[tuple[float, float]] = []
     while True:
         result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
-        error = largest_error(result, goal.side, seen)
+        error = largest_error(result, goal.side, seen, steering=True)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
-            return ensembles, result, "error"
+            stated = largest_error(result, goal.side, seen)
+            return ensembles, result, "error" if stated <= goal.relative_stderr else "detail"
         # Eight times the rays should divide a statistical error by nearly three.
         idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)
         if goal.rays is None and (idle or _too_fine(result, goal, seen)):
@@ -259,7 +262,7 @@ def counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 def _too_fine(result: Estimate, goal: Goal, seen: np.ndarray) -> bool:
     """Tell whether only detail finer than the polynomials keeps a run from its goal."""
     side = goal.side
-    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+    scale, stderr = reference(result)[side][:, seen], result.steering[side][:, seen]
     rest = np.sqrt(np.maximum(stderr**2 - result.beyond[side][:, seen] ** 2, 0.0))
     return bool((rest <= goal.relative_stderr * scale).all())
 

@@ -188,14 +188,16 @@ def estimate(
         whole = together[..., 0].sum(axis=1) / basis.scale[0] + straight
         rest = np.where(keep, 0.0, together)
         # Classes may have the same detail, or each its own.
-        apart = _detail(rest, symmetric, basis).sum(axis=0)
-        even = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
+        apart = _detail(rest, symmetric, basis)
+        even = np.maximum(apart.sum(axis=0), _detail(rest.sum(axis=1), symmetric, basis))
+        even = even[:, np.newaxis]
         finest = finer(together.sum(axis=1), symmetric, angles)
         beyond[:, column] = finest
         mean[:, column] = values.mean(axis=0)
-        kept = np.where(keep, together, 0.0).mean(axis=0).sum(axis=0)
-        there = even[:, np.newaxis] * np.maximum(1.0, concentration(kept, angles))
-        for errors, dropped in ((steering, even[:, np.newaxis]), (stderr, there)):
+        kept = np.where(keep, together, 0.0).mean(axis=0)
+        where = np.maximum(1.0, concentration(kept, angles))
+        there = np.maximum(even, (apart[..., np.newaxis] * where).sum(axis=0))
+        for errors, dropped in ((steering, even), (stderr, there)):
             errors[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped))
             errors[:, column] = np.hypot(errors[:, column], finest)
         sums[:, :, column] = (
@@ -226,18 +228,18 @@ def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
 
 
 def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
-    """Return the detail's square over its mean over the hemisphere, shape (2, directions).
+    """Return the detail's square over its mean over the hemisphere, shape (…, directions).
 
-    What is dropped adds up where what is kept does: a lobe is cut where the lobe is.  To spread its
-    power evenly would state too small an error there.  The constant polynomial is no detail.
+    What a class drops adds up where what it keeps does: a lobe is cut where the lobe is.  To spread
+    its power evenly would state too small an error there.  The constant polynomial is no detail.
 
     Parameters
     ----------
-    kept : float, shape (2, polynomials)
+    kept : float, shape (…, polynomials)
         Coefficients, 0 for those that were dropped.
     """
-    square = (kept[:, 1:] @ angles.values[:, 1:].T) ** 2
-    mean = (kept[:, 1:] ** 2).sum(axis=-1, keepdims=True) / np.pi
+    square = (kept[..., 1:] @ angles.values[:, 1:].T) ** 2
+    mean = (kept[..., 1:] ** 2).sum(axis=-1, keepdims=True) / np.pi
     return np.divide(square, mean, out=np.zeros_like(square), where=mean > 0.0)
 
 

@@ -23,10 +23,8 @@ class Exits:
     Their covariance is that of single exits, ∫ f B_i B_j over projected solid angle, by rays.
     """
 
-    basis = BASIS
-    place = {0: 0}
-
     def __init__(self, mean, root, rays, rng):
+        self.basis, self.place = BASIS, {0: 0}
         self.rays = rays
         noise = rng.standard_normal((GROUPS, mean.size)) @ root.T
         self.groups = mean + noise * np.sqrt(GROUPS / rays)

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.analysis.sensitivity import Sensitivity, mean_sensitivity_index
 from splits.dataset import at_points, attributes, provenance
+from splits.uncertainty import quantity as quantity_of
 
 QUANTITIES: dict[str, dict[str, Any]] = {
     "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
@@ -108,16 +109,14 @@ def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = N
             if published is not None:
                 row = published.loc[f"msi_{quantity[0]}_{parameter}"]
                 columns["published"][i, j] = row.published
-    labels = {
-        "msi": "mean sensitivity index",
-        "msi_stderr": "standard error of mean sensitivity index (upper bound)",
-        "published": "mean sensitivity index published in SPLITSnow Table 2",
-    }
+    over, label = ("quantity", "parameter"), "mean sensitivity index"
+    variables = quantity_of("msi", over, columns["msi"], columns["msi_stderr"], label)
+    if published is not None:
+        theirs, words = columns["published"], f"{label} published in SPLITSnow Table 2"
+        variables |= quantity_of("published", over, theirs, None, words)
+    variables["msi_stderr"][2]["long_name"] += " (upper bound)"
     return xr.Dataset(
-        {
-            k: (("quantity", "parameter"), v, {"long_name": labels[k], "units": "1"})
-            for k, v in columns.items()
-        },
+        variables,
         {
             "quantity": ("quantity", list(QUANTITIES), {"long_name": "quantity"}),
             "parameter": ("parameter", parameters, {"long_name": "parameter of the snow"}),

@@ -179,7 +179,7 @@ def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) ->
     }
     if "stopped_by" in first.attrs:
         reasons = {r.attrs["stopped_by"] for r in results}
-        facts["stopped_by"] = next(r for r in ("degree", "rays", "error") if r in reasons)
+        facts["stopped_by"] = next(r for r in ("degree", "rays", "detail", "error") if r in reasons)
     return xr.Dataset(variables, coordinates, attributes(facts))
 
 

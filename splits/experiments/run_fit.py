@@ -19,15 +19,9 @@ from splits.experiments.parameters import Cube
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
-from splits.instruments.labels import Variable
 from splits.instruments.threads import Threads, cpus
 from splits.sources import physics_digest
-
-FACTS = {
-    "rmse": ("root mean square misfit", "1"),
-    "rmse_stderr": ("standard error of root mean square misfit", "1"),
-    "evaluations": ("number of sands simulated", "1"),
-}
+from splits.uncertainty import Variable, quantity
 
 
 def run_fit(
@@ -164,47 +158,29 @@ def _dataset(
         values = [[float(getattr(r.parameters[p], what)) for p in parameters] for r in results]
         return stacked(values, len(parameters))
 
-    def about(long_name: str) -> dict[str, str]:
-        return {"long_name": long_name, "units": "1"}
-
-    spectrum = (*dims, "wavelength")
-    count = len(wavelength)
-    variables: dict[str, Any] = {
-        "reflectance": (
-            spectrum,
-            stacked([r.modelled for r in results], count),
-            about("modelled reflectance"),
-        ),
-        "reflectance_stderr": (
-            spectrum,
-            stacked([r.modelled_stderr for r in results], count),
-            about("standard error of modelled reflectance"),
-        ),
+    spectrum, count = (*dims, "wavelength"), len(wavelength)
+    over = (*dims, "parameter")
+    square = (*dims, "coordinate", "other_coordinate")
+    modelled = stacked([r.modelled for r in results], count)
+    error = stacked([r.modelled_stderr for r in results], count)
+    measured = stacked([r.measured for r in results], count)
+    value, value_error, told = map(per_parameter, ("value", "stderr", "determined"))
+    related = stacked([r.correlation for r in results], len(first.names), len(first.names))
+    rmse, rmse_error, tried = (
+        stacked([getattr(r, name) for r in results])
+        for name in ("rmse", "rmse_stderr", "evaluations")
+    )
+    narrowed = "1 where the spectrum narrows the parameter to below half of its range"
+    variables: dict[str, Variable] = {
+        **quantity("reflectance", spectrum, modelled, error, "modelled reflectance"),
         **_groups(dims, [r.spectrum.reflectance_groups for r in results], shape),
-        "measured": (
-            spectrum,
-            stacked([r.measured for r in results], count),
-            about("measured reflectance"),
-        ),
-        "value": ((*dims, "parameter"), per_parameter("value"), about("fitted parameter")),
-        "value_stderr": (
-            (*dims, "parameter"),
-            per_parameter("stderr"),
-            about("standard error of fitted parameter"),
-        ),
-        "determined": (
-            (*dims, "parameter"),
-            per_parameter("determined"),
-            about("1 where the spectrum narrows the parameter to below half of its range"),
-        ),
-        "correlation": (
-            (*dims, "coordinate", "other_coordinate"),
-            stacked([r.correlation for r in results], len(first.names), len(first.names)),
-            about("correlation of the fit's coordinates"),
-        ),
+        **quantity("measured", spectrum, measured, None, "measured reflectance"),
+        **quantity("value", over, value, value_error, "fitted parameter"),
+        **quantity("determined", over, told, None, narrowed),
+        **quantity("correlation", square, related, None, "correlation of the fit's coordinates"),
+        **quantity("rmse", dims, rmse, rmse_error, "root mean square misfit"),
+        **quantity("evaluations", dims, tried, None, "number of sands simulated"),
     }
-    for name, (long_name, _units) in FACTS.items():
-        variables[name] = (dims, stacked([getattr(r, name) for r in results]), about(long_name))
     coordinates: dict[str, Any] = {
         "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
         "sample": ("sample", samples, {"long_name": "sample measured"}),

@@ -66,6 +66,8 @@ class Estimate:
     ----------
     mean, stderr : float, shape (2, wavelengths, directions)
         Reflected and transmitted (1/sr), of light that met a grain.
+    steering : float, shape (2, wavelengths, directions)
+        The error by which runs are steered: what was dropped is spread evenly over directions.
     sums : float, shape (4, 2, wavelengths)
         Directional-hemispherical reflectance and transmittance, their standard errors, and the
         same of the part of these that met no grain.
@@ -77,6 +79,7 @@ class Estimate:
 
     mean: np.ndarray
     stderr: np.ndarray
+    steering: np.ndarray
     sums: np.ndarray
     degree: np.ndarray
     beyond: np.ndarray
@@ -165,7 +168,7 @@ def estimate(
     """
     basis = ensembles[0].basis
     wavelengths, directions = len(bias), len(angles.values)
-    mean, stderr = np.zeros((2, 2, wavelengths, directions))
+    mean, stderr, steering = np.zeros((3, 2, wavelengths, directions))
     sums = np.zeros((4, 2, wavelengths))
     degree = np.zeros((2, wavelengths), dtype=int)
     beyond = np.zeros((2, wavelengths, directions))
@@ -185,24 +188,31 @@ def estimate(
         whole = together[..., 0].sum(axis=1) / basis.scale[0] + straight
         rest = np.where(keep, 0.0, together)
         # Classes may have the same detail, or each its own.
-        apart = _detail(rest, symmetric, basis).sum(axis=0)
-        dropped = np.maximum(apart, _detail(rest.sum(axis=1), symmetric, basis))
-        beyond[:, column] = finer(together.sum(axis=1), symmetric, angles)
+        apart = _detail(rest, symmetric, basis)
+        even = np.maximum(apart.sum(axis=0), _detail(rest.sum(axis=1), symmetric, basis))
+        even = even[:, np.newaxis]
+        finest = finer(together.sum(axis=1), symmetric, angles)
+        beyond[:, column] = finest
         mean[:, column] = values.mean(axis=0)
-        stderr[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped)[:, np.newaxis])
-        stderr[:, column] = np.hypot(stderr[:, column], beyond[:, column])
+        kept = np.where(keep, together, 0.0).mean(axis=0)
+        where = np.maximum(1.0, concentration(kept, angles))
+        there = np.maximum(even, (apart[..., np.newaxis] * where).sum(axis=0))
+        for errors, dropped in ((steering, even), (stderr, there)):
+            errors[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped))
+            errors[:, column] = np.hypot(errors[:, column], finest)
         sums[:, :, column] = (
             whole.mean(axis=0), stderr_of(whole), straight.mean(axis=0), stderr_of(straight),
         )  # fmt: skip
         # Nothing seen is not certainty: as if one more ray had come, from no matter where.
         unseen = 1.0 / min(ensembles[i].counts()[-1] for i in drawn)
         dark = ~together[..., 0].any(axis=(0, 1))
-        stderr[dark, column] = unseen / np.pi
+        stderr[dark, column] = steering[dark, column] = unseen / np.pi
         sums[1, dark, column] = np.hypot(sums[1, dark, column], unseen)
         degree[:, column] = np.where(keep, basis.degree, 0).max(axis=(0, -1))
     missed = BIAS * bias[:, np.newaxis] * mean
     sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
-    return Estimate(mean, np.hypot(stderr, missed), sums, degree, beyond), variance
+    stderr, steering = np.hypot(stderr, missed), np.hypot(steering, missed)
+    return Estimate(mean, stderr, steering, sums, degree, beyond), variance
 
 
 def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
@@ -215,6 +225,22 @@ def _detail(dropped: np.ndarray, symmetric: bool, basis: Basis) -> np.ndarray:
         dropped = dropped[..., : basis.per_m[0]]
     variance = dropped.var(axis=0, ddof=1) / len(dropped)
     return np.maximum((dropped.mean(axis=0) ** 2 - variance).sum(axis=-1), 0.0) / np.pi
+
+
+def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
+    """Return the detail's square over its mean over the hemisphere, shape (…, directions).
+
+    What a class drops adds up where what it keeps does: a lobe is cut where the lobe is.  To spread
+    its power evenly would state too small an error there.  The constant polynomial is no detail.
+
+    Parameters
+    ----------
+    kept : float, shape (…, polynomials)
+        Coefficients, 0 for those that were dropped.
+    """
+    square = (kept[..., 1:] @ angles.values[:, 1:].T) ** 2
+    mean = (kept[..., 1:] ** 2).sum(axis=-1, keepdims=True) / np.pi
+    return np.divide(square, mean, out=np.zeros_like(square), where=mean > 0.0)
 
 
 def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
@@ -271,9 +297,19 @@ def reference(result: Estimate) -> np.ndarray:
     return np.maximum(result.mean, LEAST * even)
 
 
-def largest_error(result: Estimate, side: int, seen: np.ndarray | slice = slice(None)) -> float:
-    """Return the largest relative error of one side; wavelengths without light do not count."""
-    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+def largest_error(
+    result: Estimate,
+    side: int,
+    seen: np.ndarray | slice = slice(None),
+    *,
+    steering: bool = False,
+) -> float:
+    """Return the largest relative error of one side; wavelengths without light do not count.
+
+    Of the errors stated, or of those that steer.
+    """
+    stderr = (result.steering if steering else result.stderr)[side][:, seen]
+    scale = reference(result)[side][:, seen]
     return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 

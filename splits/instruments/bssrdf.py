@@ -21,7 +21,7 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
-from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.tracers import KERNELS
@@ -29,6 +29,7 @@ from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
 from splits.transport.scene import shared_optics
+from splits.uncertainty import Variable, jackknife, quantity, without_one
 
 QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Parts of the light that leave within the quantile radii."""
@@ -225,17 +226,6 @@ def _quantiles(radial: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
     return found
 
 
-def _without_one(groups: np.ndarray) -> np.ndarray:
-    """Return the means over all groups but one, for the jackknife."""
-    return (groups.sum(axis=0) - groups) / (len(groups) - 1)
-
-
-def _jackknife(left_out: np.ndarray) -> np.ndarray:
-    """Return the standard error of what was computed from all groups but one (Efron 1982)."""
-    n = len(left_out)
-    return np.sqrt((n - 1) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-
-
 def _dataset(
     ensembles: Sequence[_Spread],
     wavelengths: np.ndarray,
@@ -258,7 +248,7 @@ def _dataset(
     profile = inner / (np.pi * np.diff(edges**2))
     radius = np.sqrt(edges[1:] * edges[:-1])
     share = radial.sum(axis=-1)
-    left_out, less = _without_one(radial), _without_one(share)
+    left_out, less = without_one(radial), without_one(share)
     mean = _ratio(moment.mean(axis=0), share.mean(axis=0))
     quantile = _quantiles(radial.mean(axis=0), QUANTILES)
     cell = (2.0 * half_width / CELLS) ** 2
@@ -270,11 +260,11 @@ def _dataset(
         "share": ("share of light", "1", (), share.mean(axis=0), certain),
         "mean_radius": (
             "mean distance between entry and exit", "m", (),
-            mean, _jackknife(_ratio(_without_one(moment), less)),
+            mean, jackknife(_ratio(without_one(moment), less)),
         ),
         "quantile_radius": (
             "radius within which a part of the light leaves", "m", ("quantile",),
-            quantile, _jackknife(_quantiles(left_out, QUANTILES)),
+            quantile, jackknife(_quantiles(left_out, QUANTILES)),
         ),
         "profile": (
             "light leaving per area", "m-2", ("radius",), profile.mean(axis=0), stderr_of(profile),

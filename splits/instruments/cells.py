@@ -118,6 +118,7 @@ def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
     return Estimate(
         mean.reshape(shape),
         stderr,
+        stderr,
         sums,
         np.zeros((2, len(bias)), dtype=int),
         np.zeros(shape),

@@ -17,7 +17,7 @@ from splits.instruments.arguments import (
     check_wavelengths,
     check_whole,
 )
-from splits.instruments.labels import quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.threads import Threads
@@ -25,6 +25,7 @@ from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
 from splits.transport.scene import Slab, shared_optics
+from splits.uncertainty import quantity
 
 BATCH = 64
 """Families per batch: the grain of parallel work."""

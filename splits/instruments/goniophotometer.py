@@ -36,7 +36,7 @@ from splits.instruments.cells import (
 )
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
-from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Progress, Runner
@@ -44,6 +44,7 @@ from splits.instruments.tracers import KERNELS
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.directions import basis_of
+from splits.uncertainty import Variable, quantity
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -117,7 +118,9 @@ def goniophotometer(
     max_rays : int
         A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
         first: "error", "rays", or "degree" where the light goes into lobes too narrow for the
-        polynomials, which no rays mend; take cells then.
+        polynomials, which no rays mend; take cells then.  "detail" is "error" but for a direction
+        in a lobe: what is too weak there to be told from noise keeps its error, which is stated,
+        above the one asked for (see ``relative_stderr_reached``); ask for a smaller one.
     threads : int, optional
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
@@ -231,10 +234,11 @@ def _expand(
     reached: list[tuple[float, float]] = []
     while True:
         result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
-        error = largest_error(result, goal.side, seen)
+        error = largest_error(result, goal.side, seen, steering=True)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:
-            return ensembles, result, "error"
+            stated = largest_error(result, goal.side, seen)
+            return ensembles, result, "error" if stated <= goal.relative_stderr else "detail"
         # Eight times the rays should divide a statistical error by nearly three.
         idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)
         if goal.rays is None and (idle or _too_fine(result, goal, seen)):
@@ -261,7 +265,7 @@ def counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 def _too_fine(result: Estimate, goal: Goal, seen: np.ndarray) -> bool:
     """Tell whether only detail finer than the polynomials keeps a run from its goal."""
     side = goal.side
-    scale, stderr = reference(result)[side][:, seen], result.stderr[side][:, seen]
+    scale, stderr = reference(result)[side][:, seen], result.steering[side][:, seen]
     rest = np.sqrt(np.maximum(stderr**2 - result.beyond[side][:, seen] ** 2, 0.0))
     return bool((rest <= goal.relative_stderr * scale).all())
 

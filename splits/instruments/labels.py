@@ -10,9 +10,7 @@ import numpy as np
 from splits.dataset import attributes, provenance
 from splits.media.turbid import Medium
 from splits.sources import physics_digest
-
-Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
-"""Dimensions, values and attributes, as `xarray.Dataset` takes them."""
+from splits.uncertainty import Variable
 
 
 def run_facts(
@@ -35,47 +33,6 @@ def run_facts(
         "physics_sources_sha256": physics_digest(),
     }
     return attributes(facts | provenance(instrument))
-
-
-def quantity(
-    name: str,
-    dims: str | tuple[str, ...],
-    values: np.ndarray,
-    stderr: np.ndarray | None,
-    long_name: str,
-    units: str = "1",
-) -> dict[str, Variable]:
-    """Return a variable and, unless it is None, its standard error ``…_stderr``, by name."""
-    about = {"long_name": long_name, "units": units}
-    if stderr is None:
-        return {name: (dims, values, about)}
-    error = f"{name}_stderr"
-    return {
-        name: (dims, values, {**about, "ancillary_variables": error}),
-        error: (dims, stderr, {**about, "long_name": f"standard error of {long_name}"}),
-    }
-
-
-def deviations(
-    name: str, dims: str | tuple[str, ...], groups: np.ndarray, long_name: str
-) -> dict[str, Variable]:
-    """Return how far groups of rays take a quantity off, ``…_groups``, by name.
-
-    Parameters
-    ----------
-    name, dims, long_name
-        Of the quantity.
-    groups : float, shape (groups, ...)
-        Stored in single precision.
-    """
-    dims = (dims,) if isinstance(dims, str) else dims
-    about = {
-        "long_name": f"deviation of {long_name} by group of rays",
-        "units": "1",
-        "comment": "sums over groups of products are covariances, without what stands for "
-        "interpolation between refractive indices in the standard error",
-    }
-    return {f"{name}_groups": (("group", *dims), groups.astype(np.float32), about)}
 
 
 def wavelength_axis(wavelengths: np.ndarray) -> Variable:

@@ -13,11 +13,12 @@ import xarray as xr
 
 from splits.checks import in_range, increasing, one_of, refuse, row_of
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
-from splits.instruments.labels import quantity, run_facts
+from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
 from splits.transport.lens import refract_ring
 from splits.transport.rough_surface import heights_and_slopes
 from splits.transport.wave_sums import LANES
+from splits.uncertainty import quantity
 
 LEAST_CAUGHT = 0.5
 """Share of a ring that must reach a screen for a realisation to count there."""

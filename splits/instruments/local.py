@@ -81,7 +81,7 @@ class Heard:
             np.repeat(x[:, np.newaxis, :, 0], wavelengths, axis=1) for x in (self.mean, self.stderr)
         )
         degree = np.zeros((2, wavelengths), dtype=int)
-        return Estimate(mean, stderr, sums, degree, np.zeros_like(mean))
+        return Estimate(mean, stderr, stderr, sums, degree, np.zeros_like(mean))
 
     def stokes(self, wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""

@@ -11,13 +11,14 @@ import xarray as xr
 
 from splits.checks import one_of
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
-from splits.instruments.labels import Variable, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport.scattering import scatter
+from splits.transport.scattering import PARTS, scatter
 from splits.transport.scene import DRY_PORE, WET_PORE, Optics, shared_optics
+from splits.uncertainty import Variable, quantity, without_one
 
 BATCH = 2048
 """Rays per batch: the grain of parallel work."""
@@ -44,6 +45,13 @@ LABELS = {
     "extinction": ("extinction coefficient", "m-1"),
     "optical_thickness": ("optical thickness of extinction", "1"),
 }
+RATIOS = ("displacement_before", "displacement_after", "displacement_square", "wet_share")
+"""What else is a mean by weight of scattered light, in the order of `scatter`."""
+FOR_THEORIES = {
+    "_left_out": (("part",), "without one part of the rays:"),
+    "_missed": ((), "bound on what interpolation misses of"),
+}
+"""What theories know errors of the optics by: how names end, dimensions before, and labels."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +63,15 @@ class _Node:
     served : bool, shape (wavelengths,)
     weight : float, shape (served,)
         Weight of this node in the wavelengths' means.
-    sums : float, shape (3, orders, served)
-    shift : float, shape (4, served)
+    sums : float, shape (3, orders + 4, served)
+    parts : float, shape (parts, orders + 4, served)
         See `splits.transport.scattering.scatter`.
     """
 
     served: np.ndarray
     weight: np.ndarray
     sums: np.ndarray
-    shift: np.ndarray
+    parts: np.ndarray
 
 
 def single_scattering(
@@ -109,16 +117,21 @@ def single_scattering(
     Returns
     -------
     xarray.Dataset
-        Over ``wavelength``, each but the last two with standard error ``…_stderr``:
+        Over ``wavelength``, all but ``extinction`` and ``optical_thickness``, which are exact,
+        with standard error ``…_stderr``:
         ``single_scattering_albedo`` (0 to 1, absorption by the pores included),
         ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l = <P_l(cosΘ)>
         by weight of the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m), the grains
         met per metre plus absorption by the pores, and ``optical_thickness``.
 
-        Besides, without standard errors, for `splits.analysis.radiative_transfer.packed`:
+        Besides, for `splits.analysis.radiative_transfer.packed`:
         ``displacement_before`` and ``displacement_after`` (m), the way from entry to exit along
         the direction before and after; ``displacement_square`` (m²); and ``wet_share``, the
         share of the scattered light that leaves into a wet pore.
+
+        Theories need to know which errors go together: ``…_left_out`` over ``part`` holds each
+        quantity without one of `PARTS` equal parts of the rays, ``…_missed`` the bound on what
+        interpolation between refractive indices may add to it.
 
     Raises
     ------
@@ -150,8 +163,8 @@ def single_scattering(
     grains = medium.grains().attenuation
     values["extinction"] = grains + pore
     values["optical_thickness"] = values["extinction"] * medium.depth_m
-    for name in ("single_scattering_albedo", "single_scattering_albedo_stderr"):
-        values[name] = values[name] * (grains / values["extinction"])
+    for end in ("", "_stderr", *FOR_THEORIES):
+        values[f"single_scattering_albedo{end}"] *= grains / values["extinction"]
     facts = {
         **run_facts(
             "Single-scattering properties", "single_scattering", medium, begun, seed, threads
@@ -167,6 +180,10 @@ def single_scattering(
         dims = ("wavelength", "order")[: values[name].ndim]
         stderr = values.get(f"{name}_stderr")
         variables |= quantity(name, dims, values[name], stderr, long_name, units)
+        if stderr is not None:
+            for end, (also, about) in FOR_THEORIES.items():
+                over, label = (*also, *dims), f"{about} {long_name}"
+                variables |= quantity(f"{name}{end}", over, values[name + end], None, label, units)
     order = {"long_name": "order of the Legendre moment", "units": "1"}
     coordinates = {
         "wavelength": wavelength_axis(wavelengths),
@@ -211,14 +228,15 @@ def _trace(
             served = weight > 0.0
             part = absorption[served]
             optics = shared_optics(m, part)
-            sums = np.zeros((3, orders, len(part)))
-            shift = np.zeros((4, len(part)))
+            sums = np.zeros((3, orders + len(RATIOS), len(part)))
+            parts = np.zeros((PARTS, *sums.shape[1:]))
             jobs = [(node, first, optics, part) for first in range(0, rays, BATCH)]
             # In a fixed order, so that rounding does not depend on the threads.
             for one, other in pool.map(run, jobs):
                 sums += one
-                shift += other
-            traced.append(_Node(served, weight[served], sums / rays, shift / rays))
+                parts += other
+            # Parts per ray of theirs: their mean is that of all rays.
+            traced.append(_Node(served, weight[served], sums / rays, parts * (PARTS / rays)))
     return traced
 
 
@@ -227,38 +245,48 @@ def _estimate(
 ) -> dict[str, np.ndarray]:
     """Return means over grains and their standard errors, by name.
 
-    A moment is a ratio of means, <w P_l>/<w>; its error is that of w (P_l − χ_l), to first order.
+    All but the albedo are ratios of means, <w x>/<w>; the error is that of w (x − <w x>/<w>), to
+    first order.
     """
-    mean = np.zeros((orders, len(bias)))
-    shift = np.zeros((4, len(bias)))
+    mean = np.zeros((orders + len(RATIOS), len(bias)))
+    parts = np.zeros((PARTS, *mean.shape))
     for node in traced:
         mean[:, node.served] += node.weight * node.sums[0]
-        shift[:, node.served] += node.weight * node.shift
+        parts[:, :, node.served] += node.weight * node.parts
     albedo = mean[0]
     # Where nothing at all is scattered, the phase function has no meaning: 0, and no NaN.
     share = np.maximum(albedo, np.finfo(float).tiny)
-    moment = mean / share
+    ratio = mean / share
     variance = np.zeros(len(bias))
-    spread = np.zeros((orders, len(bias)))
+    spread = np.zeros(mean.shape)
     for node in traced:
         first, mixed, square = node.sums
-        chi = moment[:, node.served]
+        chi = ratio[:, node.served]
         variance[node.served] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
         residual = square - 2.0 * chi * mixed + chi**2 * square[0]
         residual -= (first - chi * first[0]) ** 2
         spread[:, node.served] += node.weight**2 * np.maximum(residual, 0.0)
-    albedo_bias = bias * np.clip(8.0 * albedo * (1.0 - albedo), 0.0, 1.0)
-    moment_bias = MOMENT_SLOPE * bias * np.clip(8.0 * np.abs(moment * (1.0 - moment)), 0.0, 1.0)
-    error = np.sqrt(spread / (rays * share**2) + moment_bias**2)
-    return {
+    missed = MOMENT_SLOPE * bias * np.abs(ratio)
+    missed[:orders] = MOMENT_SLOPE * bias * np.clip(8.0 * np.abs(_apart(ratio[:orders])), 0.0, 1.0)
+    error = np.sqrt(spread / (rays * share**2) + missed**2)
+    left_out = without_one(parts)
+    ratios = left_out / np.maximum(left_out[:, :1], np.finfo(float).tiny)
+    albedo_missed = bias * np.clip(8.0 * _apart(albedo), 0.0, 1.0)
+    found = {
         "single_scattering_albedo": albedo,
-        "single_scattering_albedo_stderr": np.sqrt(variance / rays + albedo_bias**2),
-        "asymmetry_parameter": moment[1],
-        "asymmetry_parameter_stderr": error[1],
-        "legendre_moment": moment.T,
-        "legendre_moment_stderr": error.T,
-        "displacement_before": shift[0] / share,
-        "displacement_after": shift[1] / share,
-        "displacement_square": shift[2] / share,
-        "wet_share": shift[3] / share,
+        "single_scattering_albedo_stderr": np.sqrt(variance / rays + albedo_missed**2),
+        "single_scattering_albedo_left_out": left_out[:, 0],
+        "single_scattering_albedo_missed": albedo_missed,
     }
+    rows = {"legendre_moment": slice(orders), "asymmetry_parameter": 1}
+    rows |= {name: orders + row for row, name in enumerate(RATIOS)}
+    for name, row in rows.items():
+        for end, table in (("", ratio), ("_stderr", error), ("_missed", missed)):
+            found[f"{name}{end}"] = table[row].T
+        found[f"{name}_left_out"] = np.moveaxis(ratios[:, row], 1, -1)
+    return found
+
+
+def _apart(value: np.ndarray) -> np.ndarray:
+    """Return x (1 − x), which is 0 where a share cannot depend on the refractive index."""
+    return value * (1.0 - value)

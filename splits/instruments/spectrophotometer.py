@@ -17,10 +17,11 @@ from splits.instruments.arguments import (
     check_whole,
 )
 from splits.instruments.estimators import ESTIMATORS
-from splits.instruments.labels import Variable, deviations, quantity, run_facts, wavelength_axis
+from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.tracers import KERNELS
 from splits.media.turbid import Medium
+from splits.uncertainty import Variable, deviations, quantity
 
 QUANTITIES = {
     "reflectance": "hemispherical reflectance",

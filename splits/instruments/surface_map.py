@@ -9,9 +9,10 @@ import xarray as xr
 
 from splits.checks import refuse
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
-from splits.instruments.labels import quantity, run_facts
+from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
 from splits.transport.rough_surface import heights_and_slopes
+from splits.uncertainty import quantity
 
 POINTS = 201
 MOST_REALISATIONS = 10_000_000

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
+from stated_errors import with_errors
 
 from splits import load, save
 from splits.analysis.sand_tables import UNDETERMINED, fitted_parameters
@@ -52,6 +53,7 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     off = ds.reflectance - ds.measured
     np.testing.assert_allclose(ds.rmse, np.sqrt((off**2).mean("wavelength")), rtol=1e-12)
     assert (ds.value_stderr >= 0.0).all()
+    assert with_errors(ds) == {"reflectance", "value", "rmse"}
     shares = ["partition_pure", "partition_mixed", "partition_coated"]
     np.testing.assert_allclose(ds.value.sel(parameter=shares).sum("parameter"), 1.0)
     np.testing.assert_allclose(ds.value.sel(parameter=["clay", "silt", "sand"]).sum("parameter"), 1)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import largest_z
+from stated_errors import with_errors
 
 from splits.analysis.sensitivity import NOISE, mean_sensitivity_index
 from splits.analysis.sensitivity_tables import (
@@ -110,3 +111,4 @@ def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity()
     np.testing.assert_allclose(dataset.msi, 0.5)
     assert dataset.published.sel(quantity="transmittance", parameter="saturation") == 0.6
     assert all(v.attrs["long_name"] and v.attrs["units"] for v in dataset.data_vars.values())
+    assert with_errors(dataset) == {"msi"}

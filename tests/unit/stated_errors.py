@@ -1,0 +1,24 @@
+"""Which variables of a dataset have errors, and whether they say so (CF conventions, 3.4)."""
+
+from __future__ import annotations
+
+import xarray as xr
+
+
+def with_errors(dataset: xr.Dataset) -> set[str]:
+    """Return the variables that have a standard error; every one must name it, and no other."""
+    found = {
+        str(name).removesuffix("_stderr")
+        for name in dataset.data_vars
+        if str(name).endswith("_stderr")
+    }
+    named = {
+        str(name): variable.attrs["ancillary_variables"]
+        for name, variable in dataset.data_vars.items()
+        if "ancillary_variables" in variable.attrs
+    }
+    assert named == {name: f"{name}_stderr" for name in found}
+    for name in found:
+        assert dataset[name].dims == dataset[f"{name}_stderr"].dims
+        assert dataset[name].attrs["units"] == dataset[f"{name}_stderr"].attrs["units"]
+    return found

@@ -1,0 +1,66 @@
+"""Every instrument and theory: what has a standard error names it."""
+
+from __future__ import annotations
+
+import pytest
+from chi2 import NEEDS_JIT
+from stated_errors import with_errors
+
+import splits
+from splits import instruments
+from splits.analysis.radiative_transfer import discrete_ordinates, packed
+
+LAYER = splits.Layer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
+SURFACE = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
+WAVES = splits.Layer(depth_m=100.0, surface=SURFACE)
+TOTALS = {"reflectance", "transmittance"}
+ANGLES = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *TOTALS}
+ANGLES |= {"specular_reflectance", "direct_transmittance"}
+STOKES = {f"{name}_{part}" for name in ("brdf", "btdf") for part in "quv"}
+FEW = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
+GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_share"}
+GRAINS |= {"displacement_before", "displacement_after", "displacement_square"}
+THEORY = {*TOTALS, "absorptance"}
+CASES = {
+    "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY),
+    "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW, ANGLES),
+    "goniophotometer, cells": (
+        LAYER, ([600.0], 0.0, 1000), {"estimator": "cells", "cells": (2, 4)}, ANGLES | STOKES,
+    ),
+    "goniophotometer, local": (
+        LAYER, ([600.0], 30.0, 1000), {"estimator": "local", **FEW}, ANGLES | STOKES,
+    ),
+    "bssrdf": (
+        splits.Snow(), ([900.0], 0.0, 1), {},
+        {"profile", "profile_map", "mean_radius", "quantile_radius", "share"},
+    ),
+    "deep_transmittance": (
+        splits.Snow(depth_m=0.01), ([600.0],), {"relative_stderr": 0.5}, {"transmittance"},
+    ),
+    "single_scattering": (splits.Snow(), ([600.0],), {"moments": 2, "rays": 2}, GRAINS),
+    "lens": (
+        WAVES, ([5.0], 0.5), {"over": "origin", "realisations": 3},
+        {"contraction", "concentration"},
+    ),
+    "surface_map": (WAVES, (10.0,), {"points": 2, "realisations": 2}, set()),
+}  # fmt: skip
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("case", CASES)
+def test_instruments_name_their_errors(case):
+    medium, given, settings, expected = CASES[case]
+    dataset = getattr(instruments, case.split(",")[0])(medium, *given, **settings)
+    assert with_errors(dataset) == expected
+
+
+def test_no_instrument_is_left_out():
+    assert {case.split(",")[0] for case in CASES} == set(instruments.__all__) - {"Progress"}
+
+
+@NEEDS_JIT
+def test_theories_name_their_errors():
+    pytest.importorskip("PythonicDISORT")
+    optics = packed(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
+    assert with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
+    assert with_errors(discrete_ordinates(optics, streams=4)) == THEORY

@@ -53,9 +53,11 @@ import xarray as xr
 import splits
 from splits.analysis import efficiency
 from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
+from splits.analysis.propagation import response
 from splits.analysis.radiative_transfer import discrete_ordinates, kz04, packed, shape_factors
 from splits.analysis.tables import write_table
 from splits.instruments.estimators import ANALOG_PILOT
+from splits.uncertainty import Variable, quantity
 
 MEDIA = {
     "representative": splits.Snow(),
@@ -207,9 +209,11 @@ class Table:
         **facts: float,
     ) -> None:
         """Add a method; of several spectra, the root mean square or largest of each number."""
-        stated = efficiency.stated_errors if not np.isnan(error) else lambda _: {}
         facts |= efficiency.combined(
-            [efficiency.deviations(one, self.reference) | stated(one) for one in spectra]
+            [
+                efficiency.deviations(one, self.reference) | efficiency.stated_errors(one)
+                for one in spectra
+            ]
         )
         row = {
             "medium": self.medium,
@@ -296,17 +300,12 @@ def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
             table.add(kernel, MEASURED, spent, rays, error, spectra)
 
 
-def with_absorptance(spectrum: xr.Dataset) -> xr.Dataset:
-    """Return a theory's spectrum with what it neither reflects nor transmits."""
-    return spectrum.assign(absorptance=1.0 - spectrum.reflectance - spectrum.transmittance)
-
-
 def by_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
     """Return the spectrum by discrete ordinates, from the medium's own grains."""
     optics = splits.single_scattering(
         medium, wavelengths, STREAMS, rays, threads=1, wet_pores="equilibrium"
     )
-    return with_absorptance(discrete_ordinates(packed(optics), streams=STREAMS))
+    return discrete_ordinates(packed(optics), streams=STREAMS)
 
 
 def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
@@ -316,17 +315,26 @@ def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Datas
     )
     area = medium.specific_surface_area_m2_kg
     k = medium.refractive_index["ice"](wavelengths).imag
-    enhancement, asymmetry = shape_factors(optics, area, k)
-    spectrum = kz04(
-        wavelengths,
-        area,
-        extinction_coefficient=k,
-        absorption_enhancement=enhancement,
-        asymmetry=asymmetry,
-        density_kg_m3=medium.density_kg_m3,
-        depth_m=medium.depth_m,
-    )
-    return with_absorptance(spectrum)
+
+    def theory(part: xr.Dataset) -> np.ndarray:
+        enhancement, asymmetry = shape_factors(part, area, k)
+        spectrum = kz04(
+            wavelengths,
+            area,
+            extinction_coefficient=k,
+            absorption_enhancement=enhancement,
+            asymmetry=asymmetry,
+            density_kg_m3=medium.density_kg_m3,
+            depth_m=medium.depth_m,
+        )
+        reflected, passed = spectrum.reflectance.values, spectrum.transmittance.values
+        return np.stack([reflected, passed, 1.0 - reflected - passed])
+
+    values, stderr = theory(optics), response(theory, optics)
+    variables: dict[str, Variable] = {}
+    for row, name in enumerate(efficiency.QUANTITIES):
+        variables |= quantity(name, "wavelength", values[row], stderr[row], name)
+    return xr.Dataset(variables, {"wavelength": wavelengths})
 
 
 def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:

@@ -21,6 +21,9 @@ LARGEST_ALBEDO = 1.0 - 1e-9
 """PythonicDISORT refuses an albedo of 1 and loses digits as it comes near: at 1 − 10⁻⁹ fluxes are
 good to 10⁻⁶, while an optical thickness of 1000 absorbs 10⁻⁵ more than it should at most."""
 
+INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
+"""What discrete ordinates take of the optics."""
+
 FEW_STREAMS = 8
 """Streams that tell how results respond to small changes of the optics: of R = 0.66 eight miss
 5·10⁻⁵, and of a response no more than a part in a hundred."""
@@ -77,7 +80,8 @@ def discrete_ordinates(
     fine, coarse = (_slabs(optics, cosine, n) for n in (streams, 2 * (streams // 4)))
     truncation = np.abs(fine - coarse)
     few = min(streams, FEW_STREAMS)
-    stderr = np.hypot(truncation, response(lambda part: _slabs(part, cosine, few), optics))
+    used = optics[[name for name in optics.data_vars if str(name).startswith(INPUTS)]]
+    stderr = np.hypot(truncation, response(lambda part: _slabs(part, cosine, few), used))
     variables: dict[str, Variable] = {}
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
         less = f"{name}_truncation"

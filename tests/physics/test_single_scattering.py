@@ -101,10 +101,11 @@ def test_same_numbers_on_one_and_two_threads(medium):
 
 
 def test_standard_errors_are_the_scatter_of_seeds():
-    names = ("single_scattering_albedo", "legendre_moment")
+    names = ("single_scattering_albedo", "legendre_moment", "displacement_before")
+    names += ("displacement_after", "displacement_square", "wet_share")
+    wet = splits.Snow(saturation=0.3, refractive_index={"ice": 1.31 + 1e-4j, "water": 1.33})
     runs = [
-        single_scattering(dry(1.31 + 1e-4j), 1000.0, moments=4, rays=2 * BATCH, seed=seed)
-        for seed in range(40)
+        single_scattering(wet, 1000.0, moments=4, rays=2 * BATCH, seed=seed) for seed in range(40)
     ]
     for name in names:
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))

@@ -101,6 +101,23 @@ def test_packed_grains_obey_it_with_the_way_through_them(entry, incidence):
     assert (np.abs(grains - found)[:, :2] <= PACKED + 3.0 * stderr[:, :2]).all()
 
 
+def test_errors_of_the_optics_are_those_of_the_theory():
+    snow = sample(10.0, 275.0)
+    names = ("reflectance", "transmittance", "absorptance")
+    found = []
+    for seed in range(30):
+        optics = packed(single_scattering(snow, [500.0, 1800.0], 16, 4096, seed))
+        result = discrete_ordinates(optics, 30.0, 16)
+        values = [[result[f"{n}{end}"].values for n in names] for end in ("", "_stderr")]
+        thickness = (optics[f"optical_thickness{end}"].values for end in ("", "_stderr"))
+        found.append(np.array([[*v, t] for v, t in zip(values, thickness, strict=True)]))
+    values, stated = np.array(found).transpose(1, 0, 2, 3)
+    ratio = values.std(axis=0, ddof=1) / np.sqrt((stated**2).mean(axis=0))
+    print("scatter of seeds over stated errors:", ratio.round(2).tolist())
+    # 30 seeds know a scatter to 13 %, and 16 parts of the rays an error to 18 %, less over seeds.
+    assert (np.abs(ratio - 1.0) < 4.0 * 0.13).all()
+
+
 def vars_of(snow):
     names = ("facetness", "saturation", "density_kg_m3", "depth_m", "refractive_index")
     return {name: getattr(snow, name) for name in names}

@@ -1,6 +1,7 @@
 # make run     set up .venv, run every experiment of config/ and write the report
 # make test    set up .venv and run the tests
-# make campaign  read 10 000 generated experiment files and run 300 of them (an hour or two)
+# make campaign  10 000 generated experiment files, 300 of them run, 60 kills, 30 damages of each sort
+#                (an hour or two)
 # make setup   set up .venv and nothing else
 # make draft   what make run does, quickly and roughly, into results/draft
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
@@ -30,7 +31,8 @@ test: $(VENV)/ready
 	$(BIN)/python -m pytest
 
 campaign: $(VENV)/ready
-	CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns
+	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \
+		$(BIN)/python -m pytest -s tests/campaigns tests/workflow/test_kills.py
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

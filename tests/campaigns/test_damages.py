@@ -1,0 +1,138 @@
+"""Random damage to datasets, kept kernels and configuration: each is noticed, and told in one line.
+
+A few by default.  The campaign proper is ``make campaign``, or
+
+    DAMAGES=30 python -m pytest -s tests/campaigns/test_damages.py
+
+with so many of each sort.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.checksum import DamagedError
+from splits.experiments import ConfigError, load_experiment
+
+DAMAGES = int(os.environ.get("DAMAGES", "6"))
+CONFIG = Path(__file__).parents[2] / "config"
+SHIPPED = sorted((CONFIG / "experiments").rglob("*.yaml"))
+WORK = """
+import splits
+dataset = splits.spectrophotometer(splits.Layer(), [500], max_stderr=0.3, seed=1, threads=1)
+print(dataset.reflectance.values[0].hex())
+"""
+
+
+def flipped(content: bytes, chance: random.Random) -> bytes:
+    """Return the content with one bit the other way."""
+    place = chance.randrange(len(content))
+    return (
+        content[:place] + bytes([content[place] ^ 1 << chance.randrange(8)]) + content[place + 1 :]
+    )
+
+
+def cut(content: bytes, chance: random.Random) -> bytes:
+    """Return the beginning of the content."""
+    return content[: chance.randrange(len(content))]
+
+
+def zeroed(content: bytes, chance: random.Random) -> bytes:
+    """Return the content with a stretch of zeros, as a lost sector leaves it."""
+    place = chance.randrange(len(content))
+    length = min(512, len(content) - place)
+    other = bytes(length) if any(content[place : place + length]) else b"\xff" * length
+    return content[:place] + other + content[place + length :]
+
+
+def garbled(content: bytes, chance: random.Random) -> bytes:
+    """Return the content with noise within."""
+    place = chance.randrange(len(content))
+    return content[:place] + chance.randbytes(16) + content[place:]
+
+
+WAYS = (flipped, cut, zeroed, garbled)
+
+
+def damaged(content: bytes, number: int) -> bytes:
+    """Return a content that is not the same."""
+    chance = random.Random(number)
+    found = WAYS[number % len(WAYS)](content, chance)
+    assert found != content
+    return found
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "made.nc"
+    waves = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
+    layer = splits.Layer(surface=waves, depth_m=10.0)
+    splits.save(splits.surface_map(layer, 1.0, points=41, realisations=2), path)
+    return path
+
+
+@pytest.mark.parametrize("number", range(DAMAGES))
+def test_a_damaged_dataset_is_named(dataset, tmp_path, number):
+    path = tmp_path / "made.nc"
+    path.write_bytes(damaged(dataset.read_bytes(), number))
+    with pytest.raises(DamagedError) as caught:
+        splits.load(path)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: damaged, ") and line.isprintable()
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory):
+    """Return a folder of kept kernels, and what a process prints that uses them."""
+    folder = tmp_path_factory.mktemp("kernels")
+    return folder, work(folder).stdout
+
+
+def work(folder):
+    """Run a small simulation with the kernels of a folder."""
+    variables = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
+    return subprocess.run(
+        [sys.executable, "-c", WORK], env=variables | {"NUMBA_CACHE_DIR": str(folder)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(DAMAGES))
+def test_a_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
+    folder, printed = kernels
+    copy = tmp_path / "kernels"
+    shutil.copytree(folder, copy)
+    files = sorted(path for path in copy.rglob("*.nbc"))
+    path = random.Random(number).choice(files)
+    path.write_bytes(damaged(path.read_bytes(), number))
+    done = work(copy)
+    assert done.stdout == printed
+    # A kernel that others have taken in is not read by itself.
+    lines = done.stderr.splitlines()
+    assert len(lines) <= 1 and all(str(copy) in line for line in lines)
+    again = work(copy)
+    assert (again.stdout, again.stderr) == (printed, done.stderr if not lines else "")
+
+
+@pytest.mark.parametrize("number", range(DAMAGES))
+def test_damaged_configuration_is_read_or_refused_in_one_line(tmp_path, number):
+    path = tmp_path / "made.yaml"
+    source = random.Random(number).choice(SHIPPED)
+    path.write_bytes(damaged(source.read_bytes(), number))
+    try:
+        load_experiment(path, CONFIG / "media")
+    except ConfigError as error:
+        line = str(error)
+        assert line.startswith(str(path)) and line.isprintable()
+        assert len(line) - len(str(path)) < 500

@@ -7,7 +7,7 @@ PHYSICS = sorted(
     str(path)
     for folder in ("materials", "media", "transport", "instruments")
     for path in (PACKAGE / folder).rglob("*.py")
-) + [str(PACKAGE / "experiments" / "run.py")]
+) + [str(PACKAGE / "experiments" / "run.py"), str(PACKAGE / "uncertainty.py")]
 
 FITTING = [
     str(PACKAGE / "experiments" / name)

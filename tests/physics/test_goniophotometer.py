@@ -266,6 +266,12 @@ def test_steep_directions_alone_and_dark_sides_have_a_goal_too():
     assert not dark.btdf.values.any() and (dark.btdf_stderr.values > 0.0).all()
 
 
+def test_detail_that_noise_hides_keeps_a_lobe_above_the_error_asked_for():
+    run = splits.goniophotometer(splits.Snow(), [600.0, 1800.0], 69.3, relative_stderr=0.1)
+    assert run.attrs["stopped_by"] == "detail"
+    assert 0.1 < run.attrs["relative_stderr_reached"] < 0.2
+
+
 def test_lanes_agree_with_the_scalar_kernel():
     for estimator in ("expansion", "cells"):
         z = []

@@ -15,10 +15,10 @@ from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.media.turbid import Medium, TurbidMedium
 
 RULES = (
-    "all", "agreement", "angular_trends", "archive", "benchmark_kernels", "benchmarks", "figure",
-    "figure_letcher", "figure_sensitivity", "figure_speed_against_error", "fitted_parameters",
-    "layer_trends", "sand_compositions", "sand_tables", "sensitivity", "simulate",
-    "speed_against_error",
+    "all", "agreement", "angular_trends", "archive", "benchmark_kernels", "benchmarks",
+    "documented", "figure", "figure_letcher", "figure_sensitivity", "figure_speed_against_error",
+    "fitted_parameters", "layer_trends", "sand_compositions", "sand_tables", "sensitivity",
+    "simulate", "speed_against_error",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 

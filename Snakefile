@@ -40,6 +40,7 @@ include: "workflow/rules/figures.smk"
 include: "workflow/rules/analyse.smk"
 include: "workflow/rules/archive.smk"
 include: "workflow/rules/benchmark.smk"
+include: "workflow/rules/documented.smk"
 
 
 onstart:

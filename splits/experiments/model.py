@@ -16,8 +16,8 @@ from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.media.turbid import Medium, TurbidMedium
 
 RULES = (
-    "all", "archive", "benchmark_kernels", "benchmarks", "figure", "figure_speed_against_error",
-    "fitted_parameters", "simulate", "speed_against_error",
+    "all", "archive", "benchmark_kernels", "benchmarks", "documented", "figure",
+    "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 

@@ -1,0 +1,206 @@
+"""Numbers in README and docs: all come from the record of a run, and none is said twice."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import xarray as xr
+
+import splits
+from splits.analysis import quoted as room
+from splits.analysis.marks import COMMENT, MARKED, marked, rewritten, write_marked
+from splits.analysis.quoted import CODE, NUMBERS, quoted
+from splits.analysis.quoting import Number, cell, extreme, point, size
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+RECORD = ROOT / "docs" / "numbers.json"
+
+# Rows of tables in which every number but the paper's own comes from a run: how their lines begin,
+# and how many cells of theirs, from the last, the run makes.
+MADE = {
+    "README.md": [
+        ("| mean grain distance at 450", 1),
+        ("| reflectance at 842 / 1074 / 1238 nm", 2),
+        ("| measured there by AVIRIS-NG", 2),
+        ("| largest transmittance of 12 cm", 1),
+        ("| RMSE of reflectance, 300 against 450", 1),
+        ("| MSI of reflectance:", 1),
+        ("| MSI of transmittance, same order", 1),
+    ],
+    "docs/accuracy.md": [
+        ("| grain size", 2),
+        ("| saturation", 2),
+        ("| facetness", 2),
+        ("| density", 2),
+    ],
+    "docs/sand.md": [("| goethite k ", 3), ("| `wrong_side: mirrored`", 5)],
+}
+
+
+def record():
+    return json.loads(RECORD.read_text(encoding="utf-8"))
+
+
+def marks():
+    """Return document, key and text of all marks."""
+    return [
+        (path.name, *mark)
+        for path in DOCUMENTS
+        for mark in marked(path.read_text(encoding="utf-8"))
+    ]
+
+
+# --- the documents as they are ----------------------------------------------------------------
+
+
+def test_every_marked_number_is_that_of_the_record():
+    known = record()
+    assert [m for m in marks() if known.get(m[1]) != m[2]] == []
+
+
+def test_no_key_has_two_texts():
+    texts = {}
+    for name, key, text in marks():
+        assert texts.setdefault(key, text) == text, (name, key)
+
+
+def test_keys_are_known_used_and_recorded():
+    used = {key for _, key, _ in marks()}
+    assert used == set(NUMBERS)
+    assert used == set(record())
+
+
+def test_constants_of_the_code_are_the_codes():
+    known = record()
+    constants = {key: n.text(None) for key, n in NUMBERS.items() if n.source == CODE}
+    assert constants["draws"] == "10⁷"
+    assert {key: known[key] for key in constants} == constants
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_numbers_of_these_tables_are_all_marked(name):
+    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+    for start, cells in MADE[name]:
+        rows = [line for line in lines if line.startswith(start)]
+        assert rows, start
+        for row in rows:
+            made = "|".join(row.rstrip(" |").split("|")[-cells:])
+            assert COMMENT in made, row
+            assert not re.search(r"\d", MARKED.sub("", made)), row
+
+
+# --- the way from a run into a document -------------------------------------------------------
+
+
+@pytest.fixture
+def results(tmp_path):
+    """Return a folder with one small table and one small dataset."""
+    (tmp_path / "tables").mkdir()
+    table = pd.DataFrame(
+        {
+            "quantity": ["rise (at 5°)", "fall", "level"],
+            "reading": ["default", "facets_any", "default"],
+            "low": ["0.0", "0.05", "0.0"],
+            "ours": [0.0312, -0.5, -0.0002],
+            "stderr": [0.0041, 0.0499, 0.0002],
+        }
+    )
+    table.to_csv(tmp_path / "tables" / "made.csv", index=False)
+    dataset = xr.Dataset(
+        {
+            "reflectance": (("texture", "wavelength"), [[0.125, 0.5]]),
+            "reflectance_stderr": (("texture", "wavelength"), [[0.002, 0.01]]),
+        },
+        {"texture": ["no clay"], "wavelength": [400.0, 500.0]},
+        {"splits_version": "0", "realisations": 300},
+    )
+    splits.save(dataset, tmp_path / "data" / "made.nc")
+    return tmp_path
+
+
+TABLE, DATA = "tables/made.csv", "data/made.nc"
+BOTH = ("ours", "stderr")
+WRITTEN = {
+    "0.031 ± 0.004": Number(TABLE, cell(*BOTH, quantity="rise")),
+    "+3.1": Number(TABLE, cell("ours", scale=100.0, quantity="rise"), "+.1f"),
+    "3.12e-2": Number(TABLE, cell("ours", quantity="rise"), ".2e"),
+    "−0.50 ± 0.05 (facets any)": Number(
+        TABLE, extreme(*BOTH, largest=False, name="reading"), ".2f"
+    ),
+    "0.000 ± 0.0002": Number(TABLE, cell(*BOTH, quantity="level"), "+.3f"),
+    "−0.5": Number(TABLE, cell("ours", low="0.05"), ".1f"),
+    "0.5": Number(TABLE, size("ours"), ".1f"),
+    "0.12 ± 0.002": Number(DATA, point("reflectance", texture="no clay", wavelength=400.0), ".2f"),
+    "300": Number(DATA, point("realisations", attribute=True), "g"),
+    "0": Number(CODE, lambda _: (0.0, None, ""), "+.3f"),
+    "0.2": Number(CODE, lambda _: (0.2, None, ""), "#.2g"),
+    "32": Number(CODE, lambda _: (32.2, None, ""), "#.2g"),
+    "10⁷": Number(CODE, lambda _: (10_000_000, None, ""), "power"),
+}
+
+
+def test_numbers_are_found_and_written(results, monkeypatch):
+    wanted = {f"key.{i}": text for i, text in enumerate(WRITTEN)}
+    numbers = dict(zip(wanted, WRITTEN.values(), strict=True))
+    numbers["time"] = Number("benchmarks/kernels.csv", cell("seconds"))
+    monkeypatch.setattr(room, "NUMBERS", numbers)
+    found = quoted(results)
+    # Zero point two to two digits keeps its last one.
+    wanted = {key: "0.20" if text == "0.2" else text for key, text in wanted.items()}
+    assert found == wanted
+    for key, text in found.items():
+        assert marked(f"| about {text}<!--{key}--> |") == [(key, text)]
+
+
+@pytest.mark.parametrize(
+    ("number", "message"),
+    [
+        (Number("tables/none.csv", cell("ours")), r"none\.csv'.*must be there .snakemake"),
+        (Number(TABLE, cell("ours", reading="default")), "key: rows = 2: must be 1 of"),
+        (Number(TABLE, cell("theirs", low="0.05")), r"made\.csv: key: 'theirs'"),
+        (Number(DATA, point("reflectance", texture="clay")), r"made\.nc: key:"),
+    ],
+)  # fmt: skip
+def test_what_is_not_there_is_said_in_one_line(results, monkeypatch, number, message):
+    monkeypatch.setattr(room, "NUMBERS", {"key": number})
+    with pytest.raises(ValueError, match=message) as refused:
+        quoted(results)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_mark_takes_the_number_before_it_and_nothing_else():
+    line = (
+        "| 0.8 / 0.9 ± 0.1<!--a--> (± 0.002<!--b-->) | 0.02-0.051<!--c--> | **+3 (x y)<!--d-->** |"
+    )
+    assert marked(line) == [("a", "0.9 ± 0.1"), ("b", "0.002"), ("c", "0.051"), ("d", "+3 (x y)")]
+    new = rewritten(line, {"a": "−0.5 ± 0.01", "b": "0", "c": "4.3e-4", "d": "10⁷"})
+    assert new == (
+        "| 0.8 / −0.5 ± 0.01<!--a--> (± 0<!--b-->) | 0.02-4.3e-4<!--c--> | **10⁷<!--d-->** |"
+    )
+
+
+@pytest.mark.parametrize("line", ["about <!--a-->", "0.5 <!--a-->", "0.5<!--A-->", "0.5<!-- a -->"])
+def test_comments_that_mark_nothing_are_refused(line):
+    with pytest.raises(ValueError, match=r"mark = .*must be a number before each comment"):
+        marked(line)
+
+
+def test_documents_are_written_whole_or_not_at_all(tmp_path):
+    first, second, record = (tmp_path / name for name in ("a.md", "b.md", "numbers.json"))
+    first.write_text("0.1<!--a--> and 0.2<!--b-->\n", encoding="utf-8")
+    second.write_text("0.2<!--b-->\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"b\.md: mark = 'b': must be a key"):
+        write_marked({"a": "0.3"}, [second, first], record)
+    assert first.read_text(encoding="utf-8").startswith("0.1") and not record.exists()
+    assert write_marked({"a": "0.3", "b": "0.2"}, [first, second], record) == [first, record]
+    assert first.read_text(encoding="utf-8") == "0.3<!--a--> and 0.2<!--b-->\n"
+    assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.2"}
+    # What a run did not make stays; a key that no document marks is forgotten.
+    assert write_marked({"b": "0.4", "c": "9"}, [first, second], record) == [first, second, record]
+    assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.4"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.md", "b.md", "numbers.json"]

@@ -1,0 +1,20 @@
+if "documented" in sys.argv and SETTINGS.accuracy != "standard":
+    raise WorkflowError(
+        f"accuracy = '{SETTINGS.accuracy}': must be standard for the target documented"
+    )
+
+
+# Documents are no outputs, because Snakemake removes those before a job; so it always runs.
+rule documented:
+    input:
+        [products(name) for name in EXPERIMENTS],
+        study_products(),
+    log:
+        f"{RESULTS}/logs/documented.log",
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Writing numbers of this run into README.md and docs"
+    script:
+        "../scripts/documented.py"

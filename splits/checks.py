@@ -142,7 +142,7 @@ def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
         itertools.islice(values, MOST_NUMBERS + 1) if isinstance(values, Iterable) else [values]
     )
     if not members:
-        raise refuse(key, [], f"at least one of {allowed}")
+        raise refuse(key, [], f"{allowed}, at least one")
     if len(members) > MOST_NUMBERS:
         raise refuse(key, f"more than {MOST_NUMBERS} numbers", f"at most {MOST_NUMBERS} numbers")
     if any(isinstance(member, (list, tuple, np.ndarray)) and np.ndim(member) for member in members):

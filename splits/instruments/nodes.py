@@ -224,7 +224,7 @@ class _Draws:
     def weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return convex weights, shape (rows, wavelengths), of nodes that hold all drawn on."""
         place = np.full(len(self.share), -1)
-        place[rows] = np.arange(len(rows))
+        place[np.asarray(rows)] = np.arange(len(rows))
         every = np.arange(len(self.share))
         weights = np.zeros((len(rows), len(every)))
         for node, share in ((self.first, self.share), (self.second, 1.0 - self.share)):

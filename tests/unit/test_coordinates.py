@@ -11,7 +11,8 @@ import xarray as xr
 
 import splits
 from splits.dataset import attributes, provenance
-from splits.experiments.model import MEDIA, Experiment
+from splits.experiments.model import Experiment
+from splits.experiments.simulation import MEDIA
 from splits.experiments.run import run
 from splits.experiments.settings import Accuracy
 

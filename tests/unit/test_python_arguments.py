@@ -43,7 +43,7 @@ def test_whole_numbers_in_whatever_form(value):
         (0.5, "wavelength_nm = 0.5: must be in [200, 100000] nm (in micrometres? write 500)"),
         ([0.4, 0.5], "wavelength_nm = 0.4: must be in [200, 100000] nm (in micrometres? "),
         (150, "wavelength_nm = 150.0: must be in [200, 100000] nm"),
-        ([], "wavelength_nm = []: must be at least one of numbers in nanometres"),
+        ([], "wavelength_nm = []: must be numbers in nanometres, at least one"),
         ([500, np.nan], "wavelength_nm = nan: must be numbers in nanometres"),
         ([10**400], "wavelength_nm = 1000"),
         ([[400, 500]], "wavelength_nm = [[400, 500]]: must be one row of numbers in nanometres"),

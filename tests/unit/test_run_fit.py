@@ -150,7 +150,7 @@ def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
         ("wavelength_nm,a\n1,2,3\n4,5,6,7\n", r": fit\.measured = 'mine\.csv': must be a table"),
         (
             "wavelength_nm,a\nblue,0.3\n",
-            r": fit\.measured\.wavelength_nm = \['blue'\]: must be num",
+            r": fit\.measured\.wavelength_nm = 'blue': must be num",
         ),
         ("wavelength_nm,a\n100,0.3\n", r": fit\.measured\.wavelength_nm = 100\.0: must be in"),
         ("wavelength_nm,a\n2600,0.3\n", r": fit\.measured\.wavelength_nm = 2600\.0: must be in"),

@@ -12,9 +12,9 @@ import xarray as xr
 import splits
 from splits.dataset import attributes, provenance
 from splits.experiments.model import Experiment
-from splits.experiments.simulation import MEDIA
 from splits.experiments.run import run
 from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import MEDIA
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
 LENS = {

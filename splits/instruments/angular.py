@@ -15,6 +15,9 @@ PENALTY = 4.0
 one adds in noise is less than what it takes away in bias; 1 more because its square holds its
 noise; the rest because the best of many choices is taken."""
 
+ALWAYS = 3
+"""Polynomials that are kept in any case: the constant one and its neighbours with m = 0."""
+
 BIAS = 8.0
 """What interpolation between refractive indices misses of a BRDF, relative, in units of its bound
 for a reflectance near 1/2; see `splits.instruments.estimators`."""
@@ -194,8 +197,7 @@ def estimate(
         finest = finer(together.sum(axis=1), symmetric, angles)
         beyond[:, column] = finest
         mean[:, column] = values.mean(axis=0)
-        kept = np.where(keep, together, 0.0).mean(axis=0)
-        where = np.maximum(1.0, concentration(kept, angles))
+        where = np.maximum(1.0, concentration(np.where(keep, together, 0.0), angles))
         there = np.maximum(even, (apart[..., np.newaxis] * where).sum(axis=0))
         for errors, dropped in ((steering, even), (stderr, there)):
             errors[:, column] = np.hypot(stderr_of(values), np.sqrt(dropped))
@@ -231,16 +233,24 @@ def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
     """Return the detail's square over its mean over the hemisphere, shape (…, directions).
 
     What a class drops adds up where what it keeps does: a lobe is cut where the lobe is.  To spread
-    its power evenly would state too small an error there.  The constant polynomial is no detail.
+    its power evenly would state too small an error there.  Polynomials that `supported` keeps in
+    any case tell nothing of where detail is, nor does the part of the others that is noise: for
+    that part, the answer is 1.
 
     Parameters
     ----------
-    kept : float, shape (…, polynomials)
+    kept : float, shape (groups, …, polynomials)
         Coefficients, 0 for those that were dropped.
     """
-    square = (kept[..., 1:] @ angles.values[:, 1:].T) ** 2
-    mean = (kept[..., 1:] ** 2).sum(axis=-1, keepdims=True) / np.pi
-    return np.divide(square, mean, out=np.zeros_like(square), where=mean > 0.0)
+    detail = kept[..., ALWAYS:]
+    mean, variance = detail.mean(axis=0), detail.var(axis=0, ddof=1) / len(detail)
+    power = (mean**2).sum(axis=-1, keepdims=True)
+    real = np.maximum(power - variance.sum(axis=-1, keepdims=True), 0.0)
+    share = np.divide(real, power, out=np.zeros_like(power), where=power > 0.0)
+    square = np.pi * (mean @ angles.values[:, ALWAYS:].T) ** 2
+    square = np.divide(square, power, out=np.zeros_like(square), where=power > 0.0)
+    found: np.ndarray = share * square + 1.0 - share
+    return found
 
 
 def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.model import label_of
+from splits.experiments.grids import label_of
 from splits.experiments.sections import FIGURES, OF_ONE_POINT
 
 

@@ -114,7 +114,7 @@ def test_radii_scale_with_the_sample():
 @NEEDS_JIT
 def test_errors_are_those_of_repeated_runs():
     runs = [
-        splits.bssrdf(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(96)
+        splits.bssrdf(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(200)
     ]
     for name in ("mean_radius", "quantile_radius", "share"):
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))

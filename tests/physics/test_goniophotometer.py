@@ -213,7 +213,8 @@ def test_errors_are_those_of_repeated_runs():
         for seed in range(24)
     ]  # fmt: skip
     values, stated = ([run[f"brdf{end}"][0].values for run in runs] for end in ("", "_stderr"))
-    judge_scatter(values, stated, "BRDF")
+    # Errors hold what the expansion leaves out, too: of 120 runs 0.61 to 0.95 of them is scatter.
+    judge_scatter(values, stated, "BRDF", bound_added=True)
 
 
 def test_a_deep_white_medium_is_nearly_lambertian():

@@ -155,7 +155,8 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
         side; correlation only makes Šidák's bound wider than it need be.
     bound_added : bool
         Errors hold the bound of a bias besides the statistical part (interpolation between
-        refractive indices), so that they are too large by design: only the upper limit counts.
+        refractive indices, what an expansion leaves out), so that they are too large by design:
+        only the upper limit counts.
     """
     z = np.asarray(z, dtype=float)
     flat = z.ravel()
@@ -189,7 +190,7 @@ def pooled_z(differences, errors, values=None) -> float:
     return float((d * v / s**2).sum() / np.sqrt((v**2 / s**2).sum()))
 
 
-def judge_scatter(samples, stated, label: str = "") -> None:
+def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -> None:
     """Fail if the scatter of repeated runs is not what they state: both sides, at 1 % together.
 
     Parameters
@@ -197,6 +198,9 @@ def judge_scatter(samples, stated, label: str = "") -> None:
     samples, stated : array_like, shape (runs, …)
         Values of independent runs and their standard errors.  Quantities of a run may share
         paths: each by itself is judged by the quantiles of χ², by Šidák's bound for all.
+    label : str
+    bound_added : bool
+        See `judge_z`.
     """
     samples = np.asarray(samples, dtype=float)
     runs = len(samples)
@@ -207,6 +211,7 @@ def judge_scatter(samples, stated, label: str = "") -> None:
     chi2 = square[known] / mean_square[known]
     each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / chi2.size)
     low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], runs - 1) / (runs - 1))
+    low = 0.0 if bound_added else low
     ratio = np.sqrt(chi2 / (runs - 1))
     report = (
         f"{label}: scatter over stated error of {chi2.size} quantities, {runs} runs: "

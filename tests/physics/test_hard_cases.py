@@ -35,8 +35,8 @@ def measure(medium, wavelength_nm=WAVELENGTHS, incidence_deg=0.0, stderr=0.03, s
     ds = splits.spectrophotometer(
         medium, wavelength_nm, incidence_deg, max_stderr=stderr, seed=seed, **settings
     )
-    shares = np.stack([ds.reflectance, ds.transmittance, ds.absorptance])
-    errors = np.stack([ds[f"{name}_stderr"] for name in ds if not name.endswith("_stderr")])
+    names = ("reflectance", "transmittance", "absorptance")
+    shares, errors = (np.stack([ds[f"{name}{end}"] for name in names]) for end in ("", "_stderr"))
     assert np.isfinite(shares).all() and np.isfinite(errors).all()
     assert shares.min() >= -SUM and shares.max() <= 1.0 + SUM
     assert np.abs(shares.sum(axis=0) - 1.0).max() < SUM

@@ -25,7 +25,9 @@ report: "workflow/report/workflow.rst"
 
 try:
     SETTINGS = load_settings(config)
-    AVAILABLE = load_experiments(SETTINGS.experiments_folder, SETTINGS.media_folder)
+    AVAILABLE = load_experiments(
+        SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
+    )
     EXPERIMENTS = SETTINGS.select(AVAILABLE)
 except ConfigError as error:
     raise WorkflowError(str(error)) from None

@@ -108,10 +108,10 @@ def configuration_files(settings: Settings) -> dict[str, Path]:
             found[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
     for path in sorted(Path(settings.media_folder).glob("*.yaml")):
         found[f"config/media/{path.name}"] = path
-    for folder in ("config/measured", "config/published"):
-        for path in sorted(Path(folder).rglob("*")):
+    for name, folder in settings.tables.items():
+        for path in sorted(folder.rglob("*")):
             if path.is_file():
-                found[path.as_posix()] = path
+                found[f"config/{name}/{path.relative_to(folder).as_posix()}"] = path
     return found
 
 
@@ -135,7 +135,9 @@ def configuration_members(settings: Settings) -> dict[str, bytes]:
     for name, path in configuration_files(settings).items():
         is_yaml = path.suffix in (".yaml", ".yml")
         members |= _with_tables(name, path) if is_yaml else {name: path.read_bytes()}
-    folders = ("experiments_folder", "media_folder", "results")
+    folders = (
+        "experiments_folder", "media_folder", "measured_folder", "published_folder", "results",
+    )  # fmt: skip
     moved = {key: Settings.model_fields[key].default for key in folders}
     if settings.archive != "all" and settings.experiments != "all":
         # What is not in force is not in the archive, where it could not be archived again.

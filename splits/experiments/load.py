@@ -24,7 +24,11 @@ LONGEST = 450
 """Characters of a message, the name of its file left out."""
 
 
-def load_experiment(path: str | Path, media_folder: str | Path = "config/media") -> Experiment:
+def load_experiment(
+    path: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
+) -> Experiment:
     """Read and check one experiment file; its name is the file's unless it gives another.
 
     Parameters
@@ -32,6 +36,8 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     path : path
     media_folder : path
         Where ``medium: {base: NAME}`` finds ``NAME.yaml``.
+    measured_folder : path, optional
+        Where measured tables are; by default ``measured`` beside the media.
 
     Raises
     ------
@@ -40,7 +46,8 @@ def load_experiment(path: str | Path, media_folder: str | Path = "config/media")
     """
     path = Path(path)
     try:
-        return _experiment(path, Path(media_folder))
+        media = Path(media_folder)
+        return _experiment(path, media, Path(measured_folder or media.parent / "measured"))
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
@@ -53,7 +60,7 @@ def _line(text: str) -> str:
     return plain if len(plain) <= LONGEST else f"{plain[: LONGEST - 2]} …"
 
 
-def _experiment(path: Path, media: Path) -> Experiment:
+def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
     """Return what an experiment file describes; errors need not name the file."""
     content = {"name": path.stem, **read_yaml(path)}
     given = keywords_given(content)
@@ -67,9 +74,8 @@ def _experiment(path: Path, media: Path) -> Experiment:
     experiment = _checked(Experiment, content)
     refuse_unused(experiment, given)
     check_size(experiment)
-    folder = media.parent / "measured"
     if experiment.figure.measured:
-        table = _measured("figure.measured", folder, experiment.figure.measured)
+        table = _measured("figure.measured", measured, experiment.figure.measured)
         quantity = experiment.figure.quantity
         if "wavelength_nm" not in table or not set(quantity) & set(table):
             columns = "wavelength_nm and " + " or ".join(quantity)
@@ -78,7 +84,7 @@ def _experiment(path: Path, media: Path) -> Experiment:
     if experiment.fit:
         if experiment.figure.kind not in ("fit", "none"):
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
-        check_fit(experiment, _measured("fit.measured", folder, experiment.fit.measured))
+        check_fit(experiment, _measured("fit.measured", measured, experiment.fit.measured))
     return experiment
 
 
@@ -116,9 +122,11 @@ def _with_base(medium: Any, place: str, folder: Path) -> Any:
 
 
 def load_experiments(
-    folder: str | Path, media_folder: str | Path = "config/media"
+    folder: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
 ) -> dict[str, Experiment]:
-    """Read and check all experiment files below a folder, by name.
+    """Read and check all experiment files below a folder, by name; see `load_experiment`.
 
     Raises
     ------
@@ -131,7 +139,7 @@ def load_experiments(
     refused: list[str] = []
     for path in sorted(Path(folder).rglob("*.y*ml")):
         try:
-            experiment = load_experiment(path, media_folder)
+            experiment = load_experiment(path, media_folder, measured_folder)
         except ConfigError as error:
             refused.append(str(error))
             continue

@@ -32,6 +32,8 @@ class Settings(Section):
     seed: int = Field(default=1, ge=0, lt=2**63)
     experiments_folder: str = "config/experiments"
     media_folder: str = "config/media"
+    measured_folder: str = "config/measured"
+    published_folder: str = "config/published"
     results: str = "results"
     archive: tuple[str, ...] | Literal["all"] = "all"
     studies: dict[str, Study] = Field(default_factory=dict)
@@ -54,6 +56,11 @@ class Settings(Section):
         """Where results go: `results`, with a subfolder for accuracies other than standard."""
         return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
 
+    @property
+    def tables(self) -> dict[str, Path]:
+        """Where tables of measured and of published numbers are."""
+        return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
+
     def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.
 
@@ -67,6 +74,6 @@ class Settings(Section):
                 if name not in available:
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
-        check_studies(self.studies, available, Path(self.media_folder).parent)
+        check_studies(self.studies, available, self.tables)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

@@ -140,7 +140,7 @@ def left_out(
 
 
 def check_studies(
-    studies: Mapping[str, Study], available: Mapping[str, Experiment], folder: Path
+    studies: Mapping[str, Study], available: Mapping[str, Experiment], tables: Mapping[str, Path]
 ) -> None:
     """Refuse studies that cannot be made, and names that two things would have.
 
@@ -148,8 +148,8 @@ def check_studies(
     ----------
     studies, available : mapping
         By name.
-    folder : path
-        Where ``published`` and ``measured`` lie.
+    tables : mapping
+        Folders of ``published`` and ``measured`` numbers.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def check_studies(
         try:
             _check_keys(about)
             _check_names(study, about, studies)
-            _check_files(about, folder)
+            _check_files(about, tables)
             for role, name in about.experiments.items():
                 if name in available:
                     _check_role(f"experiments.{role}", available[name], ROLES[about.kind][role])
@@ -213,9 +213,9 @@ def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None
         one_of("sensitivity", about.sensitivity, known)
 
 
-def _check_files(about: Study, folder: Path) -> None:
+def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
     for key, file in about.files.items():
-        place = folder / FILES[about.kind][key]
+        place = tables[FILES[about.kind][key]]
         if not (place / file).is_file():
             one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])
 

@@ -71,7 +71,7 @@ def kill_at(project, pattern, pause_s):
     """Start the workflow, kill all of its processes once a file appears, and tell if it did."""
     results = project.folder / RESULTS
     process = subprocess.Popen(
-        project.command("archive", "--cores", 2), env=project.environment, cwd=project.folder,
+        project.command("all", "archive", "--cores", 2), env=project.environment, cwd=project.folder,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     end = time.monotonic() + _LONGEST_S
@@ -93,7 +93,7 @@ def finished(make_project, tmp_path_factory):
     project = make_project(tmp_path_factory.mktemp("finished"))
     for name, text in EXPERIMENTS.items():
         project.put(name, text)
-    run = project.snakemake("archive", "--cores", 2)
+    run = project.snakemake("all", "archive", "--cores", 2)
     assert run.code == 0, run.text
     return project
 
@@ -112,7 +112,7 @@ def test_nothing_is_half_and_nothing_is_left(finished, tmp_path, number):
     check_whole(results)
     unlocked = project.snakemake("--unlock")
     assert unlocked.code == 0, unlocked.text
-    run = project.snakemake("archive", "--cores", 2)
+    run = project.snakemake("all", "archive", "--cores", 2)
     assert run.code == 0, run.text
     print(f"kill {number} during {stage} after {pause:.3f} s: {'hit' if seen else 'too late'}")
     assert leftovers(results) == []

@@ -66,13 +66,13 @@ def study_products():
 def measured_files(name):
     """Return the measured table that an experiment's figure shows, if any."""
     measured = EXPERIMENTS[name].figure.measured
-    return [f"config/measured/{measured}"] if measured else []
+    return [f"{SETTINGS.measured_folder}/{measured}"] if measured else []
 
 
 def fitted_files(name):
     """Return the measured table that an experiment fits sands to, if any."""
     fit = EXPERIMENTS[name].fit
-    return [f"config/measured/{fit.measured}"] if fit else []
+    return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
 
 
 def threads_of(name):
@@ -113,9 +113,8 @@ def study_output(name):
 def study_files(name):
     """Return the tables of numbers that a study reads, by key."""
     kind = STUDIES[name].kind
-    folder = Path(SETTINGS.media_folder).parent
     return {
-        key: str(folder / FILES[kind][key] / file)
+        key: str(SETTINGS.tables[FILES[kind][key]] / file)
         for key, file in STUDIES[name].files.items()
     }
 

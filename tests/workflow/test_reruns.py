@@ -63,7 +63,7 @@ def test_data_and_figures_are_made(finished):
     assert finished.results(RESULTS) == sorted(made_by("first") + made_by("second"))
     assert (finished.folder / RESULTS / "logs" / "simulate" / "first.log").stat().st_size > 0
     first = splits.load(data_file(finished, "first"))
-    assert dict(first.sizes) == {"wavelength": 2}
+    assert first.sizes["wavelength"] == 2
     assert first.attrs["experiment"] == "first"
     second = splits.load(data_file(finished, "second"))
     assert second.reflectance.dims == ("saturation", "wavelength")

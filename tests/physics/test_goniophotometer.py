@@ -300,7 +300,7 @@ BAD = [
     ("estimator", "cell", "did you mean cells"),
     ("polar_deg", [0.0, 90.0], r"in \[0, 90\)"),
     ("azimuth_deg", [10.0, 0.0], "strictly increasing"),
-    ("azimuth_deg", [], "at least one angle"),
+    ("azimuth_deg", [], "numbers in degrees, at least one"),
     ("cells", (0, 10), "two whole numbers from 1 to 1000"),
     ("cells", 7, "two whole numbers from 1 to 1000"),
     ("threads", 0, "a whole number of at least 1"),

@@ -70,8 +70,9 @@ def leftovers(folder):
 def kill_at(project, pattern, pause_s):
     """Start the workflow, kill all of its processes once a file appears, and tell if it did."""
     results = project.folder / RESULTS
+    command = project.command("all", "archive", "--cores", 2)
     process = subprocess.Popen(
-        project.command("all", "archive", "--cores", 2), env=project.environment, cwd=project.folder,
+        command, env=project.environment, cwd=project.folder,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     end = time.monotonic() + _LONGEST_S

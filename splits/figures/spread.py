@@ -54,7 +54,7 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
         handles, _ = left.get_legend_handles_labels()
         if len(handles) > FEW:
             beside(figure, handles, None)
-        else:
+        elif handles:
             left.legend(frameon=False)
         first = dataset.isel(wavelength=0).sel(side="reflected")
         values = first.profile_map.transpose("y", "x").values

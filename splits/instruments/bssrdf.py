@@ -12,6 +12,7 @@ import xarray as xr
 from splits.checks import one_of
 from splits.instruments.angular import missed_of_totals, stderr_of
 from splits.instruments.arguments import (
+    HALF_WIDTH_M,
     check_beam,
     check_half_width,
     check_medium,
@@ -142,7 +143,9 @@ def bssrdf(
         pilot = spreads(len(nodes.index), 0.0, 0)
         trace(pilot, ROUND)
         radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
-        half_width_m = float(radii[0].max()) or 1.0 / runner.tracer.attenuation
+        # A free path where no light leaves; an edge that a map can be divided by in any case.
+        found = radii[0].max() or 1.0 / runner.tracer.attenuation
+        half_width_m = np.clip(found, *HALF_WIDTH_M["bssrdf"])
     half_width_m = float(half_width_m)
     ensembles = spreads(0, half_width_m, CELLS)
     trace(ensembles, ROUND * -(-rays // (ROUND * len(ensembles))))

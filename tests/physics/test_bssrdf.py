@@ -129,6 +129,13 @@ def test_where_no_light_leaves_there_is_no_radius():
     assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_map_without_any_light_is_finite():
+    ds = splits.bssrdf(splits.Layer(opaque=True), [550.0], rays=256)
+    assert not ds.share.values.any()
+    assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
+
+
 @NEEDS_JIT
 def test_bits_do_not_depend_on_threads():
     runs = [splits.bssrdf(SNOW, [600.0], 30.0, 20_000, threads=n) for n in (1, 2, 4)]

@@ -1,16 +1,22 @@
-"""Elementary functions in single precision that compilers can turn into vector code.
+"""Elementary functions, in single precision such that compilers can turn them into vector code.
 
-Calls of a mathematical library in a loop over lanes undo its vectorisation, so the few functions
-needed are polynomials.  `tests/unit/test_elementary.py` holds each against mpmath over its range.
+Calls of a mathematical library in a loop over lanes undo its vectorisation, so in single precision
+the few functions needed are polynomials.  `tests/unit/test_elementary.py` holds each against mpmath
+over its range.  In double precision the library serves.
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy import float32 as single
 
 from splits.transport.arithmetic import fused
-from splits.transport.jit import HALF, ONE, TWO, ZERO, exact, kernel
+from splits.transport.jit import ALIKE, HALF, ONE, TWO, ZERO, exact, kernel
 
 _SIGNIFICAND = 0x007FFFFF
 _ONE_BITS = 0x3F800000
@@ -22,8 +28,52 @@ _SQRT2 = exact(1.41421356)
 _PI = exact(3.14159265)
 
 
-@kernel
+class Angle(NamedTuple):
+    """An angle, by its cosine and sine."""
+
+    cos: float
+    sin: float
+
+
 def logarithm(x):
+    """Return ln x; in single precision see `single_logarithm`."""
+    return math.log(x)
+
+
+@overload(logarithm, jit_options=ALIKE)
+def _logarithm(x):
+    if x == types.float32:
+        return lambda x: single_logarithm(x)
+    return lambda x: math.log(x)
+
+
+def half_circle(u):
+    """Return the angle π(u − ½) in (−π/2, π/2); in single precision see `single_half_circle`."""
+    angle = math.pi * (u - 0.5)
+    return Angle(math.cos(angle), math.sin(angle))
+
+
+@overload(half_circle, jit_options=ALIKE)
+def _half_circle(u):
+    if u == types.float32:
+        return lambda u: single_half_circle(u)
+
+    def by_library(u):
+        angle = math.pi * (u - 0.5)
+        return Angle(math.cos(angle), math.sin(angle))
+
+    return by_library
+
+
+@kernel
+def circle(u):
+    """Return an angle uniform on the circle for u uniform on (0, 1); in single precision to 1e-6."""
+    half = half_circle(u)
+    return Angle(fused(TWO * half.cos, half.cos, -ONE), TWO * half.sin * half.cos)
+
+
+@kernel
+def single_logarithm(x):
     """Return ln x of a float32 x in [1e-30, 1e30], to 2e-7 relative plus 1e-7 absolute.
 
     The significand is brought to [√½, √2]; ln(1 + f) = f − f²/2 + f³ P(f), P of degree 8
@@ -72,8 +122,8 @@ def exponential(x):
 
 
 @kernel
-def half_circle(u):
-    """Return sin and cos of the angle π(u − ½) in (−π/2, π/2), float32, to 3e-7.
+def single_half_circle(u):
+    """Return the angle π(u − ½) in (−π/2, π/2), float32, to 3e-7.
 
     Taylor polynomials of degree 11 and 12.
     """
@@ -90,11 +140,4 @@ def half_circle(u):
     c = fused(c, y, single(-1.38888888889e-3))
     c = fused(c, y, single(4.16666666667e-2))
     c = fused(c, y, -HALF)
-    return fused(s * y, x, x), fused(c, y, ONE)
-
-
-@kernel
-def circle(u):
-    """Return (cos, sin) of an angle uniform on the circle for u uniform on (0, 1), to 1e-6."""
-    s, c = half_circle(u)
-    return fused(TWO * c, c, -ONE), TWO * s * c
+    return Angle(fused(c, y, ONE), fused(s * y, x, x))

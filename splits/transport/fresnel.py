@@ -12,9 +12,45 @@ coating or a grain lets hardly any light arrive from inside.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from splits.transport.arithmetic import fused, reciprocal_root, root
-from splits.transport.frames import normalized
 from splits.transport.jit import FOUR, HALF, ONE, TINY, ZERO, kernel
+from splits.transport.vectors import combined, normalized
+
+
+class Component(NamedTuple):
+    """Normal component a + i b of the wave beyond an interface, as a and b²."""
+
+    a: float
+    b2: float
+
+
+class Fraction(NamedTuple):
+    """A reflectance, its numerator and its denominator apart."""
+
+    numerator: float
+    denominator: float
+
+
+class Passage(NamedTuple):
+    """What happens to light at an interface.
+
+    Attributes
+    ----------
+    reflectance : float
+        Unpolarised Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
+        exactly 0 between equal media.
+    ratio : float
+        Ratio by which the tangential component of the direction is scaled on refraction into
+        the planes of constant real phase: sinθ_t / sinθ_i.
+    cos : float
+        Cosine of the angle of refraction of these planes (0 under total internal reflection).
+    """
+
+    reflectance: float
+    ratio: float
+    cos: float
 
 
 @kernel
@@ -46,12 +82,12 @@ def normal_component(m, g, k, cos_i, absorbs):
         small = mk * per_large
         a = large if real > ZERO else small
         b = small if real > ZERO else large
-        return a, b * b
-    return root(max(real, ZERO)), max(-real, ZERO)
+        return Component(a, b * b)
+    return Component(root(max(real, ZERO)), max(-real, ZERO))
 
 
 @kernel
-def fraction(m, g, k, cos_i, sin2, a, b2):
+def fraction(m, g, k, cos_i, sin2, wave):
     """Return numerator and denominator of the unpolarised Fresnel reflectance.
 
     Born & Wolf 1999: R_s = |(cosθ_i − (a+ib)) / (cosθ_i + (a+ib))|² and R_p = R_s times
@@ -61,11 +97,13 @@ def fraction(m, g, k, cos_i, sin2, a, b2):
 
     Parameters
     ----------
-    m, g, k, cos_i, a, b2 : float
+    m, g, k, cos_i : float
         See `normal_component`.
     sin2 : float
         sin²θ_i.
+    wave : Component
     """
+    a, b2 = wave
     k2 = k * k
     contrast = fused(g, g, k2) * fused(m + ONE, m + ONE, k2)
     plus = cos_i + a
@@ -76,12 +114,12 @@ def fraction(m, g, k, cos_i, sin2, a, b2):
     plus = across + sin2
     p_minus = fused(minus, minus, b2_cos2)
     p_plus = fused(plus, plus, b2_cos2)
-    return contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus)
+    return Fraction(contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus))
 
 
 @kernel
 def interface(n1, n2, k2, cos_i):
-    """Return reflectance and refraction at an interface.
+    """Return the `Passage` through an interface.
 
     Parameters
     ----------
@@ -91,42 +129,31 @@ def interface(n1, n2, k2, cos_i):
         Complex refractive index n2 + i k2 beyond.
     cos_i : float
         Cosine of the angle of incidence, in (0, 1].
-
-    Returns
-    -------
-    reflectance : float
-        Unpolarised Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
-        exactly 0 between equal media.
-    ratio : float
-        Ratio by which the tangential component of the direction is scaled on refraction into
-        the planes of constant real phase: sinθ_t / sinθ_i.
-    cos_t : float
-        Cosine of the angle of refraction of these planes (0 under total internal reflection).
     """
     m = n2 / n1
     k = k2 / n1
     if m == ONE and k == ZERO:
-        return 0.0, 1.0, cos_i
+        return Passage(0.0, 1.0, cos_i)
     g = (n2 - n1) / n1
     sin2 = (ONE - cos_i) * (ONE + cos_i)
-    a, b2 = normal_component(m, g, k, cos_i, k != ZERO)
-    if a == ZERO:
-        return 1.0, 0.0, 0.0
-    numerator, denominator = fraction(m, g, k, cos_i, sin2, a, b2)
-    ratio = reciprocal_root(fused(a, a, sin2))
-    return min(numerator / denominator, 1.0), ratio, a * ratio
+    wave = normal_component(m, g, k, cos_i, k != ZERO)
+    if wave.a == ZERO:
+        return Passage(1.0, 0.0, 0.0)
+    share = fraction(m, g, k, cos_i, sin2, wave)
+    ratio = reciprocal_root(fused(wave.a, wave.a, sin2))
+    return Passage(min(share.numerator / share.denominator, 1.0), ratio, wave.a * ratio)
 
 
 @kernel
 def between(n1, k1, n2, k2, cos_i):
     """Return what `interface` returns; media of equal complex index have no interface at all."""
     if n1 == n2 and k1 == k2:
-        return 0.0, 1.0, cos_i
+        return Passage(0.0, 1.0, cos_i)
     return interface(n1, n2, k2, cos_i)
 
 
 @kernel
-def refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t):
+def refracted(d, n, cos_i, passage):
     """Return the refracted direction for incidence along d on the facet normal n (d·n < 0)."""
-    k = ratio * cos_i - cos_t
-    return normalized(fused(ratio, dx, k * nx), fused(ratio, dy, k * ny), fused(ratio, dz, k * nz))
+    k = passage.ratio * cos_i - passage.cos
+    return normalized(combined(passage.ratio, d, k, n))

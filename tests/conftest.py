@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numba
 
-for folder in ("statistics", "campaigns"):
+for folder in ("", "statistics", "campaigns"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
 
 

@@ -19,12 +19,13 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress
+from splits.instruments.scenes import granular_scene
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
-from splits.transport.scene import Slab, shared_optics
+from splits.transport.scene import Optics, Scene, shared_optics
 from splits.uncertainty import quantity
 
 BATCH = 64
@@ -104,24 +105,21 @@ def deep_transmittance(
     max_rays = check_whole("max_rays", max_rays, 1)
     threads = check_threads(threads)
     begun = time.perf_counter()
-    diffuse = incidence == "diffuse"
-    cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence))))
-    slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
+    scene = granular_scene(medium, incidence, False)
     index = medium.indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     first_guess = attenuation_rate(medium, wavelengths, seed, threads)
-    grains, rules = medium.grains(), medium.readings.rules(False)
     results = np.zeros((5, len(wavelengths)))
     with Threads(threads) as pool:
         for row, guess in enumerate(first_guess):
             optics = shared_optics(index[row], absorption[row : row + 1])
-            source = _Source(pool, seed, (grains, slab, rules, optics))
+            source = _Source(pool, seed, scene, optics)
             number = _STREAMS + (STAGES + 1) * row
             rate = _SAFE * guess
             for stage in range(STAGES):
                 pilot = _Sum()
                 pilot.add(source, number + stage, PILOT, rate)
-                rate = min(pilot.rate(slab.depth, rate), guess)
+                rate = min(pilot.rate(scene.slab.depth, rate), guess)
             run = _Sum()
             wanted = PILOT
             while True:
@@ -139,7 +137,7 @@ def deep_transmittance(
                 wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * max_rays))
             results[:, row] = mean, stderr, share, run.rays, rate
     transmittance, errors, shares, count, rates = results
-    long_name = ("hemispherical" if diffuse else "directional") + "-hemispherical transmittance"
+    long_name = ("hemispherical" if incidence == "diffuse" else "directional") + "-hemispherical transmittance"
     over = "wavelength"
     variables = {
         **quantity("transmittance", over, transmittance, errors, long_name),
@@ -165,16 +163,15 @@ class _Source(NamedTuple):
 
     pool: Threads
     seed: int
-    scene: tuple
+    scene: Scene
+    optics: Optics
 
     def trace(self, number: int, first: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
         """Return moments and profile of a batch, see `splits.transport.deep.families`."""
         moments, profile = np.zeros((2, 3)), np.zeros((2, SLICES))
-        grains, slab, rules, optics = self.scene
-        _, lost = families(
-            self.seed, number, first, BATCH, grains, slab, rules, optics, rate, moments, profile
-        )
-        if lost:
+        work = np.array([number, first, BATCH])
+        spent = families(self.seed, work, self.scene, self.optics, rate, moments, profile)
+        if spent.lost:
             raise RuntimeError("a ray found no grain that fits between the boundaries")
         return moments[1], profile
 

@@ -13,7 +13,7 @@ from splits.instruments.ensemble import BATCH, Level, Paths
 from splits.instruments.threads import Threads, cpus
 from splits.instruments.tracers import tracer_of
 from splits.media.turbid import Medium
-from splits.transport.lanes.rows import Features
+from splits.transport.features import Features
 
 MEMORY = 2**26
 LEGS = 2e7

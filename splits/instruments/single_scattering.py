@@ -13,10 +13,11 @@ from splits.checks import one_of
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport.scattering import PARTS, scatter
+from splits.transport.scattering import PARTS, Solitary, scatter
 from splits.transport.scene import DRY_PORE, WET_PORE, Optics, shared_optics
 from splits.uncertainty import Variable, quantity, without_one
 
@@ -212,15 +213,12 @@ def _trace(
     threads: int,
 ) -> list[_Node]:
     """Trace so many rays, a multiple of `BATCH`, at every node."""
-    grains, rules = medium.grains(), medium.readings.rules()
-    saturation = float(medium.saturation)
+    scene = granular_scene(medium, 0.0, False)
 
     def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         node, first, optics, part = job
-        return scatter(
-            seed, _STREAMS + node, first, BATCH, orders, wet[node], saturation, grains, rules,
-            optics, part,
-        )  # fmt: skip
+        work = np.array([_STREAMS + node, first, BATCH])
+        return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
 
     traced = []
     with Threads(threads) as pool:

@@ -15,10 +15,11 @@ from splits.instruments.ensemble import Level
 from splits.media.granular import GranularMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
+from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
-from splits.transport.lanes.rows import Features
 from splits.transport.rough_surface import BOUNDS_SHAPE, columns_for
-from splits.transport.scene import Optics, Slab
+from splits.transport.light import Light
+from splits.transport.scene import Optics, Scene, Slab
 from splits.transport.tally import exit_rows
 
 KERNELS = ("auto", "lanes", "scalar")
@@ -112,9 +113,13 @@ class GrainTracer:
         positions: bool,
         orders: bool,
     ) -> None:
-        slab = Slab(float(medium.depth_m), float(medium.saturation), cosine, diffuse)
-        self.scene = (medium.grains(), slab, medium.readings.rules(analog))
-        self.attenuation = self.scene[0].attenuation
+        self.scene = Scene(
+            Light(cosine, 1.0 if diffuse else 0.0),
+            Slab(float(medium.depth_m), float(medium.saturation)),
+            medium.grains(),
+            medium.readings.rules(analog),
+        )
+        self.attenuation = self.scene.grains.attenuation
         self.upright = not diffuse and cosine == 1.0
         self.fading = False
         self.stokes: tuple[int, ...] = ()
@@ -147,7 +152,7 @@ class GrainTracer:
         if self.kernel == "scalar":
             return None
         if level not in self._features:
-            self._features[level] = features_for(*self.scene, level.optics, *self.wanted)
+            self._features[level] = features_for(self.scene, level.optics, *self.wanted)
         features = self._features[level]
         if features is None and self.kernel == "lanes":
             raise refuse(
@@ -170,13 +175,13 @@ class GrainTracer:
         if features is None:
             parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
             results = [
-                granular.batch(self.seed, item, *self.scene, level.optics, part)
+                granular.batch(self.seed, item, self.scene, level.optics, part)
                 for item, part, level in zip(work, parts, levels, strict=True)
             ]
             legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
         else:
             optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
-            legs, lost = lanes.batch(self.seed, work, *self.scene, optics, exits, features)
+            legs, lost = lanes.batch(self.seed, work, self.scene, optics, exits, features)
         return legs, self.LOST if lost else ""
 
 

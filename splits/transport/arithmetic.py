@@ -6,6 +6,7 @@ Plain functions for Python; compiled, the type of the numbers decides what stand
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -77,3 +78,35 @@ def _root(x):
     if x != types.float32:
         return lambda x: math.sqrt(x)
     return lambda x: x * reciprocal_root(x)
+
+
+class Precision(NamedTuple):
+    """Small numbers of a precision.
+
+    Attributes
+    ----------
+    grazing : float
+        Least cosine of incidence.
+    normal : float
+        Least sin² of incidence for which facets are turned exactly; in single precision met by
+        1e-8 of all trials.
+    """
+
+    grazing: float
+    normal: float
+
+
+_SINGLE = Precision(np.float32(1e-6), np.float32(1e-8))
+_DOUBLE = Precision(1e-12, 1e-20)
+
+
+def precise(x):
+    """Return the `Precision` of a number."""
+    return _SINGLE if isinstance(x, np.float32) else _DOUBLE
+
+
+@overload(precise, jit_options=ALIKE)
+def _precise(x):
+    if x == types.float32:
+        return lambda x: _SINGLE
+    return lambda x: _DOUBLE

@@ -11,21 +11,22 @@ doi:10.13182/FST84-A23082).  Neither changes the mean; κ only decides how fast 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.absorption import DEPTH, LIMIT, start_purse
+from splits.transport.flight import Purse
 from splits.transport.granular import (
     LOST,
-    NO_LEG,
     REFLECTED,
     TRANSMITTED,
     TRAVELS,
+    Ray,
     Window,
     follow,
     launch,
 )
-from splits.transport.jit import entry
+from splits.transport.jit import entry, kernel
 from splits.transport.rng import mix64, start_stream, uniform
 from splits.transport.scene import UNLIMITED
 
@@ -37,16 +38,95 @@ MOST = 16
 """Largest number of rays that one is split into at a time."""
 
 
+class Member(NamedTuple):
+    """A ray of a family: its weight, absorption not counted, and the start of its stream."""
+
+    ray: Ray
+    weight: float
+    stream: int
+
+
+class Sent(NamedTuple):
+    """What a family sent through, and the legs it took; `lost` where a ray found no grain."""
+
+    reflected: float
+    transmitted: float
+    legs: int
+    lost: bool
+
+
+class Spent(NamedTuple):
+    """Legs that a batch traced, and whether a ray was lost and ended it."""
+
+    legs: int
+    lost: bool
+
+
+@kernel
+def height(ray, slab):
+    """Return the height at which a ray stands (m)."""
+    return min(max(ray.flier.place.z + ray.flier.way.z, -slab.depth), 0.0)
+
+
+@kernel
+def split(state, member, worth, waiting):
+    """Split a ray that is worth too much; all but one wait."""
+    copies = min(int(worth + 0.5), MOST)
+    weight = member.weight / copies
+    for copy in range(1, copies):
+        stream = mix64(state[0] ^ mix64(np.uint64(copy)))
+        waiting.append(Member(member.ray, weight, stream))
+    # The ray itself goes on in a stream of its own, too: no two may meet.
+    state[0] = mix64(state[0] ^ mix64(np.uint64(0)))
+    return Member(member.ray, weight, member.stream)
+
+
+@kernel
+def family(state, first, scene, optics, kappa, profile):
+    """Follow a ray and all that it is split into; see `families`."""
+    length = np.zeros(optics.n.size)
+    reflected, transmitted, legs = 0.0, 0.0, 0
+    waiting = [first]
+    while len(waiting) > 0:
+        member = waiting.pop()
+        state[0] = member.stream
+        ray = member.ray
+        while ray.fate == TRAVELS:
+            window = Window(member.weight, kappa, LOWER, UPPER, profile)
+            before = ray.legs
+            ray = follow(state, ray, scene, optics, length, window, UNLIMITED)
+            legs += ray.legs - before
+            if ray.fate != TRAVELS:
+                break
+            member = Member(ray, member.weight, member.stream)
+            here = member.weight * math.exp(-ray.purse.depth)
+            worth = here * math.exp(-kappa * height(ray, scene.slab))
+            if worth < LOWER:
+                if uniform(state) >= worth:
+                    break
+                member = Member(ray, member.weight / worth, member.stream)
+            elif worth > UPPER and len(waiting) + MOST < CAPACITY:
+                member = split(state, member, worth, waiting)
+        weight = member.weight * math.exp(-ray.purse.depth)
+        if ray.fate == LOST:
+            return Sent(reflected, transmitted, legs, True)
+        if ray.fate == REFLECTED:
+            reflected += weight
+        elif ray.fate == TRANSMITTED:
+            transmitted += weight
+    return Sent(reflected, transmitted, legs, False)
+
+
 @entry
-def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa, moments, profile):
+def families(seed, work, scene, optics, kappa, moments, profile):
     """Follow rays and all that they are split into, and add up what each family sends through.
 
     Parameters
     ----------
-    seed, ensemble, first_ray : int
-        Name the random streams, as in `granular.batch`.
-    rays : int
-    grains, slab, rules, optics
+    seed : int
+    work : int64[3]
+        Ensemble, first ray, number of rays; they name the random streams, as in `granular.batch`.
+    scene, optics
         See `splits.transport.scene`; `optics.absorption` is that of the one wavelength traced.
     kappa : float
         Rate at which the window falls with depth (1/m).
@@ -58,79 +138,23 @@ def families(seed, ensemble, first_ray, rays, grains, slab, rules, optics, kappa
 
     Returns
     -------
-    legs : int
-        Legs traced.
-    lost : bool
-        Whether a ray found no grain that fits; the batch then ends early.
+    Spent
     """
     legs = 0
     state = np.zeros(1, dtype=np.uint64)
-    length = np.zeros(optics.n.size)
-    purse = np.zeros(3)
-    places = np.zeros((CAPACITY, 16))
-    streams = np.zeros(CAPACITY, dtype=np.uint64)
-    family = np.zeros(2)
-    for ray in range(first_ray, first_ray + rays):
-        start_stream(state, seed, ensemble, ray)
-        family[:] = 0.0
-        waiting = 0
-        weight = 1.0
-        start_purse(purse)
-        purse[LIMIT] = math.inf
-        x, y, z = 0.0, 0.0, 0.0
-        last_leg = NO_LEG
-        fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
-        while True:
-            while fate == TRAVELS:
-                window = Window(weight, kappa, LOWER, UPPER, slab.depth, profile)
-                fate, x, y, z, dx, dy, dz, last_leg, pore, spent, _ = follow(
-                    state, x, y, z, dx, dy, dz, last_leg, pore,
-                    grains, slab, rules, optics, length, purse, window, UNLIMITED,
-                )  # fmt: skip
-                legs += spent
-                if fate != TRAVELS:
-                    break
-                worth = weight * math.exp(-purse[DEPTH] - kappa * z)
-                if worth < LOWER:
-                    if uniform(state) >= worth:
-                        break
-                    weight /= worth
-                elif worth > UPPER and waiting + MOST < CAPACITY:
-                    copies = min(int(worth + 0.5), MOST)
-                    weight /= copies
-                    for copy in range(1, copies):
-                        place = places[waiting]
-                        place[0], place[1], place[2] = x, y, z
-                        place[3], place[4], place[5] = dx, dy, dz
-                        for i in range(7):
-                            place[6 + i] = last_leg[i]
-                        place[13] = pore
-                        place[14] = weight
-                        place[15] = purse[DEPTH]
-                        streams[waiting] = mix64(state[0] ^ mix64(np.uint64(copy)))
-                        waiting += 1
-                    # The ray itself goes on in a stream of its own, too: no two may meet.
-                    state[0] = mix64(state[0] ^ mix64(np.uint64(0)))
-            if fate == LOST:
-                return legs, True
-            if fate == REFLECTED:
-                family[0] += weight * math.exp(-purse[DEPTH])
-            elif fate == TRANSMITTED:
-                family[1] += weight * math.exp(-purse[DEPTH])
-            if waiting == 0:
-                break
-            waiting -= 1
-            place = places[waiting]
-            state[0] = streams[waiting]
-            x, y, z = place[0], place[1], place[2]
-            dx, dy, dz = place[3], place[4], place[5]
-            last_leg = (place[6], place[7], place[8], place[9], place[10], place[11], place[12])
-            pore = int(place[13])
-            weight = place[14]
-            purse[DEPTH] = place[15]
-            fate = TRAVELS
-        for side in range(2):
-            moments[side, 0] += family[side]
-            moments[side, 1] += family[side] ** 2
-            moments[side, 2] = max(moments[side, 2], family[side])
-    return legs, False
+    for number in range(work[1], work[1] + work[2]):
+        start_stream(state, seed, work[0], number)
+        ray = launch(state, scene, optics)
+        # Where worth decides, roulette does not.
+        purse = Purse(0.0, math.inf, 1.0)
+        ray = Ray(ray.fate, ray.flier, ray.pore, purse, ray.legs, ray.order)
+        first = Member(ray, 1.0, state[0])
+        sent = family(state, first, scene, optics, kappa, profile)
+        legs += sent.legs
+        if sent.lost:
+            return Spent(legs, True)
+        for row, weight in ((0, sent.reflected), (1, sent.transmitted)):
+            moments[row, 0] += weight
+            moments[row, 1] += weight * weight
+            moments[row, 2] = max(moments[row, 2], weight)
+    return Spent(legs, False)

@@ -8,12 +8,12 @@ one with probability proportional to its projected area |n'·d|, among those fac
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 from splits.transport.arithmetic import fused, root
-from splits.transport.frames import around, dot, normalized
-from splits.transport.jit import ONE, TWO, ZERO, kernel
-from splits.transport.rng import half_normal, uniform, unit_circle
+from splits.transport.elementary import Angle, half_circle, logarithm
+from splits.transport.jit import HALF, ONE, TWO, ZERO, exact, kernel
+from splits.transport.vectors import Vector, along, cross, scaled
 
 PROJECTED = 0
 """Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""
@@ -22,24 +22,38 @@ UNWEIGHTED = 1
 ANY = 2
 """Any facet; one that faces away acts through its opposite side."""
 
+_MINUS_TWO = exact(-2.0)
+
+
+class Choice(NamedTuple):
+    """A facet, accepted or not.
+
+    Attributes
+    ----------
+    accepted : bool
+        False asks for another.
+    cos_azimuth : float
+        Of the facet, counted from the tangential part of −d, with its sign.
+    cos : float
+        Cosine of incidence on the facet, −d·n' (negative only under `ANY`).
+    """
+
+    accepted: bool
+    cos_azimuth: float
+    cos: float
+
 
 @kernel
-def lean(state, facetness):
-    """Return 1 − n·n' = |ξ| < 1 for ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4)."""
-    while True:
-        x = 0.5 * facetness * half_normal(state)
-        if x < 1.0:
-            return x
+def leaning(roughness, u1, u2):
+    """Return 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), to be refused from 1 on.
+
+    By Box & Muller (1958) from two uniform random numbers; `roughness` is half the facetness.
+    """
+    return roughness * root(_MINUS_TWO * logarithm(u1)) * half_circle(u2).cos
 
 
 @kernel
-def tilt_sine(leaning):
-    """Return the sine of the angle whose cosine is 1 − `leaning`, without cancellation."""
-    return root(leaning * (TWO - leaning))
-
-
-@kernel
-def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
+def projected_choice(tilt, cos_azimuth, incidence, u):
     """Accept or reject a facet in proportion to its projected area, and settle its azimuth.
 
     Exact rejection sampling of two mirror azimuths at once: for φ and π − φ the weights are
@@ -48,112 +62,49 @@ def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
 
     Parameters
     ----------
-    c, s : float
-        Cosine and sine of the tilt τ.
+    tilt : Angle
+        τ, from n.
     cos_azimuth : float
         |cosφ|.
-    cos_i, sin_i : float
-        Of the angle θ between −d and n.
+    incidence : Angle
+        θ, between −d and n.
     u : float
         A uniform random number.
-
-    Returns
-    -------
-    accepted : bool
-    cos_azimuth : float
-        With its sign.
-    cos_facet : float
-        Cosine of incidence on the facet.
     """
-    a = c * cos_i
-    b = s * sin_i * cos_azimuth
+    a = tilt.cos * incidence.cos
+    b = tilt.sin * incidence.sin * cos_azimuth
     opposite = max(ZERO, a - b)
-    variate = u * max(TWO * cos_i, ONE)
+    variate = u * max(TWO * incidence.cos, ONE)
     mirror = variate < opposite
     cos_facet = a - b if mirror else a + b
-    return variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet
+    return Choice(variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet)
 
 
 @kernel
-def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_azimuth):
+def other_choice(tilt, cos_azimuth, incidence, u, rule):
+    """Return what `projected_choice` does, for the rules `UNWEIGHTED` and `ANY`."""
+    cos_azimuth = -cos_azimuth if u < HALF else cos_azimuth
+    cos_facet = fused(tilt.cos, incidence.cos, tilt.sin * incidence.sin * cos_azimuth)
+    accepted = (cos_facet > ZERO) | ((rule == ANY) & (cos_facet < ZERO))
+    return Choice(accepted, cos_azimuth, cos_facet)
+
+
+@kernel
+def facet_normal(d, n, cos_i, leaned, azimuth):
     """Return the facet's normal, its azimuth counted from the tangential part of −d.
 
-    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ, of
-    which `per_sin` is the reciprocal.
-    """
-    k = s * per_sin
-    p = k * cos_azimuth
-    q = k * sin_azimuth
-    a = fused(-p, cos_i, c)
-    return (
-        fused(q, fused(dy, nz, -dz * ny), fused(-p, dx, a * nx)),
-        fused(q, fused(dz, nx, -dx * nz), fused(-p, dy, a * ny)),
-        fused(q, fused(dx, ny, -dy * nx), fused(-p, dz, a * nz)),
-    )
-
-
-@kernel
-def facet_angles(state, facetness, cos_i, rule):
-    """Draw a facet in the frame whose polar axis is n and whose azimuth 0 faces the ray.
+    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
 
     Parameters
     ----------
-    state : uint64[1]
-    facetness : float
-        In [0, 1]; 0 is a smooth surface.
+    d, n : Vector
     cos_i : float
-        Cosine between −d and n, in (0, 1].
-    rule : int
-        `PROJECTED`, `UNWEIGHTED` or `ANY`.
-
-    Returns
-    -------
-    cos_tilt, sin_tilt, cos_azimuth, sin_azimuth : float
-        Facet orientation; the azimuth is counted from the tangential part of −d.
-    cos_facet : float
-        Cosine of incidence on the facet, −d·n' (negative only under `ANY`).
+        cosθ.
+    leaned : Angle
+        Cosine c of the tilt, and s / sinθ in place of its sine.
+    azimuth : Angle
     """
-    sin_i = math.sqrt(max(0.0, 1.0 - cos_i * cos_i))
-    while True:
-        x = lean(state, facetness)
-        c = 1.0 - x
-        s = tilt_sine(x)
-        cp, sp = unit_circle(state)
-        if rule == PROJECTED:
-            accepted, cp, cos_facet = projected_choice(c, s, abs(cp), cos_i, sin_i, uniform(state))
-            if accepted:
-                return c, s, cp, sp, cos_facet
-        else:
-            cos_facet = c * cos_i + s * sin_i * cp
-            if cos_facet > 0.0 or (rule == ANY and cos_facet != 0.0):
-                return c, s, cp, sp, cos_facet
-
-
-@kernel
-def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
-    """Return the unit normal of the facet struck along d on a surface of normal n (d·n < 0).
-
-    The facet's normal is returned on the side of the ray, so that d·n' < 0, together with the
-    cosine of incidence on it.
-    """
-    # Rounding may turn a grazing ray to the far side; at 1e-12 all light is reflected anyway.
-    cos_i = max(-dot(dx, dy, dz, nx, ny, nz), 1e-12)
-    if facetness == 0.0:
-        return nx, ny, nz, cos_i
-    c, s, cp, sp, _ = facet_angles(state, facetness, cos_i, rule)
-    # The sine from the tangential part itself: 1 − cos² has no digits left at normal incidence.
-    tx = -dx - cos_i * nx
-    ty = -dy - cos_i * ny
-    tz = -dz - cos_i * nz
-    sin2 = dot(tx, ty, tz, tx, ty, tz)
-    if sin2 < 1e-20:
-        # At exactly normal incidence every azimuth is alike.
-        mx, my, mz = around(nx, ny, nz, c, s, cp, sp)
-    else:
-        per_sin = 1.0 / math.sqrt(sin2)
-        mx, my, mz = facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cp, sp)
-        mx, my, mz = normalized(mx, my, mz)
-    cos_facet = -dot(dx, dy, dz, mx, my, mz)
-    if cos_facet < 0.0:
-        return -mx, -my, -mz, -cos_facet
-    return mx, my, mz, max(cos_facet, 1e-12)
+    p = leaned.sin * azimuth.cos
+    q = leaned.sin * azimuth.sin
+    a = fused(-p, cos_i, leaned.cos)
+    return along(q, cross(d, n), along(-p, d, scaled(a, n)))

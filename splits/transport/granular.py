@@ -1,9 +1,7 @@
-"""A slab of grains generated on the fly: the path of a ray and the tally of many.
+"""The scalar kernel: one ray at a time through a slab of grains, in double precision.
 
-SPLITS section 4.3 and SPLITSnow section 3.1: only the grain that the ray meets exists.  Distance,
-type, size, shape, orientation and entry point are drawn; a grain that crosses a boundary or
-lies on the leg just travelled is drawn again; between its two extended
-boundaries the slab reaches to infinity sideways.
+It repeats the trials of `splits.transport.flight` and `splits.transport.surface` until a ray is
+done.  Between its two extended boundaries the slab reaches to infinity sideways.
 """
 
 from __future__ import annotations
@@ -13,20 +11,44 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.absorption import DEPTH, WEIGHT, start_purse, survives
-from splits.transport.fresnel import interface, refracted
-from splits.transport.grain import draw_pore, grain_walk
-from splits.transport.jit import entry, kernel
-from splits.transport.rng import from_table, pick, start_stream, uniform, unit_circle
-from splits.transport.scene import DRY_PORE, KEPT, SKIPPED, WET_PORE
-from splits.transport.spheroid import (
-    PROJECTED,
-    axial_position,
-    crosses,
-    cuts_segment,
-    entry_point,
+from splits.transport.faces import Crossing, Index, facing, meet
+from splits.transport.features import Features
+from splits.transport.flight import (
+    FIRST_ROULETTE,
+    Fates,
+    Flier,
+    Meeting,
+    Purse,
+    Space,
+    next_grain,
+    roulette,
+    to_boundary,
 )
-from splits.transport.tally import EXIT_LENGTH, record
+from splits.transport.jit import entry, kernel
+from splits.transport.light import launched
+from splits.transport.rng import from_table, pick, start_stream, uniform
+from splits.transport.scene import (
+    DRY_PORE,
+    KEPT,
+    LOBE,
+    MAX_REJECTIONS,
+    SKIPPED,
+    WET_PORE,
+)
+from splits.transport.spheroid import Aim, Segment, Size, across
+from splits.transport.surface import (
+    Contrast,
+    Numbers,
+    Stand,
+    contrast,
+    film,
+    goings,
+    outcome,
+    rough,
+)
+from splits.transport.surface import facing as smooth
+from splits.transport.tally import EXIT_LENGTH, Exit, record
+from splits.transport.vectors import ORIGIN, Vector, along
 
 ABSORBED = 0
 REFLECTED = 1
@@ -35,30 +57,73 @@ LOST = 3
 """No grain was found that fits; never expected, counted so that it cannot pass unseen."""
 TRAVELS = 4
 
-MAX_REJECTIONS = 10_000_000
-"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
-that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
-
-NO_LEG = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
+NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)
 """In place of the leg travelled last, for a ray that has not travelled yet."""
 
 
-@kernel
-def cross_boundary(state, dx, dy, dz, n1, n2, k2):
-    """Reflect or refract a ray at a smooth horizontal boundary from index n1 to n2 + i k2.
+ROUGH = Features(True, True, True, True, True, True, True)
+SMOOTH = ROUGH._replace(faceted=None)
+"""What surfaces of grains may have: the scalar kernel is compiled for everything."""
 
-    Returns
-    -------
-    passed : bool
-    d : 3 float
+
+class Ray(NamedTuple):
+    """A ray between grains, or at its end.
+
+    Attributes
+    ----------
+    fate : int
+        `TRAVELS`, or how it ended.
+    flier : Flier
+    pore : int
+        Material of its leg.
+    purse : Purse
+    legs, order : int
+        Legs through the pore space, which is what the ray cost, and grains met.
     """
-    up = math.copysign(1.0, -dz)
-    cos_i = max(abs(dz), 1e-12)
-    reflectance, ratio, cos_t = interface(n1, n2, k2, cos_i)
-    if uniform(state) < reflectance:
-        return False, dx, dy, -dz
-    dx, dy, dz = refracted(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
-    return True, dx, dy, dz
+
+    fate: int
+    flier: Flier
+    pore: int
+    purse: Purse
+    legs: int
+    order: int
+
+
+class Candidate(NamedTuple):
+    """A grain drawn, but not yet met: its type, size and half its facetness."""
+
+    kind: int
+    size: Size
+    roughness: float
+
+
+class Found(NamedTuple):
+    """What a ray meets next; `lost` where nothing was found."""
+
+    candidate: Candidate
+    meeting: Meeting
+    lost: bool
+
+
+class Paid(NamedTuple):
+    """A purse after a leg, and whether the ray survived it."""
+
+    purse: Purse
+    alive: bool
+
+
+class Sides(NamedTuple):
+    """The media on both sides of a surface, and the pore on the outer side."""
+
+    contrast: Contrast
+    pore: int
+
+
+class Spent(NamedTuple):
+    """Legs that a batch traced, and whether a ray found no grain that fits and ended it."""
+
+    legs: int
+    lost: bool
 
 
 class Window(NamedTuple):
@@ -71,8 +136,6 @@ class Window(NamedTuple):
     kappa : float
         1/m.
     lower, upper : float
-    depth : float
-        Of the slab (m).
     profile : float64[2, slices]
         For equal slices of the depth, number and total weight of the legs that began there,
         advanced in place.
@@ -82,141 +145,219 @@ class Window(NamedTuple):
     kappa: float
     lower: float
     upper: float
-    depth: float
     profile: np.ndarray
 
 
 @kernel
-def left_window(window, z, purse):
+def left_window(window, z, depth, purse):
     """Tell whether a ray's worth lies outside its window, and note where it is."""
     slices = window.profile.shape[1]
-    place = min(int(-z / window.depth * slices), slices - 1)
+    place = min(int(-z / depth * slices), slices - 1)
     window.profile[0, place] += 1.0
-    window.profile[1, place] += window.weight * math.exp(-purse[DEPTH])
-    worth = window.weight * math.exp(-purse[DEPTH] - window.kappa * z)
+    window.profile[1, place] += window.weight * math.exp(-purse.depth)
+    worth = window.weight * math.exp(-purse.depth - window.kappa * z)
     return worth < window.lower or worth > window.upper
 
 
 @kernel
-def no_grain(leg):
-    """Return what `next_grain` returns when there is none."""
-    return leg, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def paid(state, purse, leg, material, optics, analog, length):
+    """Take a leg through a material, and tell whether the ray goes on.
+
+    Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
+    pass.  Weighted rays add the leg to `length` (float64[materials], m), and end only by roulette.
+    """
+    length[material] += leg
+    depth = optics.absorption[material] * leg
+    if analog:
+        return Paid(purse, depth == 0.0 or uniform(state) < math.exp(-depth))
+    return Paid(Purse(purse.depth + depth, purse.limit, purse.weight), True)
 
 
 @kernel
-def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules):
-    """Draw the next grain on a ray, or find that the ray reaches a boundary first.
+def draw_pore(state, saturation):
+    """Return the material of the pore space for the next leg (SPLITS 4.3.2)."""
+    if saturation > 0.0 and uniform(state) < saturation:
+        return WET_PORE
+    return DRY_PORE
 
-    SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then size, shape and entry point; a grain
-    that crosses an extended boundary or lies on the last leg is replaced by a new draw, distance
-    included, from the same origin.  Skipping such grains instead, which is not in the papers, thins
-    the Poisson process of grains along the ray.
+
+@kernel
+def candidate_of(state, grains):
+    """Draw type, size, shape and roughness of a grain."""
+    kind = pick(grains.share, uniform(state)) if grains.share.size > 1 else 0
+    major = 1.0 / from_table(grains.curvature, kind, uniform(state))
+    sphericity = from_table(grains.sphericity, kind, uniform(state))
+    roughness = 0.5 * from_table(grains.facetness, kind, uniform(state))
+    return Candidate(kind, Size(major, 1.0 - sphericity * sphericity), roughness)
+
+
+@kernel
+def aim_of(state):
+    """Draw how a ray strikes a grain."""
+    facing, azimuth, turn = uniform(state), uniform(state), uniform(state)
+    return Aim(facing, azimuth, turn, uniform(state), uniform(state))
+
+
+@kernel
+def fates_of(rules):
+    """Return what becomes of grains that do not fit."""
+    return Fates(
+        rules.entry,
+        rules.on_last_leg != KEPT,
+        rules.across_boundary != KEPT,
+        rules.on_last_leg == SKIPPED,
+        rules.across_boundary == SKIPPED,
+    )
+
+
+@kernel
+def find(state, flier, scene):
+    """Draw the next grain on a ray, or find that the ray reaches a boundary first."""
+    grains, slab = scene.grains, scene.slab
+    space = Space(1.0 / grains.attenuation, -slab.depth, 0.0)
+    fates = fates_of(scene.rules)
+    candidate = candidate_of(state, grains)
+    meeting = next_grain(flier, candidate.size, aim_of(state), uniform(state), space, fates, True)
+    for _ in range(MAX_REJECTIONS):
+        if meeting.placed:
+            if meeting.fits or meeting.outside:
+                return Found(candidate, meeting, False)
+            # A trial refused for its axial position keeps type and shape, which made that likely.
+            candidate = candidate_of(state, grains)
+        flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
+        meeting = next_grain(flier, candidate.size, aim_of(state), uniform(state), space, fates, True)
+    return Found(candidate, meeting, True)
+
+
+@kernel
+def media_of(state, stand, kind, pore, scene, optics):
+    """Return the media that a ray at a grain has on both sides, and the pore behind the surface."""
+    layer, beyond = int(stand.layer), int(stand.layer + stand.side)
+    materials = scene.grains.material
+    drawn = pore
+    # On its way into a lobe a ray keeps the pore that let it through.
+    if beyond == 0 and not stand.lobe:
+        drawn = draw_pore(state, scene.slab.saturation)
+    here = pore if layer == 0 else materials[kind, layer - 1]
+    there = drawn if beyond == 0 else materials[kind, beyond - 1]
+    near, far = Index(optics.n[here], optics.k[here]), Index(optics.n[there], optics.k[there])
+    return Sides(contrast(near, far), drawn)
+
+
+@kernel
+def trial(state, d, stand, grain, roughness, media, rules):
+    """Return what one trial at a grain's surface leads to."""
+    surface = smooth(d, grain, stand.side)
+    choice, u = uniform(state), uniform(state)
+    turn = rules.wrong_side != LOBE
+    if roughness == 0.0:
+        return outcome(d, stand, surface, media, u, turn, SMOOTH)
+    lean, spread, azimuth = uniform(state), uniform(state), uniform(state)
+    numbers = Numbers(choice, u, 0.0, lean, spread, azimuth)
+    facet = rough(d, surface, roughness, numbers, stand.lobe, rules.facets, True)
+    return outcome(d, stand, facet, media, u, turn, ROUGH)
+
+
+@kernel
+def walk(state, ray, found, scene, optics, length):
+    """Follow a ray from its entry point on a grain until it is back in the pore space.
 
     Parameters
     ----------
-    z : float
-        Height of the ray's origin (m).
-    dx, dy, dz : float
-        Direction of the ray.
-    to_boundary : float
-        Distance to the extended boundary ahead (m), or infinity.
-    last_leg : 7 float
-        Way from the end of the leg just travelled to the origin of this one, direction and length
-        of that leg; length −1 when there is none.
+    state : uint64[1]
+    ray : Ray
+        As it meets the grain.
+    found : Found
+    scene, optics
+        See `splits.transport.scene`.
+    length : float64[materials]
+        Path lengths (m), advanced in place by those inside the grain.
 
     Returns
     -------
-    leg : float
-        Distance to the grain; `to_boundary` when no grain comes first; −1 when none ever fits.
-    kind, minor, flattening : int, float, float
-    q, w, n : 3 float each
-        Entry point, major axis, outward normal, see `splits.transport.spheroid`.
+    Ray
     """
-    g1, g2, g3, lx, ly, lz, last = last_leg
-    skipped = 0.0
-    for _ in range(MAX_REJECTIONS):
-        leg = skipped - math.log(uniform(state)) / grains.attenuation
-        if leg >= to_boundary:
-            return no_grain(to_boundary)
-        kind = 0
-        if grains.share.size > 1:
-            kind = pick(grains.share, uniform(state))
-        curvature = from_table(grains.curvature, kind, uniform(state))
-        sphericity = from_table(grains.sphericity, kind, uniform(state))
-        ratio = sphericity * sphericity
-        flattening = 1.0 - ratio
-        major = 1.0 / curvature
-        minor = ratio * major
-        axial = axial_position(state, flattening)
-        facing = uniform(state)
-        if rules.entry == PROJECTED:
-            facing = math.sqrt(facing)
-        ca, sa = unit_circle(state)
-        ct, st = unit_circle(state)
-        q1, q2, q3, w1, w2, w3, n1, n2, n3 = entry_point(
-            dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
-        )
-        if rules.across_boundary != KEPT and crosses(
-            z + leg * dz, q3, w3, axial, minor, major, slab.depth
-        ):
-            if rules.across_boundary == SKIPPED:
-                skipped = leg
+    kind, size, roughness = found.candidate
+    grain, d, purse, pore = found.meeting.entry.grain, ray.flier.d, ray.purse, ray.pore
+    way = ORIGIN
+    stand = Stand(0.0, 1.0, False, False)
+    while True:
+        media = media_of(state, stand, kind, pore, scene, optics)
+        after = trial(state, d, stand, grain, roughness, media.contrast, scene.rules)
+        if not after.done:
+            pore = media.pore if after.to_lobe else pore
+            stand = Stand(stand.layer, stand.side, after.to_lobe, after.passed)
             continue
-        if rules.on_last_leg != KEPT and last > 0.0 and cuts_segment(
-            q1, q2, q3, w1, w2, w3, minor, flattening,
-            -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
-        ):  # fmt: skip
-            if rules.on_last_leg == SKIPPED:
-                skipped = leg
-            continue
-        return leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
-    return no_grain(-1.0)
+        gone = goings(stand, after, float(scene.grains.layers[kind]), True)
+        stand, d, pore = gone.stand, after.d, media.pore
+        if gone.out:
+            if not after.passed:
+                pore = draw_pore(state, scene.slab.saturation)
+            flier = Flier(ray.flier.place, way, d, ray.flier.last, 0.0)
+            return Ray(TRAVELS, flier, pore, purse, ray.legs, ray.order)
+        layer = int(stand.layer) - 1
+        if gone.core:
+            leg, grain = across(grain, d)
+            way = along(leg, d, way)
+        else:
+            leg = film(2.0 * size.major * scene.grains.thickness[kind, layer], after, True)
+        material = scene.grains.material[kind, layer]
+        payment = paid(state, purse, leg, material, optics, scene.rules.analog, length)
+        purse = payment.purse
+        if not payment.alive:
+            return Ray(ABSORBED, ray.flier, pore, purse, ray.legs, ray.order)
 
 
 @kernel
-def launch(state, slab, rules, optics):
-    """Start a ray at the slab's top.
-
-    Returns
-    -------
-    fate : int
-        `TRAVELS`, or `REFLECTED` by the boundary of a wet pore.
-    d : 3 float
-        Direction.
-    pore : int
-        Material of the pore space that the ray enters.
-    """
-    mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
-    dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
-    pore = draw_pore(state, slab.saturation)
-    if pore == WET_PORE and rules.boundary_fresnel:
-        passed, dx, dy, dz = cross_boundary(
-            state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
-        )
-        if not passed:
-            return REFLECTED, dx, dy, dz, pore
-    return TRAVELS, dx, dy, dz, pore
+def flown(state, ray, found, optics, scene, length):
+    """Return a ray at the grain that it has found, or at the boundary that comes before."""
+    flier, slab, pore = ray.flier, scene.slab, ray.pore
+    if found.lost:
+        return Ray(LOST, flier, pore, ray.purse, ray.legs, ray.order)
+    leg, height = found.meeting.leg, found.meeting.height
+    if found.meeting.outside:
+        arrival = to_boundary(flier, Space(0.0, -slab.depth, 0.0))
+        leg, height = arrival.leg, arrival.place.z
+    payment = paid(state, ray.purse, leg, pore, optics, scene.rules.analog, length)
+    fate = TRAVELS if payment.alive else ABSORBED
+    last = Segment(ORIGIN, flier.d, leg)
+    start = Vector(
+        flier.place.x + flier.way.x, flier.place.y + flier.way.y, flier.place.z + flier.way.z
+    )
+    place = along(leg, flier.d, start)
+    flier = Flier(Vector(place.x, place.y, height), ORIGIN, flier.d, last, 0.0)
+    return Ray(fate, flier, pore, payment.purse, ray.legs, ray.order)
 
 
 @kernel
-def follow(
-    state, x, y, z, dx, dy, dz, last_leg, pore,
-    grains, slab, rules, optics, length, purse, window, most,
-):  # fmt: skip
+def at_boundary(state, ray, scene, optics):
+    """Let a ray leave through the boundary that it stands at, or send it back."""
+    flier, pore = ray.flier, ray.pore
+    crossing = Crossing(True, flier.d)
+    if pore == WET_PORE and scene.rules.boundary_fresnel:
+        far = Index(optics.n[DRY_PORE], 0.0)
+        near = Index(optics.n[pore], optics.k[pore])
+        crossing = meet(flier.d, facing(flier.d), near, far, uniform(state))
+    fate = TRAVELS
+    if crossing.passed:
+        fate = REFLECTED if crossing.d.z > 0.0 else TRANSMITTED
+    flier = Flier(flier.place, flier.way, crossing.d, flier.last, 0.0)
+    return Ray(fate, flier, pore, ray.purse, ray.legs, ray.order)
+
+
+@kernel
+def follow(state, ray, scene, optics, length, window, most):
     """Follow a ray until it leaves the slab or is absorbed, or until its worth wants a decision.
 
     Parameters
     ----------
-    state, grains, slab, rules, optics
-        See `trace`.
-    x, y, z, dx, dy, dz : float
-        Origin and direction.
-    last_leg : 7 float
-        See `next_grain`.
-    pore : int
-        Material of the leg to come.
-    length, purse : float64[materials], float64[3]
-        Advanced in place.
+    state : uint64[1]
+        The ray's random stream.
+    ray : Ray
+    scene, optics
+        See `splits.transport.scene`.
+    length : float64[materials]
+        Path lengths (m), advanced in place.
     window : Window or None
         None asks for no decisions, at no cost.
     most : int
@@ -224,113 +365,65 @@ def follow(
 
     Returns
     -------
-    fate : int
-        `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is left.
-    x, y, z, dx, dy, dz, last_leg, pore
-        Where the ray then is.
-    legs, order : int
-        Legs through the pore space and grains met.
+    Ray
+        Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is
+        left.
     """
-    g1, g2, g3, lx, ly, lz, last = last_leg
-    legs = 0
-    order = 0
     while True:
-        legs += 1
-        to_boundary = math.inf
-        if dz > 0.0:
-            to_boundary = -z / dz
-        elif dz < 0.0:
-            to_boundary = (-slab.depth - z) / dz
-        last_leg = (g1, g2, g3, lx, ly, lz, last)
-        leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = next_grain(
-            state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
-        )
-        if leg < 0.0:
-            return LOST, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        met_boundary = leg >= to_boundary
-        if met_boundary:
-            leg = to_boundary
-        if not survives(state, leg, pore, optics, rules, length, purse):
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        lx, ly, lz, last = dx, dy, dz, leg
-        x += leg * dx
-        y += leg * dy
-        z += leg * dz
-        if met_boundary:
-            z = 0.0 if dz > 0.0 else -slab.depth
-            g1, g2, g3 = 0.0, 0.0, 0.0
-            passed = True
-            if pore == WET_PORE and rules.boundary_fresnel:
-                passed, dx, dy, dz = cross_boundary(
-                    state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE], 0.0
-                )
-            if passed:
-                fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+        played = roulette(ray.purse, 0.0, True)
+        while ray.purse.depth > ray.purse.limit:
+            played = roulette(ray.purse, uniform(state), True)
+            ray = Ray(ray.fate, ray.flier, ray.pore, played.purse, ray.legs, ray.order)
+            if played.ended:
+                return ended(ray, ABSORBED)
+        ray = Ray(TRAVELS, ray.flier, ray.pore, ray.purse, ray.legs + 1, ray.order)
+        found = find(state, ray.flier, scene)
+        ray = flown(state, ray, found, optics, scene, length)
+        if ray.fate != TRAVELS:
+            return ray
+        if found.meeting.outside:
+            ray = at_boundary(state, ray, scene, optics)
+            if ray.fate != TRAVELS:
+                return ray
             continue
-        if order == most:
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        order += 1
-        facetness = from_table(grains.facetness, kind, uniform(state))
-        alive, g1, g2, g3, dx, dy, dz, pore = grain_walk(
-            state, q1, q2, q3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
-            minor, flattening, facetness, kind, pore, slab.saturation,
-            grains, optics, rules, length, purse,
-        )  # fmt: skip
-        if not alive:
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        # Only a grain kept across a boundary, or rounding, ends a walk out there: the ray counts
-        # as standing on that boundary.
-        z = min(max(z + g3, -slab.depth), 0.0)
-        x += g1
-        y += g2
-        if window is not None and left_window(window, z, purse):
-            last_leg = (g1, g2, g3, lx, ly, lz, last)
-            return TRAVELS, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+        if ray.order == most:
+            return ended(ray, ABSORBED)
+        ray = Ray(TRAVELS, ray.flier, ray.pore, ray.purse, ray.legs, ray.order + 1)
+        ray = walk(state, ray, found, scene, optics, length)
+        if ray.fate != TRAVELS:
+            return ray
+        if window is not None:
+            flier = ray.flier
+            z = min(max(flier.place.z + flier.way.z, -scene.slab.depth), 0.0)
+            if left_window(window, z, scene.slab.depth, ray.purse):
+                return ray
 
 
 @kernel
-def trace(state, grains, slab, rules, optics, length, purse, most):
-    """Follow one ray from the light source until it leaves the slab or is absorbed.
+def ended(ray, fate):
+    """Return a ray at its end."""
+    return Ray(fate, ray.flier, ray.pore, ray.purse, ray.legs, ray.order)
 
-    Parameters
-    ----------
-    state : uint64[1]
-        The ray's random stream.
-    grains, slab, rules, optics
-        See `splits.transport.scene`.
-    length : float64[materials]
-        Set to the path length in each material (m).
-    purse : float64[3]
-        Set to the roulette's account, see `splits.transport.absorption`.
-    most : int
-        Grains met after which the ray counts as absorbed, or `UNLIMITED`.
 
-    Returns
-    -------
-    fate : int
-        `ABSORBED`, `REFLECTED`, `TRANSMITTED` or `LOST`.
-    x, y, z, dx, dy, dz : float
-        Point and direction of exit, the latter outside the slab.
-    legs : int
-        Legs through the pore space: what the ray cost.
-    order : int
-        Grains met.
-    """
-    length[:] = 0.0
-    start_purse(purse)
-    fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
-    if fate != TRAVELS:
-        return fate, 0.0, 0.0, 0.0, dx, dy, dz, 0, 0
-    fate, x, y, z, dx, dy, dz, _, _, legs, order = follow(
-        state, 0.0, 0.0, 0.0, dx, dy, dz, NO_LEG, pore,
-        grains, slab, rules, optics, length, purse, None, most,
-    )  # fmt: skip
-    return fate, x, y, z, dx, dy, dz, legs, order
+@kernel
+def launch(state, scene, optics):
+    """Start a ray at the slab's top; the boundary of a wet pore may reflect it at once."""
+    rules, light = scene.rules, scene.light
+    d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
+    pore = draw_pore(state, scene.slab.saturation)
+    fate = TRAVELS
+    if pore == WET_PORE and rules.boundary_fresnel:
+        near, far = Index(optics.n[DRY_PORE], 0.0), Index(optics.n[pore], optics.k[pore])
+        crossing = meet(d, facing(d), near, far, uniform(state))
+        d = crossing.d
+        fate = TRAVELS if crossing.passed else REFLECTED
+    flier = Flier(ORIGIN, ORIGIN, d, NO_LEG, 0.0)
+    limit = math.inf if rules.analog else FIRST_ROULETTE
+    return Ray(fate, flier, pore, Purse(0.0, limit, 1.0), 0, 0)
 
 
 @entry
-def batch(seed, work, grains, slab, rules, optics, exits):
+def batch(seed, work, scene, optics, exits):
     """Trace rays and record how they leave.
 
     Parameters
@@ -339,33 +432,30 @@ def batch(seed, work, grains, slab, rules, optics, exits):
     work : int64[4]
         Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
         Seed, ensemble and number name a ray's random stream: it is the same whoever traces it.
-    grains, slab, rules, optics
+    scene, optics
         See `splits.transport.scene`.
     exits : float64[rays, columns]
         A row for each ray, see `splits.transport.tally`; must come from `exit_rows`.
 
     Returns
     -------
-    legs : int
-        Legs traced.
-    lost : bool
-        Whether a ray found no grain that fits; the batch then ends early.
+    Spent
     """
     legs = 0
-    materials = optics.n.size
-    length = np.zeros(materials)
-    purse = np.zeros(3)
+    length = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
-    for ray in range(work[2]):
-        start_stream(state, seed, work[0], work[1] + ray)
-        fate, x, y, _, dx, dy, dz, spent, order = trace(
-            state, grains, slab, rules, optics, length, purse, work[3]
-        )
-        legs += spent
-        if fate == LOST:
-            return legs, True
-        if fate == ABSORBED:
-            continue
-        record(exits[ray], fate == REFLECTED, x, y, dx, dy, dz, purse[WEIGHT], order)
-        exits[ray, EXIT_LENGTH : EXIT_LENGTH + materials] = length
-    return legs, False
+    for number in range(work[2]):
+        start_stream(state, seed, work[0], work[1] + number)
+        length[:] = 0.0
+        ray = launch(state, scene, optics)
+        if ray.fate == TRAVELS:
+            ray = follow(state, ray, scene, optics, length, None, work[3])
+        legs += ray.legs
+        if ray.fate == LOST:
+            return Spent(legs, True)
+        if ray.fate != ABSORBED:
+            flier = ray.flier
+            left = Exit(ray.fate == REFLECTED, flier.place, flier.d, ray.purse.weight, ray.order)
+            record(exits[number], left)
+            exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
+    return Spent(legs, False)

@@ -7,41 +7,58 @@ reject it (SPLITS 4.3.3-4.3.4).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.absorption import WEIGHT, start_purse
-from splits.transport.grain import draw_pore, grain_walk
+from splits.transport.flight import FIRST_ROULETTE, Flier, Meeting, Purse
+from splits.transport.granular import (
+    ABSORBED,
+    NO_LEG,
+    TRAVELS,
+    Found,
+    Ray,
+    aim_of,
+    candidate_of,
+    draw_pore,
+    walk,
+)
 from splits.transport.jit import entry, kernel
-from splits.transport.rng import from_table, pick, start_stream, uniform
-from splits.transport.scene import WET_PORE
-from splits.transport.spheroid import struck_point
+from splits.transport.rng import start_stream
+from splits.transport.scene import WET_PORE, Optics, Scene
+from splits.transport.spheroid import strike
+from splits.transport.vectors import ORIGIN, UP, dot
 
 PARTS = 16
 """Equal parts of all rays, from which errors of what theories make of them come: to 18 %."""
 
 
-@kernel
-def meet(state, grains, rules):
-    """Draw the grain that a ray along +z strikes; all this file knows of how grains are drawn.
+class Tallied(NamedTuple):
+    """Sums over all rays, and over parts of them, see `scatter`."""
 
-    Returns
-    -------
-    kind, minor, flattening, facetness : int, float, float, float
-        Particle type, semi-minor axis (m), flattening and facetness.
-    q, w, n : 3 float each
-        Entry point, major axis, outward normal, see `splits.transport.spheroid`.
+    sums: np.ndarray
+    parts: np.ndarray
+
+
+class Solitary(NamedTuple):
+    """A grain alone: `wet` is the probability that rays come to it through a wet pore.
+
+    The slab of the scene gives no boundaries here, only the saturation around the grain.
     """
-    kind = 0
-    if grains.share.size > 1:
-        kind = pick(grains.share, uniform(state))
-    curvature = from_table(grains.curvature, kind, uniform(state))
-    sphericity = from_table(grains.sphericity, kind, uniform(state))
-    ratio = sphericity * sphericity
-    flattening = 1.0 - ratio
-    q1, q2, q3, w1, w2, w3, n1, n2, n3 = struck_point(state, 0.0, 0.0, 1.0, flattening, rules.entry)
-    facetness = from_table(grains.facetness, kind, uniform(state))
-    return kind, ratio / curvature, flattening, facetness, q1, q2, q3, w1, w2, w3, n1, n2, n3
+
+    wet: float
+    scene: Scene
+    optics: Optics
+
+
+@kernel
+def met(state, solitary):
+    """Draw the grain that a ray along +z strikes."""
+    candidate = candidate_of(state, solitary.scene.grains)
+    hit = strike(UP, candidate.size, aim_of(state), solitary.scene.rules.entry, True)
+    while not hit.accepted:
+        hit = strike(UP, candidate.size, aim_of(state), solitary.scene.rules.entry, True)
+    return Found(candidate, Meeting(0.0, 0.0, hit, True, False, True, 0.0), False)
 
 
 @kernel
@@ -57,21 +74,18 @@ def legendre(x, values):
 
 
 @entry
-def scatter(
-    seed, ensemble, first_ray, rays, orders, wet, saturation, grains, rules, optics, absorption
-):  # fmt: skip
-    """Let `rays` rays meet one grain each and tally their directions by weight.
+def scatter(seed, work, orders, solitary, absorption):
+    """Let rays meet one grain each and tally their directions by weight.
 
     Parameters
     ----------
-    seed, ensemble, first_ray : int
-        Name the random streams, as in `granular.batch`.
-    rays, orders : int
-        Rays to trace; Legendre polynomials to tally.
-    wet, saturation : float
-        Probability that a ray comes through a wet pore, and that a pore drawn at the grain is wet.
-    grains, rules, optics
-        See `splits.transport.scene`; `optics.absorption` bounds `absorption` from below.
+    seed : int
+    work : int64[3]
+        Ensemble, first ray, number of rays; they name the random streams, as in `granular.batch`.
+    orders : int
+        Legendre polynomials to tally.
+    solitary : Solitary
+        Its optics' absorption bounds `absorption` from below.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) that turn path lengths in the grain into weights.
 
@@ -89,39 +103,39 @@ def scatter(
     parts = np.zeros((PARTS, orders + 4, absorption.shape[0]))
     told = np.zeros(orders + 4)
     length = np.zeros(absorption.shape[1])
-    purse = np.zeros(3)
     state = np.zeros(1, dtype=np.uint64)
-    for ray in range(first_ray, first_ray + rays):
-        start_stream(state, seed, ensemble, ray)
+    for number in range(work[1], work[1] + work[2]):
+        start_stream(state, seed, work[0], number)
         length[:] = 0.0
-        start_purse(purse)
-        pore = draw_pore(state, wet)
-        kind, minor, flattening, facetness, q1, q2, q3, w1, w2, w3, n1, n2, n3 = meet(
-            state, grains, rules
-        )
-        alive, g1, g2, g3, dx, dy, dz, pore = grain_walk(
-            state, q1, q2, q3, 0.0, 0.0, 1.0, w1, w2, w3, n1, n2, n3,
-            minor, flattening, facetness, kind, pore, saturation,
-            grains, optics, rules, length, purse,
-        )  # fmt: skip
-        if not alive:
+        purse = Purse(0.0, FIRST_ROULETTE, 1.0)
+        pore = draw_pore(state, solitary.wet)
+        ray = Ray(TRAVELS, Flier(ORIGIN, ORIGIN, UP, NO_LEG, 0.0), pore, purse, 0, 0)
+        found = met(state, solitary)
+        ray = walk(state, ray, found, solitary.scene, solitary.optics, length)
+        if ray.fate == ABSORBED:
             continue
+        d, way = ray.flier.d, ray.flier.way
         # Rounding may carry the cosine past 1, which high orders would amplify.
-        legendre(min(1.0, max(-1.0, dz)), told[:orders])
-        told[orders] = g3
-        told[orders + 1] = g1 * dx + g2 * dy + g3 * dz
-        told[orders + 2] = g1 * g1 + g2 * g2 + g3 * g3
-        told[orders + 3] = 1.0 if pore == WET_PORE else 0.0
-        part = parts[ray % PARTS]
-        for i in range(absorption.shape[0]):
-            depth = 0.0
-            for material in range(absorption.shape[1]):
-                depth += absorption[i, material] * length[material]
-            w = purse[WEIGHT] * math.exp(-depth)
-            for j in range(told.size):
-                wx = w * told[j]
-                sums[0, j, i] += wx
-                sums[1, j, i] += w * wx
-                sums[2, j, i] += wx * wx
-                part[j, i] += wx
-    return sums, parts
+        legendre(min(1.0, max(-1.0, d.z)), told[:orders])
+        told[orders] = way.z
+        told[orders + 1] = dot(way, d)
+        told[orders + 2] = dot(way, way)
+        told[orders + 3] = 1.0 if ray.pore == WET_PORE else 0.0
+        add(told, length, ray.purse.weight, absorption, sums, parts[number % PARTS])
+    return Tallied(sums, parts)
+
+
+@kernel
+def add(told, length, weight, absorption, sums, part):
+    """Add what a ray told to the sums, with its weight at every wavelength."""
+    for i in range(absorption.shape[0]):
+        depth = 0.0
+        for material in range(absorption.shape[1]):
+            depth += absorption[i, material] * length[material]
+        w = weight * math.exp(-depth)
+        for j in range(told.size):
+            wx = w * told[j]
+            sums[0, j, i] += wx
+            sums[1, j, i] += w * wx
+            sums[2, j, i] += wx * wx
+            part[j, i] += wx

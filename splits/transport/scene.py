@@ -11,12 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport import facets, spheroid
+from splits.transport.light import Light
 
 DRY_PORE = 0
 WET_PORE = 1
 
 UNLIMITED = 2**31 - 1
 """Grains met after which a ray is given up, where it may meet any number."""
+
+MAX_REJECTIONS = 10_000_000
+"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
+that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
 
 LOBE = 0
 """A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
@@ -72,7 +77,7 @@ class Grains(NamedTuple):
 
 
 class Slab(NamedTuple):
-    """The sample between its extended boundaries z = 0 and z = −depth, and its illumination.
+    """The sample between its extended boundaries z = 0 and z = −depth.
 
     Attributes
     ----------
@@ -80,16 +85,10 @@ class Slab(NamedTuple):
         Metres.
     saturation : float
         Probability that a leg through the pore space runs in the wet medium.
-    cos_incidence : float
-        Cosine of the angle of incidence, in (0, 1]; ignored under diffuse light.
-    diffuse : bool
-        Illumination of equal radiance from the whole hemisphere instead of a beam.
     """
 
     depth: float
     saturation: float
-    cos_incidence: float
-    diffuse: bool
 
 
 class Rules(NamedTuple):
@@ -106,6 +105,15 @@ class Rules(NamedTuple):
     on_last_leg: int
     across_boundary: int
     analog: bool
+
+
+class Scene(NamedTuple):
+    """Light on a slab of grains, and how the papers are read."""
+
+    light: Light
+    slab: Slab
+    grains: Grains
+    rules: Rules
 
 
 class Optics(NamedTuple):

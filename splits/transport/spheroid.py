@@ -9,12 +9,12 @@ centre nor a rotation into its frame is needed.  Every function serves both prec
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 from splits.transport.arithmetic import fused, reciprocal_root, root
-from splits.transport.frames import around, dot, normalized
+from splits.transport.elementary import Angle, circle
 from splits.transport.jit import HALF, ONE, THREE, TWO, ZERO, kernel
-from splits.transport.rng import uniform, unit_circle
+from splits.transport.vectors import Vector, along, around, combined, dot, normalized, scaled
 
 UNIFORM = 0
 """Entry point uniform over the surface that faces the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
@@ -22,40 +22,115 @@ PROJECTED = 1
 """Entry point (and orientation) weighted by area projected along the ray: geometry's own law."""
 
 
-@kernel
-def squeezed(x1, x2, x3, w1, w2, w3, flattening):
-    """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
-    k = -flattening * dot(x1, x2, x3, w1, w2, w3)
-    return fused(k, w1, x1), fused(k, w2, x2), fused(k, w3, x3)
+class Spheroid(NamedTuple):
+    """A grain, and the point on it at which a ray is.
 
-
-@kernel
-def normal_at(q1, q2, q3, w1, w2, w3, flattening):
-    """Return the outward unit normal at the surface point q."""
-    n1, n2, n3 = squeezed(q1, q2, q3, w1, w2, w3, flattening)
-    return normalized(n1, n2, n3)
-
-
-@kernel
-def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
-    """Return the chord from the surface point q along d through the grain, and its other end.
-
-    Returns
-    -------
-    chord : float
-        Its length in units of the semi-minor axis, at least 0.
-    q : 3 float
-        The other end, brought back to unit length, so that errors do not add up.
+    Attributes
+    ----------
+    q : Vector
+        The point, on the unit sphere.
+    w : Vector
+        Major axis.
+    flattening : float
+    minor : float
+        Semi-minor axis (m).
     """
-    e1, e2, e3 = squeezed(dx, dy, dz, w1, w2, w3, flattening)
-    along = dot(q1, q2, q3, e1, e2, e3)
-    chord = max(-TWO * along / dot(e1, e2, e3, e1, e2, e3), ZERO)
-    q1 = fused(chord, e1, q1)
-    q2 = fused(chord, e2, q2)
-    q3 = fused(chord, e3, q3)
+
+    q: Vector
+    w: Vector
+    flattening: float
+    minor: float
+
+
+class Size(NamedTuple):
+    """Semi-major axis (m) and flattening."""
+
+    major: float
+    flattening: float
+
+
+class Aim(NamedTuple):
+    """Random numbers that say how a ray strikes a grain.
+
+    Attributes
+    ----------
+    facing : float
+        For the cosine −d·n.
+    azimuth, turn : float
+        For the azimuths of n around −d and of w around n.
+    axial, area : float
+        For z/b of the entry point, and to accept it.
+    """
+
+    facing: float
+    azimuth: float
+    turn: float
+    axial: float
+    area: float
+
+
+class Entry(NamedTuple):
+    """How a ray strikes a grain.
+
+    Attributes
+    ----------
+    grain : Spheroid
+    normal : Vector
+        Outward, at the entry point.
+    axial : float
+        z/b of the entry point.
+    major : float
+        Semi-major axis (m).
+    accepted : bool
+        False asks for another `Aim` at a grain of the same size.
+    """
+
+    grain: Spheroid
+    normal: Vector
+    axial: float
+    major: float
+    accepted: bool
+
+
+class Chord(NamedTuple):
+    """A way through a grain: its length (m), and the grain with the ray at its other end."""
+
+    length: float
+    grain: Spheroid
+
+
+class Segment(NamedTuple):
+    """A leg of a ray: its end, its direction, towards that end, and its length, −1 for none (m)."""
+
+    end: Vector
+    d: Vector
+    length: float
+
+
+@kernel
+def squeezed(x, w, flattening):
+    """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
+    return along(-flattening * dot(x, w), w, x)
+
+
+@kernel
+def normal_at(grain):
+    """Return the outward unit normal where the ray is."""
+    return normalized(squeezed(grain.q, grain.w, grain.flattening))
+
+
+@kernel
+def across(grain, d):
+    """Return the way through the grain from where the ray is along d.
+
+    The other end is brought back to unit length, so that errors do not add up.
+    """
+    e = squeezed(d, grain.w, grain.flattening)
+    chord = max(-TWO * dot(grain.q, e) / dot(e, e), ZERO)
+    q = along(chord, e, grain.q)
     # One step of Newton's method for 1/|q| from 1.
-    scale = HALF * (THREE - dot(q1, q2, q3, q1, q2, q3))
-    return chord, q1 * scale, q2 * scale, q3 * scale
+    q = scaled(HALF * (THREE - dot(q, q)), q)
+    return Chord(chord * grain.minor, Spheroid(q, grain.w, grain.flattening, grain.minor))
 
 
 @kernel
@@ -69,124 +144,64 @@ def slope_squared(axial, flattening):
 
 
 @kernel
-def axial_position(state, flattening):
-    """Return z/b of a point uniform over the area of a prolate spheroid, in (−1, 1).
-
-    Rejection draws exactly, without inverting SPLITS Eq 27.
-    """
-    while True:
-        z = TWO * uniform(state) - ONE
-        u = uniform(state)
-        if u * u < slope_squared(z, flattening):
-            return z
-
-
-@kernel
-def entry_point(
-    dx, dy, dz, facing, cos_azimuth, sin_azimuth, axial, cos_turn, sin_turn, flattening
-):  # fmt: skip
+def strike(d, size, aim, entry, variant):
     """Return where a ray along d strikes a grain, and how that grain lies.
 
     A grain turned at random shows the normal at any fixed point of it in a random direction; so
-    the normal is drawn around −d, and the grain is then turned around that normal.
+    the normal is drawn around −d, and the grain is then turned around that normal.  The axial
+    position is uniform over the area of the spheroid by rejection, which is exact without inverting
+    SPLITS Eq 27.
 
     Parameters
     ----------
-    d : 3 float
-    facing : float
-        −d·n in (0, 1]: uniform for entry uniform over the facing surface, the root of a uniform
-        number for entry in proportion to projected area.
-    cos_azimuth, sin_azimuth : float
-        Azimuth of n around −d, uniform.
-    axial : float
-        z/b of the entry point, see `axial_position`.
-    cos_turn, sin_turn : float
-        Azimuth of w around n, uniform.
-    flattening : float
+    d : Vector
+    size : Size
+    aim : Aim
+    entry : int
+        `UNIFORM` or `PROJECTED`.
+    variant : True or None
+        None where it is `UNIFORM`.
 
     Returns
     -------
-    q, w, n : 3 float each
-        Entry point, major axis and outward normal, d·n = −`facing`.
+    Entry
     """
+    flattening = size.flattening
+    axial = TWO * aim.axial - ONE
     square = slope_squared(axial, flattening)
+    accepted = aim.area * aim.area < square
+    facing = aim.facing
+    if variant is not None:
+        facing = root(aim.facing) if entry == PROJECTED else aim.facing
+    polar = Angle(facing, root(max(ONE - facing * facing, ZERO)))
+    n = around(Vector(-d.x, -d.y, -d.z), polar, circle(aim.azimuth))
     per_slope = reciprocal_root(square)
     slope = square * per_slope
-    sine = root(max(ONE - facing * facing, ZERO))
-    n1, n2, n3 = around(-dx, -dy, -dz, facing, sine, cos_azimuth, sin_azimuth)
     cos_axis = (ONE - flattening) * axial * per_slope
     sin_axis = root(max(ONE - axial * axial, ZERO)) * per_slope
-    w1, w2, w3 = around(n1, n2, n3, cos_axis, sin_axis, cos_turn, sin_turn)
-    shift = flattening * axial
-    return (
-        fused(shift, w1, slope * n1), fused(shift, w2, slope * n2), fused(shift, w3, slope * n3),
-        w1, w2, w3, n1, n2, n3,
-    )  # fmt: skip
+    w = around(n, Angle(cos_axis, sin_axis), circle(aim.turn))
+    q = combined(flattening * axial, w, slope, n)
+    minor = (ONE - flattening) * size.major
+    return Entry(Spheroid(q, w, flattening, minor), n, axial, size.major, accepted)
 
 
 @kernel
-def struck_point(state, dx, dy, dz, flattening, entry):
-    """Draw entry point, orientation and normal of the grain that a ray along d strikes.
-
-    Returns what `entry_point` does.
-    """
-    axial = axial_position(state, flattening)
-    facing = uniform(state)
-    if entry == PROJECTED:
-        facing = math.sqrt(facing)
-    ca, sa = unit_circle(state)
-    ct, st = unit_circle(state)
-    return entry_point(dx, dy, dz, facing, ca, sa, axial, ct, st, flattening)
+def crosses(entry, height, low, high):
+    """Tell whether a grain entered at a height (m) reaches below `low` or above `high` (m)."""
+    grain = entry.grain
+    minor = grain.minor
+    excess = (entry.major - minor) * grain.w.z
+    centre = height - fused(minor, grain.q.z, entry.axial * excess)
+    half = root(fused(minor, minor, (entry.major + minor) * excess * grain.w.z))
+    return (centre + half > high) | (centre - half < low)
 
 
 @kernel
-def crosses(height, q3, w3, axial, minor, major, depth):
-    """Tell whether a grain entered at a height below the boundary 0 reaches over 0 or −depth.
-
-    Parameters
-    ----------
-    height : float
-        Height of the entry point (m).
-    q3, w3 : float
-        Vertical components of entry point and major axis.
-    axial, minor, major : float
-        z/b of the entry point; semi-axes (m).
-    depth : float
-        Metres.
-    """
-    excess = (major - minor) * w3
-    centre = height - fused(minor, q3, axial * excess)
-    half = root(fused(minor, minor, (major + minor) * excess * w3))
-    return (centre + half > ZERO) | (centre - half < -depth)
-
-
-@kernel
-def cuts_segment(
-    q1, q2, q3, w1, w2, w3, minor, flattening, e1, e2, e3, lx, ly, lz, length
-):  # fmt: skip
-    """Tell whether a grain overlaps a segment.
-
-    Parameters
-    ----------
-    q, w : 3 float each
-        A point on the grain's surface and its major axis.
-    minor, flattening : float
-        Semi-minor axis (m) and flattening.
-    e : 3 float
-        The end of the segment, from that point (m).
-    l : 3 float
-        Direction of the segment, towards that end.
-    length : float
-        Its length (m); none if negative.
-    """
-    a1, a2, a3 = squeezed(e1, e2, e3, w1, w2, w3, flattening)
-    a1 = fused(minor, q1, a1)
-    a2 = fused(minor, q2, a2)
-    a3 = fused(minor, q3, a3)
-    b1, b2, b3 = squeezed(lx, ly, lz, w1, w2, w3, flattening)
-    t = dot(a1, a2, a3, b1, b2, b3) / dot(b1, b2, b3, b1, b2, b3)
-    t = -min(max(t, ZERO), length)
-    a1 = fused(t, b1, a1)
-    a2 = fused(t, b2, a2)
-    a3 = fused(t, b3, a3)
-    return (length > ZERO) & (dot(a1, a2, a3, a1, a2, a3) < minor * minor)
+def cuts(grain, segment):
+    """Tell whether a grain overlaps a segment, whose end counts from where the ray is on it (m)."""
+    a = squeezed(segment.end, grain.w, grain.flattening)
+    a = along(grain.minor, grain.q, a)
+    b = squeezed(segment.d, grain.w, grain.flattening)
+    t = dot(a, b) / dot(b, b)
+    a = along(-min(max(t, ZERO), segment.length), b, a)
+    return (segment.length > ZERO) & (dot(a, a) < grain.minor * grain.minor)

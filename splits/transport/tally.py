@@ -7,10 +7,13 @@ as the probability to pass).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splits.transport.elementary import exponential
 from splits.transport.jit import ONE, ZERO, entry, kernel
+from splits.transport.vectors import Vector
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
@@ -29,6 +32,28 @@ BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
 
 
+class Exit(NamedTuple):
+    """How a ray left.
+
+    Attributes
+    ----------
+    reflected : bool
+        Through the top.
+    place, d : Vector
+        Where (m) and in which direction.
+    weight : float
+        Inverse probability of having survived roulette.
+    order : int
+        Grains met.
+    """
+
+    reflected: bool
+    place: Vector
+    d: Vector
+    weight: float
+    order: int
+
+
 def exit_rows(rays: int, materials: int) -> np.ndarray:
     """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
     rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
@@ -37,13 +62,16 @@ def exit_rows(rays: int, materials: int) -> np.ndarray:
 
 
 @kernel
-def record(row, reflected, x, y, dx, dy, dz, weight, order):
-    """Write where and how a ray left into its row; path lengths are left to the caller."""
-    row[EXIT_SIDE] = 0.0 if reflected else 1.0
-    row[EXIT_WEIGHT] = weight
-    row[EXIT_ORDER] = order
-    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = dx, dy, dz
-    row[EXIT_POSITION], row[EXIT_POSITION + 1] = x, y
+def record(row, left):
+    """Write how a ray left into its row; path lengths are left to the caller."""
+    row[EXIT_SIDE] = 0.0 if left.reflected else 1.0
+    row[EXIT_WEIGHT] = left.weight
+    row[EXIT_ORDER] = left.order
+    row[EXIT_DIRECTION] = left.d.x
+    row[EXIT_DIRECTION + 1] = left.d.y
+    row[EXIT_DIRECTION + 2] = left.d.z
+    row[EXIT_POSITION] = left.place.x
+    row[EXIT_POSITION + 1] = left.place.y
 
 
 @entry

@@ -9,9 +9,9 @@ from numba import config
 
 from splits.transport import facets, spheroid
 from splits.transport.fresnel import interface
+from splits.transport.features import Features
 from splits.transport.jit import entry
-from splits.transport.lanes.rows import Features
-from splits.transport.scene import DRY_PORE, LOBE, SKIPPED, WET_PORE, Grains, Optics, Rules, Slab
+from splits.transport.scene import DRY_PORE, LOBE, SKIPPED, WET_PORE, Optics, Scene
 
 FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
@@ -32,9 +32,7 @@ steps are then below 1 % of that distance."""
 
 
 def features_for(
-    grains: Grains,
-    slab: Slab,
-    rules: Rules,
+    scene: Scene,
     optics: Optics,
     positions: bool = False,
     orders: bool = False,
@@ -46,7 +44,7 @@ def features_for(
 
     Parameters
     ----------
-    grains, slab, rules, optics
+    scene, optics
         See `splits.transport.scene`.
     positions : bool
         Whether horizontal positions of exit are wanted.
@@ -55,9 +53,10 @@ def features_for(
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
+    light, slab, grains, rules = scene
     if rules.analog or grains.layers.max() > 2 or slab.depth * grains.attenuation > DEEPEST:
         return None
-    if not slab.diffuse and slab.cos_incidence < GRAZING:
+    if light.diffuse < 1.0 and light.cos < GRAZING:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None

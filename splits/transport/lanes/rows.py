@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import exact
+from splits.transport.flight import Fates, Space
+from splits.transport.jit import exact, kernel
+from splits.transport.vectors import Vector
 
 LANES = 64
 """Rays side by side: enough to fill vectors and to average over, few enough for the cache."""
@@ -22,22 +24,23 @@ STRIDE = 2 * VECTOR
 """Lanes that a pass takes at a time."""
 
 (
-    # Ray: position of the origin of its leg or of its entry into a grain; direction.
-    X, Y, Z, DX, DY, DZ,
-    # Way from the grain's entry point on; direction and length of the leg before (none: −1).
-    GX, GY, GZ, LX, LY, LZ, LAST,
+    # What a launch sets to zero.  Ray: position of the origin of its leg or of its entry into a
+    # grain; way from there on; direction of the leg before.
+    X, Y, Z, GX, GY, GZ, LX, LY, LZ,
+    # Optical depth, trials in a row without a grain, shape is kept, distance to the last grain left
+    # out; lengths (m) in wet pores, in coating and in core since they were last put down.
+    DEPTH, TRIES, KEEP, SKIP_LEG, PORE_PATH, COAT_PATH, CORE_PATH,
+    # Direction; length of the leg before (none: −1).
+    DX, DY, DZ, LAST,
     # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
     QX, QY, QZ, WX, WY, WZ, FLATTENING, MINOR, SIGMA,
     # Ray at the grain: layer (0 pore, 1 outermost, 2 below), 1 inward or −1 outward.
     LAYER, SIDE,
-    STATUS, WET, TRIES,
-    # Optical depth, next roulette, inverse probability of survival.
-    DEPTH, LIMIT, WEIGHT,
-    # Lengths (m) in wet pores, in coating and in core since they were last put down.
-    PORE_PATH, COAT_PATH, CORE_PATH,
-    # Grain drawn but not yet met: curvature, flattening, half facetness, type; shape is kept;
-    # distance to the last grain left out.
-    NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND, KEEP, SKIP_LEG,
+    STATUS, WET,
+    # Next roulette, inverse probability of survival.
+    LIMIT, WEIGHT,
+    # Grain drawn but not yet met: curvature, flattening, half facetness, type.
+    NEW_CURVATURE, NEW_FLATTENING, NEW_SIGMA, NEW_KIND,
     # What decides these: positions in their tables, and the number read at the second; a number for
     # the type, and its choice.
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
@@ -51,6 +54,7 @@ STRIDE = 2 * VECTOR
     C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
     K_IN_DRY, K_IN_WET, K_OUT_WET,
 ) = (LANES * row for row in range(68))  # fmt: skip
+TRAVELLED = 16 * LANES
 STATE = 68 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
@@ -65,53 +69,32 @@ FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_BOUNDARY, ABSORBED, LOST, IDLE = (
 waits for the plain loop that ends and launches rays."""
 
 
-class Features(NamedTuple):
-    """What a scene has.  A feature is True or None: being types, they decide at compile time.
+@kernel
+def vector(state, row):
+    """Return the vector whose first component stands at `row`, and the others in the rows below."""
+    return Vector(state[row], state[row + LANES], state[row + 2 * LANES])
+
+
+@kernel
+def put(state, row, v):
+    """Store a vector where `vector` finds it."""
+    state[row], state[row + LANES], state[row + 2 * LANES] = v.x, v.y, v.z
+
+
+class Passing(NamedTuple):
+    """What the passes need to know of a scene, float32 (m) but for the rules.
 
     Attributes
     ----------
-    wet : True or None
-        Some legs run through wet pores.
-    faceted : True or None
-        Grains are not all smooth.
-    absorbing : True or None
-        Extinction coefficients show in reflection.
-    mixed : True or None
-        Several types, or coatings; includes `absorbing`.
-    variant : True or None
-        Readings of the papers other than the default in entry point, facets or wrong side, or
-        grains that are skipped.
-    positions : True or None
-        Horizontal positions are tracked.
-    orders : True or None
-        Grains met are counted, and limited.
-    """
-
-    wet: bool | None
-    faceted: bool | None
-    absorbing: bool | None
-    mixed: bool | None
-    variant: bool | None
-    positions: bool | None
-    orders: bool | None
-
-
-class Scene(NamedTuple):
-    """Scalars that the passes need, float32 (m) but for the rules.
-
-    Attributes
-    ----------
-    mean_leg, depth : float32
+    space : Space
+    fates : Fates
     saturation : float32
+    facets : int32
+    mirrored : bool
     """
 
-    mean_leg: np.float32
-    depth: np.float32
+    space: Space
+    fates: Fates
     saturation: np.float32
-    entry: np.int32
     facets: np.int32
     mirrored: np.bool_
-    refuse_on_last_leg: np.bool_
-    refuse_across_boundary: np.bool_
-    skip_on_last_leg: np.bool_
-    skip_across_boundary: np.bool_

@@ -137,7 +137,9 @@ def deep_transmittance(
                 wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * max_rays))
             results[:, row] = mean, stderr, share, run.rays, rate
     transmittance, errors, shares, count, rates = results
-    long_name = ("hemispherical" if incidence == "diffuse" else "directional") + "-hemispherical transmittance"
+    long_name = (
+        "hemispherical" if incidence == "diffuse" else "directional"
+    ) + "-hemispherical transmittance"
     over = "wavelength"
     variables = {
         **quantity("transmittance", over, transmittance, errors, long_name),

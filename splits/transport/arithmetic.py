@@ -81,10 +81,11 @@ def _root(x):
 
 
 class Precision(NamedTuple):
-    """Small numbers of a precision.
+    """Numbers of a precision.
 
     Attributes
     ----------
+    one, zero : float
     grazing : float
         Least cosine of incidence.
     normal : float
@@ -92,12 +93,14 @@ class Precision(NamedTuple):
         1e-8 of all trials.
     """
 
+    one: float
+    zero: float
     grazing: float
     normal: float
 
 
-_SINGLE = Precision(np.float32(1e-6), np.float32(1e-8))
-_DOUBLE = Precision(1e-12, 1e-20)
+_SINGLE = Precision(np.float32(1.0), np.float32(0.0), np.float32(1e-6), np.float32(1e-8))
+_DOUBLE = Precision(1.0, 0.0, 1e-12, 1e-20)
 
 
 def precise(x):

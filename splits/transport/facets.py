@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from splits.transport.arithmetic import fused, root
-from splits.transport.elementary import Angle, half_circle, logarithm
-from splits.transport.jit import HALF, ONE, TWO, ZERO, exact, kernel
+from splits.transport.arithmetic import fused
+from splits.transport.elementary import Angle
+from splits.transport.jit import HALF, ONE, TWO, ZERO, kernel
 from splits.transport.vectors import Vector, along, cross, scaled
 
 PROJECTED = 0
@@ -21,8 +21,6 @@ UNWEIGHTED = 1
 """Facets facing the ray, each with the same probability."""
 ANY = 2
 """Any facet; one that faces away acts through its opposite side."""
-
-_MINUS_TWO = exact(-2.0)
 
 
 class Choice(NamedTuple):
@@ -41,15 +39,6 @@ class Choice(NamedTuple):
     accepted: bool
     cos_azimuth: float
     cos: float
-
-
-@kernel
-def leaning(roughness, u1, u2):
-    """Return 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), to be refused from 1 on.
-
-    By Box & Muller (1958) from two uniform random numbers; `roughness` is half the facetness.
-    """
-    return roughness * root(_MINUS_TWO * logarithm(u1)) * half_circle(u2).cos
 
 
 @kernel

@@ -123,12 +123,10 @@ class Meeting(NamedTuple):
     height : float
         Of the entry point (m).
     entry : Entry
-    placed : bool
-        False asks for another trial of the entry point, at a grain of the same size and shape.
     outside : bool
         A boundary comes first.
     fits : bool
-        Where the other two allow: the grain is met.
+        The grain is met.
     skipped : float
         Distance from which the next trial counts (m).
     """
@@ -136,7 +134,6 @@ class Meeting(NamedTuple):
     leg: float
     height: float
     entry: Entry
-    placed: bool
     outside: bool
     fits: bool
     skipped: float
@@ -162,15 +159,14 @@ def roulette(purse, u, active):
 def next_grain(ray, size, aim, u, space, fates, variant):
     """Draw the next grain on a ray.
 
-    SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.  The trial of the
-    entry point comes before all else that a draw can lead to, so that its failures leave no trace
-    in distances, shapes and types.
+    SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
 
     Parameters
     ----------
     ray : Flier
     size : Size
     aim : Aim
+        One that is `spheroid.placed`.
     u : float
         A uniform random number, for the distance.
     space : Space
@@ -194,13 +190,13 @@ def next_grain(ray, size, aim, u, space, fates, variant):
     across = fates.refuse_across_boundary & crosses(entry, height, space.low, space.high)
     behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
     backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
-    fits = entry.accepted & (not outside) & (not across) & (not backwards)
+    fits = (not outside) & (not across) & (not backwards)
     skipped = ray.skipped
     if variant is not None:
         skips = fates.skip_across_boundary if across else fates.skip_on_last_leg & backwards
-        skipped = leg if entry.accepted & (not outside) & skips else skipped
-        skipped = ZERO if entry.accepted & (fits | outside) else skipped
-    return Meeting(leg, height, entry, entry.accepted, outside, fits, skipped)
+        skipped = leg if (not outside) & skips else skipped
+        skipped = ZERO if fits | outside else skipped
+    return Meeting(leg, height, entry, outside, fits, skipped)
 
 
 @kernel

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.transport.elementary import Angle
 from splits.transport.faces import Crossing, Index, facing, meet
 from splits.transport.features import Features
 from splits.transport.flight import (
@@ -26,7 +27,7 @@ from splits.transport.flight import (
 )
 from splits.transport.jit import entry, kernel
 from splits.transport.light import launched
-from splits.transport.rng import from_table, pick, start_stream, uniform
+from splits.transport.rng import from_table, half_normal, pick, start_stream, uniform, unit_circle
 from splits.transport.scene import (
     DRY_PORE,
     KEPT,
@@ -35,7 +36,7 @@ from splits.transport.scene import (
     SKIPPED,
     WET_PORE,
 )
-from splits.transport.spheroid import Aim, Segment, Size, across
+from splits.transport.spheroid import Aim, Segment, Size, across, placed
 from splits.transport.surface import (
     Contrast,
     Numbers,
@@ -57,13 +58,14 @@ LOST = 3
 """No grain was found that fits; never expected, counted so that it cannot pass unseen."""
 TRAVELS = 4
 
+FORWARD = Angle(1.0, 0.0)
+
 NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)
 """In place of the leg travelled last, for a ray that has not travelled yet."""
 
 
-ROUGH = Features(True, True, True, True, True, True, True)
-SMOOTH = ROUGH._replace(faceted=None)
-"""What surfaces of grains may have: the scalar kernel is compiled for everything."""
+EVERYTHING = Features(True, True, True, True, True, True, True)
+"""What the scalar kernel is compiled for."""
 
 
 class Ray(NamedTuple):
@@ -110,6 +112,22 @@ class Paid(NamedTuple):
 
     purse: Purse
     alive: bool
+
+
+class Beam(NamedTuple):
+    """What a ray carries: direction, material of its leg, account of the roulette."""
+
+    d: Vector
+    pore: int
+    purse: Purse
+
+
+class Walk(NamedTuple):
+    """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""
+
+    alive: bool
+    way: Vector
+    beam: Beam
 
 
 class Sides(NamedTuple):
@@ -192,10 +210,12 @@ def candidate_of(state, grains):
 
 
 @kernel
-def aim_of(state):
+def aim_of(state, flattening):
     """Draw how a ray strikes a grain."""
-    facing, azimuth, turn = uniform(state), uniform(state), uniform(state)
-    return Aim(facing, azimuth, turn, uniform(state), uniform(state))
+    while True:
+        aim = Aim(uniform(state), FORWARD, FORWARD, uniform(state), uniform(state))
+        if placed(aim, flattening):
+            return Aim(aim.facing, unit_circle(state), unit_circle(state), aim.axial, aim.area)
 
 
 @kernel
@@ -211,21 +231,17 @@ def fates_of(rules):
 
 
 @kernel
-def find(state, flier, scene):
+def find(state, flier, scene, space):
     """Draw the next grain on a ray, or find that the ray reaches a boundary first."""
-    grains, slab = scene.grains, scene.slab
-    space = Space(1.0 / grains.attenuation, -slab.depth, 0.0)
+    grains = scene.grains
     fates = fates_of(scene.rules)
-    candidate = candidate_of(state, grains)
-    meeting = next_grain(flier, candidate.size, aim_of(state), uniform(state), space, fates, True)
     for _ in range(MAX_REJECTIONS):
-        if meeting.placed:
-            if meeting.fits or meeting.outside:
-                return Found(candidate, meeting, False)
-            # A trial refused for its axial position keeps type and shape, which made that likely.
-            candidate = candidate_of(state, grains)
+        candidate = candidate_of(state, grains)
+        aim = aim_of(state, candidate.size.flattening)
+        meeting = next_grain(flier, candidate.size, aim, uniform(state), space, fates, True)
+        if meeting.fits or meeting.outside:
+            return Found(candidate, meeting, False)
         flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
-        meeting = next_grain(flier, candidate.size, aim_of(state), uniform(state), space, fates, True)
     return Found(candidate, meeting, True)
 
 
@@ -247,15 +263,17 @@ def media_of(state, stand, kind, pore, scene, optics):
 @kernel
 def trial(state, d, stand, grain, roughness, media, rules):
     """Return what one trial at a grain's surface leads to."""
-    surface = smooth(d, grain, stand.side)
-    choice, u = uniform(state), uniform(state)
-    turn = rules.wrong_side != LOBE
-    if roughness == 0.0:
-        return outcome(d, stand, surface, media, u, turn, SMOOTH)
-    lean, spread, azimuth = uniform(state), uniform(state), uniform(state)
-    numbers = Numbers(choice, u, 0.0, lean, spread, azimuth)
-    facet = rough(d, surface, roughness, numbers, stand.lobe, rules.facets, True)
-    return outcome(d, stand, facet, media, u, turn, ROUGH)
+    facet = smooth(d, grain, stand.side)
+    u = uniform(state)
+    while roughness > 0.0:
+        azimuth = unit_circle(state)
+        azimuth = Angle(abs(azimuth.cos), azimuth.sin)
+        numbers = Numbers(uniform(state), u, 0.0, half_normal(state), azimuth)
+        found = rough(d, facet, roughness, numbers, stand.lobe, rules.facets, True)
+        if found.accepted or stand.lobe:
+            facet = found
+            break
+    return outcome(d, stand, facet, media, u, rules.wrong_side != LOBE, EVERYTHING)
 
 
 @kernel
@@ -265,7 +283,7 @@ def walk(state, ray, found, scene, optics, length):
     Parameters
     ----------
     state : uint64[1]
-    ray : Ray
+    ray : Beam
         As it meets the grain.
     found : Found
     scene, optics
@@ -275,17 +293,17 @@ def walk(state, ray, found, scene, optics, length):
 
     Returns
     -------
-    Ray
+    Walk
     """
     kind, size, roughness = found.candidate
-    grain, d, purse, pore = found.meeting.entry.grain, ray.flier.d, ray.purse, ray.pore
+    grain, d, pore, purse = found.meeting.entry.grain, ray.d, ray.pore, ray.purse
     way = ORIGIN
     stand = Stand(0.0, 1.0, False, False)
     while True:
         media = media_of(state, stand, kind, pore, scene, optics)
         after = trial(state, d, stand, grain, roughness, media.contrast, scene.rules)
         if not after.done:
-            pore = media.pore if after.to_lobe else pore
+            pore = media.pore
             stand = Stand(stand.layer, stand.side, after.to_lobe, after.passed)
             continue
         gone = goings(stand, after, float(scene.grains.layers[kind]), True)
@@ -293,8 +311,7 @@ def walk(state, ray, found, scene, optics, length):
         if gone.out:
             if not after.passed:
                 pore = draw_pore(state, scene.slab.saturation)
-            flier = Flier(ray.flier.place, way, d, ray.flier.last, 0.0)
-            return Ray(TRAVELS, flier, pore, purse, ray.legs, ray.order)
+            return Walk(True, way, Beam(d, pore, purse))
         layer = int(stand.layer) - 1
         if gone.core:
             leg, grain = across(grain, d)
@@ -305,44 +322,28 @@ def walk(state, ray, found, scene, optics, length):
         payment = paid(state, purse, leg, material, optics, scene.rules.analog, length)
         purse = payment.purse
         if not payment.alive:
-            return Ray(ABSORBED, ray.flier, pore, purse, ray.legs, ray.order)
+            return Walk(False, way, Beam(d, pore, purse))
 
 
 @kernel
-def flown(state, ray, found, optics, scene, length):
-    """Return a ray at the grain that it has found, or at the boundary that comes before."""
-    flier, slab, pore = ray.flier, scene.slab, ray.pore
-    if found.lost:
-        return Ray(LOST, flier, pore, ray.purse, ray.legs, ray.order)
-    leg, height = found.meeting.leg, found.meeting.height
-    if found.meeting.outside:
-        arrival = to_boundary(flier, Space(0.0, -slab.depth, 0.0))
+def arrived(flier, meeting, space):
+    """Return a ray at the grain that it meets, or at the boundary that comes before."""
+    leg, height = meeting.leg, meeting.height
+    if meeting.outside:
+        arrival = to_boundary(flier, space)
         leg, height = arrival.leg, arrival.place.z
-    payment = paid(state, ray.purse, leg, pore, optics, scene.rules.analog, length)
-    fate = TRAVELS if payment.alive else ABSORBED
-    last = Segment(ORIGIN, flier.d, leg)
-    start = Vector(
-        flier.place.x + flier.way.x, flier.place.y + flier.way.y, flier.place.z + flier.way.z
-    )
-    place = along(leg, flier.d, start)
-    flier = Flier(Vector(place.x, place.y, height), ORIGIN, flier.d, last, 0.0)
-    return Ray(fate, flier, pore, payment.purse, ray.legs, ray.order)
+    x = flier.place.x + flier.way.x + leg * flier.d.x
+    y = flier.place.y + flier.way.y + leg * flier.d.y
+    return Flier(Vector(x, y, height), ORIGIN, flier.d, Segment(ORIGIN, flier.d, leg), 0.0)
 
 
 @kernel
-def at_boundary(state, ray, scene, optics):
-    """Let a ray leave through the boundary that it stands at, or send it back."""
-    flier, pore = ray.flier, ray.pore
-    crossing = Crossing(True, flier.d)
-    if pore == WET_PORE and scene.rules.boundary_fresnel:
-        far = Index(optics.n[DRY_PORE], 0.0)
-        near = Index(optics.n[pore], optics.k[pore])
-        crossing = meet(flier.d, facing(flier.d), near, far, uniform(state))
-    fate = TRAVELS
-    if crossing.passed:
-        fate = REFLECTED if crossing.d.z > 0.0 else TRANSMITTED
-    flier = Flier(flier.place, flier.way, crossing.d, flier.last, 0.0)
-    return Ray(fate, flier, pore, ray.purse, ray.legs, ray.order)
+def through_face(state, beam, scene, optics):
+    """Let a ray pass the boundary that it stands at, or send it back."""
+    if beam.pore != WET_PORE or not scene.rules.boundary_fresnel:
+        return Crossing(True, beam.d)
+    near, far = Index(optics.n[beam.pore], optics.k[beam.pore]), Index(optics.n[DRY_PORE], 0.0)
+    return meet(beam.d, facing(beam.d), near, far, uniform(state))
 
 
 @kernel
@@ -369,40 +370,48 @@ def follow(state, ray, scene, optics, length, window, most):
         Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is
         left.
     """
-    while True:
-        played = roulette(ray.purse, 0.0, True)
-        while ray.purse.depth > ray.purse.limit:
-            played = roulette(ray.purse, uniform(state), True)
-            ray = Ray(ray.fate, ray.flier, ray.pore, played.purse, ray.legs, ray.order)
-            if played.ended:
-                return ended(ray, ABSORBED)
-        ray = Ray(TRAVELS, ray.flier, ray.pore, ray.purse, ray.legs + 1, ray.order)
-        found = find(state, ray.flier, scene)
-        ray = flown(state, ray, found, optics, scene, length)
-        if ray.fate != TRAVELS:
-            return ray
-        if found.meeting.outside:
-            ray = at_boundary(state, ray, scene, optics)
-            if ray.fate != TRAVELS:
-                return ray
-            continue
-        if ray.order == most:
-            return ended(ray, ABSORBED)
-        ray = Ray(TRAVELS, ray.flier, ray.pore, ray.purse, ray.legs, ray.order + 1)
-        ray = walk(state, ray, found, scene, optics, length)
-        if ray.fate != TRAVELS:
-            return ray
-        if window is not None:
-            flier = ray.flier
-            z = min(max(flier.place.z + flier.way.z, -scene.slab.depth), 0.0)
-            if left_window(window, z, scene.slab.depth, ray.purse):
-                return ray
-
-
-@kernel
-def ended(ray, fate):
-    """Return a ray at its end."""
-    return Ray(fate, ray.flier, ray.pore, ray.purse, ray.legs, ray.order)
+    flier, beam = ray.flier, Beam(ray.flier.d, ray.pore, ray.purse)
+    legs, order, fate = ray.legs, ray.order, TRAVELS
+    space = Space(1.0 / scene.grains.attenuation, -scene.slab.depth, 0.0)
+    while fate == TRAVELS:
+        purse = beam.purse
+        while purse.depth > purse.limit and fate == TRAVELS:
+            played = roulette(purse, uniform(state), True)
+            purse = played.purse
+            fate = ABSORBED if played.ended else TRAVELS
+        if fate == ABSORBED:
+            break
+        legs += 1
+        found = find(state, flier, scene, space)
+        if found.lost:
+            fate = LOST
+            break
+        flier = arrived(flier, found.meeting, space)
+        payment = paid(
+            state, purse, flier.last.length, beam.pore, optics, scene.rules.analog, length
+        )
+        beam = Beam(beam.d, beam.pore, payment.purse)
+        if not payment.alive:
+            fate = ABSORBED
+        elif found.meeting.outside:
+            crossing = through_face(state, beam, scene, optics)
+            beam = Beam(crossing.d, beam.pore, beam.purse)
+            if crossing.passed:
+                fate = REFLECTED if crossing.d.z > 0.0 else TRANSMITTED
+        elif order == most:
+            fate = ABSORBED
+        else:
+            order += 1
+            walked = walk(state, beam, found, scene, optics, length)
+            beam = walked.beam
+            fate = TRAVELS if walked.alive else ABSORBED
+            flier = Flier(flier.place, walked.way, beam.d, flier.last, 0.0)
+        flier = Flier(flier.place, flier.way, beam.d, flier.last, 0.0)
+        if window is not None and fate == TRAVELS and not found.meeting.outside:
+            z = min(max(flier.place.z + flier.way.z, space.low), space.high)
+            if left_window(window, z, scene.slab.depth, beam.purse):
+                break
+    return Ray(fate, flier, beam.pore, beam.purse, legs, order)
 
 
 @kernel

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.absorption import ROULETTE_BELOW, ROULETTE_SURVIVAL
 from splits.transport.encounters import depolarize, meet_face, only_reflected, scatter
+from splits.transport.flight import ROULETTE_BELOW, ROULETTE_SURVIVAL
 from splits.transport.frames import cosine_lobe
 from splits.transport.granular import ABSORBED, LOST, REFLECTED, TRANSMITTED
 from splits.transport.jit import entry, kernel

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from splits.transport.elementary import Angle
 from splits.transport.jit import kernel
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -62,23 +63,14 @@ def half_normal(state):
 
 @kernel
 def unit_circle(state):
-    """Return (cos, sin) of an angle uniform on the circle, by rejection from the disc."""
+    """Return an angle uniform on the circle, by rejection from the disc."""
     while True:
         x = 2.0 * uniform(state) - 1.0
         y = 2.0 * uniform(state) - 1.0
         q = x * x + y * y
         if 1e-12 < q <= 1.0:
             scale = 1.0 / math.sqrt(q)
-            return x * scale, y * scale
-
-
-@kernel
-def unit_sphere(state):
-    """Return a unit vector (x, y, z) uniform on the sphere."""
-    z = 2.0 * uniform(state) - 1.0
-    r = math.sqrt(1.0 - z * z)
-    c, s = unit_circle(state)
-    return r * c, r * s, z
+            return Angle(x * scale, y * scale)
 
 
 @kernel

@@ -11,13 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.flight import FIRST_ROULETTE, Flier, Meeting, Purse
+from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse
 from splits.transport.granular import (
-    ABSORBED,
-    NO_LEG,
-    TRAVELS,
+    Beam,
     Found,
-    Ray,
     aim_of,
     candidate_of,
     draw_pore,
@@ -27,7 +24,7 @@ from splits.transport.jit import entry, kernel
 from splits.transport.rng import start_stream
 from splits.transport.scene import WET_PORE, Optics, Scene
 from splits.transport.spheroid import strike
-from splits.transport.vectors import ORIGIN, UP, dot
+from splits.transport.vectors import UP, dot
 
 PARTS = 16
 """Equal parts of all rays, from which errors of what theories make of them come: to 18 %."""
@@ -55,10 +52,9 @@ class Solitary(NamedTuple):
 def met(state, solitary):
     """Draw the grain that a ray along +z strikes."""
     candidate = candidate_of(state, solitary.scene.grains)
-    hit = strike(UP, candidate.size, aim_of(state), solitary.scene.rules.entry, True)
-    while not hit.accepted:
-        hit = strike(UP, candidate.size, aim_of(state), solitary.scene.rules.entry, True)
-    return Found(candidate, Meeting(0.0, 0.0, hit, True, False, True, 0.0), False)
+    aim = aim_of(state, candidate.size.flattening)
+    hit = strike(UP, candidate.size, aim, solitary.scene.rules.entry, True)
+    return Found(candidate, Meeting(0.0, 0.0, hit, False, True, 0.0), False)
 
 
 @kernel
@@ -109,19 +105,18 @@ def scatter(seed, work, orders, solitary, absorption):
         length[:] = 0.0
         purse = Purse(0.0, FIRST_ROULETTE, 1.0)
         pore = draw_pore(state, solitary.wet)
-        ray = Ray(TRAVELS, Flier(ORIGIN, ORIGIN, UP, NO_LEG, 0.0), pore, purse, 0, 0)
         found = met(state, solitary)
-        ray = walk(state, ray, found, solitary.scene, solitary.optics, length)
-        if ray.fate == ABSORBED:
+        walked = walk(state, Beam(UP, pore, purse), found, solitary.scene, solitary.optics, length)
+        if not walked.alive:
             continue
-        d, way = ray.flier.d, ray.flier.way
+        d, way = walked.beam.d, walked.way
         # Rounding may carry the cosine past 1, which high orders would amplify.
         legendre(min(1.0, max(-1.0, d.z)), told[:orders])
         told[orders] = way.z
         told[orders + 1] = dot(way, d)
         told[orders + 2] = dot(way, way)
-        told[orders + 3] = 1.0 if ray.pore == WET_PORE else 0.0
-        add(told, length, ray.purse.weight, absorption, sums, parts[number % PARTS])
+        told[orders + 3] = 1.0 if walked.beam.pore == WET_PORE else 0.0
+        add(told, length, walked.beam.purse.weight, absorption, sums, parts[number % PARTS])
     return Tallied(sums, parts)
 
 

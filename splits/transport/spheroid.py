@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from splits.transport.arithmetic import fused, reciprocal_root, root
-from splits.transport.elementary import Angle, circle
+from splits.transport.elementary import Angle
 from splits.transport.jit import HALF, ONE, THREE, TWO, ZERO, kernel
 from splits.transport.vectors import Vector, along, around, combined, dot, normalized, scaled
 
@@ -55,16 +55,16 @@ class Aim(NamedTuple):
     Attributes
     ----------
     facing : float
-        For the cosine −d·n.
-    azimuth, turn : float
-        For the azimuths of n around −d and of w around n.
+        Uniform, for the cosine −d·n.
+    azimuth, turn : Angle
+        Azimuths of n around −d and of w around n.
     axial, area : float
-        For z/b of the entry point, and to accept it.
+        Uniform, for z/b of the entry point, and to accept it.
     """
 
     facing: float
-    azimuth: float
-    turn: float
+    azimuth: Angle
+    turn: Angle
     axial: float
     area: float
 
@@ -81,15 +81,12 @@ class Entry(NamedTuple):
         z/b of the entry point.
     major : float
         Semi-major axis (m).
-    accepted : bool
-        False asks for another `Aim` at a grain of the same size.
     """
 
     grain: Spheroid
     normal: Vector
     axial: float
     major: float
-    accepted: bool
 
 
 class Chord(NamedTuple):
@@ -144,13 +141,20 @@ def slope_squared(axial, flattening):
 
 
 @kernel
+def placed(aim, flattening):
+    """Tell whether a trial of the axial position holds; otherwise another `Aim` is wanted.
+
+    It is then uniform over the area of a spheroid, exactly and without inverting SPLITS Eq 27.
+    """
+    return aim.area * aim.area < slope_squared(TWO * aim.axial - ONE, flattening)
+
+
+@kernel
 def strike(d, size, aim, entry, variant):
     """Return where a ray along d strikes a grain, and how that grain lies.
 
     A grain turned at random shows the normal at any fixed point of it in a random direction; so
-    the normal is drawn around −d, and the grain is then turned around that normal.  The axial
-    position is uniform over the area of the spheroid by rejection, which is exact without inverting
-    SPLITS Eq 27.
+    the normal is drawn around −d, and the grain is then turned around that normal.
 
     Parameters
     ----------
@@ -169,20 +173,19 @@ def strike(d, size, aim, entry, variant):
     flattening = size.flattening
     axial = TWO * aim.axial - ONE
     square = slope_squared(axial, flattening)
-    accepted = aim.area * aim.area < square
     facing = aim.facing
     if variant is not None:
         facing = root(aim.facing) if entry == PROJECTED else aim.facing
     polar = Angle(facing, root(max(ONE - facing * facing, ZERO)))
-    n = around(Vector(-d.x, -d.y, -d.z), polar, circle(aim.azimuth))
+    n = around(Vector(-d.x, -d.y, -d.z), polar, aim.azimuth)
     per_slope = reciprocal_root(square)
     slope = square * per_slope
     cos_axis = (ONE - flattening) * axial * per_slope
     sin_axis = root(max(ONE - axial * axial, ZERO)) * per_slope
-    w = around(n, Angle(cos_axis, sin_axis), circle(aim.turn))
+    w = around(n, Angle(cos_axis, sin_axis), aim.turn)
     q = combined(flattening * axial, w, slope, n)
     minor = (ONE - flattening) * size.major
-    return Entry(Spheroid(q, w, flattening, minor), n, axial, size.major, accepted)
+    return Entry(Spheroid(q, w, flattening, minor), n, axial, size.major)
 
 
 @kernel

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 from splits.transport import facets
 from splits.transport.arithmetic import fused, precise, reciprocal_root, root
-from splits.transport.elementary import Angle, half_circle
-from splits.transport.facets import facet_normal, leaning, other_choice, projected_choice
+from splits.transport.elementary import Angle
+from splits.transport.facets import facet_normal, other_choice, projected_choice
 from splits.transport.fresnel import Component, fraction, normal_component
 from splits.transport.jit import HALF, ONE, TWO, ZERO, kernel
 from splits.transport.spheroid import normal_at
@@ -39,14 +39,23 @@ from splits.transport.vectors import (
 
 
 class Numbers(NamedTuple):
-    """Uniform random numbers of a trial; the last three are looked at where grains are rough."""
+    """Random numbers of a trial; the last two are looked at where grains are rough.
+
+    Attributes
+    ----------
+    choice, fresnel, pore : float
+        Uniform.
+    normal : float
+        The modulus of a standard normal number.
+    azimuth : Angle
+        Uniform on the right half of the circle.
+    """
 
     choice: float
     fresnel: float
     pore: float
-    lean: float
-    spread: float
-    azimuth: float
+    normal: float
+    azimuth: Angle
 
 
 class Stand(NamedTuple):
@@ -176,8 +185,9 @@ def facing(d, grain, side):
     """Return the smooth surface where a ray along d is, as its own only facet."""
     normal = scaled(side, normal_at(grain))
     cos_i = max(-dot(d, normal), precise(d.x).grazing)
-    flat = Angle(ONE, ZERO)
-    return Facet(normal, cos_i, True, False, cos_i, flat, flat, ONE)
+    numbers = precise(d.x)
+    flat = Angle(numbers.one, numbers.zero)
+    return Facet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
 
 
 @kernel
@@ -189,12 +199,13 @@ def rough(d, smooth, roughness, numbers, lobe, rule, variant):
     square = max(dot(tangential, tangential), precise(d.x).normal)
     per_sin = reciprocal_root(square)
     incidence = Angle(cos_i, square * per_sin)
-    lean = leaning(roughness, numbers.lean, numbers.spread)
+    # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
+    lean = roughness * numbers.normal
     # A lobe's sine takes the same root.
     tilt = Angle(
         ONE - lean, root(max(ONE - numbers.fresnel if lobe else lean * (TWO - lean), ZERO))
     )
-    half = half_circle(numbers.azimuth)
+    half = numbers.azimuth
     cos_lobe = -half.cos if numbers.choice < HALF else half.cos
     if variant is not None and rule != facets.PROJECTED:
         choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)

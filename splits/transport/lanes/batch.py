@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy import float32 as single
 
@@ -46,7 +48,7 @@ def room(materials):
 
 @kernel
 def advance(lanes, width, features, tables, task):
-    """Let the pass go over the lanes that serves more of them; see `flight` for what it returns."""
+    """Give all lanes between grains their next grain; see `flight` for what it returns."""
     draw_types(lanes.state, lanes.words, width, features, tables, task.scene.grains.share)
     if features.mixed is not None:
         for lane in range(width):
@@ -59,6 +61,97 @@ def advance(lanes, width, features, tables, task):
             if met and lanes.state[rows.LAYER + lane] == ZERO:
                 dress(lanes, lane, task)
     return waiting
+
+
+class Queue(NamedTuple):
+    """Rays that wait to be launched, and how many are on their way.
+
+    Attributes
+    ----------
+    ray, rays : int
+        Next ray of all, and how many there are.
+    item, number : int
+        Item of the next ray, and its number within that.
+    busy : int
+        Rays on their way.
+    lost : bool
+        A ray found no grain that fits.
+    """
+
+    ray: int
+    rays: int
+    item: int
+    number: int
+    busy: int
+    lost: bool
+
+
+@kernel
+def next_of(queue, work):
+    """Return the queue with the item of the next ray settled."""
+    item, number = queue.item, queue.number
+    while number == work[item, 2]:
+        item += 1
+        number = 0
+    return Queue(queue.ray, queue.rays, item, number, queue.busy, False)
+
+
+@kernel
+def refill(lanes, lane, task, exits, queue):
+    """Launch rays in a lane that is free until one enters the slab, or none is left."""
+    state = lanes.state
+    while queue.ray < queue.rays:
+        queue = next_of(queue, task.work)
+        lanes.length[lane] = 0.0
+        lanes.ray[lane] = queue.ray
+        lanes.item[lane] = queue.item
+        entered = launch(lanes, lane, task, queue.number)
+        busy = queue.busy + 1 if entered else queue.busy
+        queue = Queue(queue.ray + 1, queue.rays, queue.item, queue.number + 1, busy, False)
+        if entered:
+            return queue
+        leave(lanes, lane, exits, task.features)
+    state[rows.STATUS + lane] = rows.IDLE
+    return queue
+
+
+@kernel
+def serve(lanes, width, task, exits, legs, queue):
+    """End the rays that are done, bring others through boundaries, and launch new ones."""
+    state = lanes.state
+    for lane in range(width):
+        while state[rows.STATUS + lane] >= rows.AT_BOUNDARY:
+            status = state[rows.STATUS + lane]
+            if status == rows.LOST:
+                return Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
+            if status == rows.IDLE and queue.ray == queue.rays:
+                break
+            leaves = False
+            if status == rows.AT_BOUNDARY:
+                leaves = at_boundary(lanes, lane, task)
+                if not leaves:
+                    break
+            busy = queue.busy
+            if status != rows.IDLE:
+                busy -= 1
+                legs[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
+            if leaves:
+                put_down(lanes, lane, task.scene.grains)
+                leave(lanes, lane, exits, task.features)
+            queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
+            queue = refill(lanes, lane, task, exits, queue)
+            break
+    return queue
+
+
+@kernel
+def count_flying(state, width):
+    """Return how many lanes wait for a grain."""
+    flying = 0
+    for lane in range(width):
+        if state[rows.STATUS + lane] == rows.FLYING:
+            flying += 1
+    return flying
 
 
 @entry
@@ -85,10 +178,8 @@ def batch(seed, work, scene, optics, exits, features):
 
     Returns
     -------
-    legs : int64[items]
-        Grains drawn: what the rays cost.
-    lost : bool
-        Whether a ray found no grain that fits; the batch then ends early.
+    Spent
+        Its legs int64[items], the grains drawn: what the rays cost.
     """
     grains = scene.grains
     tables = (
@@ -98,59 +189,22 @@ def batch(seed, work, scene, optics, exits, features):
     )
     task = Task(seed, work, scene, optics, features, passing_of(scene))
     lanes = room(optics.n.shape[1])
-    state = lanes.state
     legs = np.zeros(len(work), dtype=np.int64)
-    rays = work[:, 2].sum()
-    next_ray, item, number, busy = 0, 0, 0, 0
-    width = min(rows.LANES, max(1, -(-rays // rows.STRIDE)) * rows.STRIDE)
+    queue = Queue(0, work[:, 2].sum(), 0, 0, 0, False)
+    width = min(rows.LANES, max(1, -(-queue.rays // rows.STRIDE)) * rows.STRIDE)
     flying, ended = 0, width
     while True:
         if ended > 0:
-            for lane in range(width):
-                while state[rows.STATUS + lane] >= rows.AT_BOUNDARY:
-                    status = state[rows.STATUS + lane]
-                    if status == rows.LOST:
-                        return Spent(legs, True)
-                    leaves = False
-                    if status == rows.AT_BOUNDARY:
-                        leaves = at_boundary(lanes, lane, task)
-                        if not leaves:
-                            break
-                    if status != rows.IDLE:
-                        busy -= 1
-                        legs[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
-                    if leaves:
-                        put_down(lanes, lane, grains)
-                        leave(lanes, lane, exits, features)
-                    if next_ray == rays:
-                        state[rows.STATUS + lane] = rows.IDLE
-                        break
-                    while number == work[item, 2]:
-                        item += 1
-                        number = 0
-                    lanes.length[lane] = 0.0
-                    lanes.ray[lane] = next_ray
-                    lanes.item[lane] = item
-                    entered = launch(lanes, lane, task, number)
-                    next_ray += 1
-                    number += 1
-                    busy += 1
-                    if not entered:
-                        busy -= 1
-                        leave(lanes, lane, exits, features)
-                        state[rows.STATUS + lane] = rows.IDLE
-            if busy == 0:
-                return Spent(legs, False)
-            if busy <= width - rows.STRIDE:
-                width = close_ranks(lanes, width, busy)
-            flying = 0
-            for lane in range(width):
-                if state[rows.STATUS + lane] == rows.FLYING:
-                    flying += 1
+            queue = serve(lanes, width, task, exits, legs, queue)
+            if queue.lost or queue.busy == 0:
+                return Spent(legs, queue.lost)
+            if queue.busy <= width - rows.STRIDE:
+                width = close_ranks(lanes, width, queue.busy)
+            flying = count_flying(lanes.state, width)
         # Whichever pass serves more lanes.
-        if 2 * flying >= busy:
+        if 2 * flying >= queue.busy:
             waiting = advance(lanes, width, features, tables, task)
             flying, ended = waiting.flying, waiting.ended
         else:
-            flying = surface(state, lanes.words, width, features, task.passing)
+            flying = surface(lanes.state, lanes.words, width, features, task.passing)
             ended = 0

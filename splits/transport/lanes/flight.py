@@ -11,6 +11,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.transport.arithmetic import root
+from splits.transport.elementary import circle
 from splits.transport.flight import Flier, Purse, next_grain, roulette
 from splits.transport.jit import HALF, ONE, ZERO, entry, kernel
 from splits.transport.lanes import rows
@@ -18,7 +19,7 @@ from splits.transport.lanes.numbers import fine, three, word
 from splits.transport.lanes.rows import put, vector
 from splits.transport.lanes.vectors import look_up, two_at_a_time, widest_vectors
 from splits.transport.scene import MAX_REJECTIONS
-from splits.transport.spheroid import Aim, Segment, Size
+from splits.transport.spheroid import Aim, Segment, Size, placed
 from splits.transport.vectors import Vector, chosen
 
 _MOST_TRIES = single(MAX_REJECTIONS)
@@ -59,11 +60,17 @@ def draws(state, words, first, features, last):
     for j in range(rows.STRIDE):
         i = first + j
         bits = word(words, i, 3)
-        state[rows.AT_CURVATURE + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
-        state[rows.AT_FLATTENING + i] = position((single(np.int32(bits & _LOW31)) + HALF) * _TO_31, last)
+        state[rows.AT_CURVATURE + i] = position(
+            (single(np.int32(bits >> _33)) + HALF) * _TO_31, last
+        )
+        state[rows.AT_FLATTENING + i] = position(
+            (single(np.int32(bits & _LOW31)) + HALF) * _TO_31, last
+        )
         bits = word(words, i, 4)
         if features.faceted is not None:
-            state[rows.AT_SIGMA + i] = position((single(np.int32(bits >> _33)) + HALF) * _TO_31, last)
+            state[rows.AT_SIGMA + i] = position(
+                (single(np.int32(bits >> _33)) + HALF) * _TO_31, last
+            )
         if features.mixed is not None:
             state[rows.AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
             state[rows.PICKED + i] = ZERO
@@ -111,7 +118,9 @@ def draw_types(state, words, width, features, tables, share):
             picks(state, first, share)
     for i in range(0, width, rows.VECTOR):
         look_up(curvature, state, rows.NEW_KIND + i, rows.AT_CURVATURE + i, rows.NEW_CURVATURE + i)
-        look_up(flattening, state, rows.NEW_KIND + i, rows.AT_FLATTENING + i, rows.AT_FLATTENING + i)
+        look_up(
+            flattening, state, rows.NEW_KIND + i, rows.AT_FLATTENING + i, rows.AT_FLATTENING + i
+        )
         if features.faceted is not None:
             look_up(sigma, state, rows.NEW_KIND + i, rows.AT_SIGMA + i, rows.NEW_SIGMA + i)
     for i in range(width):
@@ -129,7 +138,7 @@ def numbers_at(words, i, active):
     words[rows.COUNT + i] = np.uint32(count + _NUMBERS) if active else count
     legs = words[rows.LEGS + i]
     words[rows.LEGS + i] = np.uint32(legs + np.uint32(1)) if active else legs
-    return Numbers(roulette_, leg, Aim(facing, azimuth, turn, axial, area))
+    return Numbers(roulette_, leg, Aim(facing, circle(azimuth), circle(turn), axial, area))
 
 
 @kernel
@@ -150,15 +159,18 @@ def fly(state, words, i, features, scene):
     played = roulette(purse, numbers.roulette, active)
     state[rows.LIMIT + i], state[rows.WEIGHT + i] = played.purse.limit, played.purse.weight
     ray = flier_at(state, i)
+    # The trial of the axial position comes before all else that a draw can lead to, so that its
+    # failures leave no trace in distances, shapes and types.
     size = Size(ONE / state[rows.NEW_CURVATURE + i], state[rows.NEW_FLATTENING + i])
     met = next_grain(
         ray, size, numbers.aim, numbers.leg, scene.space, scene.fates, features.variant
     )
-    going = active & met.placed & (not played.ended)
+    sound = placed(numbers.aim, size.flattening)
+    going = active & sound & (not played.ended)
     fits = going & met.fits
     if features.variant is not None:
         state[rows.SKIP_LEG + i] = met.skipped if going else ray.skipped
-    state[rows.KEEP + i] = ONE if active & (not met.placed) else ZERO
+    state[rows.KEEP + i] = ONE if active & (not sound) else ZERO
     tries = state[rows.TRIES + i]
     tries = tries + ONE if active & (not fits) else ZERO
     state[rows.TRIES + i] = tries

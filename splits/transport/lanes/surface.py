@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from splits.transport.arithmetic import root
+from splits.transport.elementary import Angle, half_circle, logarithm
 from splits.transport.faces import Index
-from splits.transport.jit import ONE, ZERO, entry, kernel
+from splits.transport.jit import ONE, ZERO, entry, exact, kernel
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import three, word
 from splits.transport.lanes.rows import put, vector
@@ -25,19 +27,24 @@ from splits.transport.surface import (
 )
 from splits.transport.vectors import Vector, chosen, scaled
 
+_MINUS_TWO = exact(-2.0)
+
 
 @kernel
 def numbers_at(words, i, active, faceted):
     """Draw a lane's random numbers of a trial; lanes that wait keep their place in their stream."""
     choice, fresnel, pore = three(word(words, i, 0))
-    lean, spread, azimuth = choice, choice, choice
+    normal, azimuth = choice, Angle(choice, choice)
     drawn = np.uint32(1)
     if faceted is not None:
-        lean, spread, azimuth = three(word(words, i, 1))
+        # Box & Muller (1958).
+        radius, turn, around = three(word(words, i, 1))
+        normal = root(_MINUS_TWO * logarithm(radius)) * half_circle(turn).cos
+        azimuth = half_circle(around)
         drawn = np.uint32(2)
     count = words[rows.COUNT + i]
     words[rows.COUNT + i] = np.uint32(count + drawn) if active else count
-    return Numbers(choice, fresnel, pore, lean, spread, azimuth)
+    return Numbers(choice, fresnel, pore, normal, azimuth)
 
 
 @kernel
@@ -90,11 +97,19 @@ def trial(state, words, i, features, scene):
     """Let a lane try once; return what became of it and the pore on the surface's outer side."""
     status = state[rows.STATUS + i]
     active = (status >= rows.TRIAL) & (status <= rows.LOBE_THROUGH)
-    stand = Stand(state[rows.LAYER + i], state[rows.SIDE + i], status > rows.TRIAL, status == rows.LOBE_THROUGH)
+    stand = Stand(
+        state[rows.LAYER + i],
+        state[rows.SIDE + i],
+        status > rows.TRIAL,
+        status == rows.LOBE_THROUGH,
+    )
     numbers = numbers_at(words, i, active, features.faceted)
     d = vector(state, rows.DX + i)
     grain = Spheroid(
-        vector(state, rows.QX + i), vector(state, rows.WX + i), state[rows.FLATTENING + i], state[rows.MINOR + i]
+        vector(state, rows.QX + i),
+        vector(state, rows.WX + i),
+        state[rows.FLATTENING + i],
+        state[rows.MINOR + i],
     )
     wet = state[rows.WET + i]
     outward = stand.side < ZERO
@@ -125,7 +140,9 @@ def trial(state, words, i, features, scene):
     state[rows.LAYER + i] = gone.stand.layer
     state[rows.SIDE + i] = gone.stand.side
     next_status = rows.FLYING if gone.out else rows.TRIAL
-    next_status = (rows.LOBE_THROUGH if after.passed else rows.LOBE_BACK) if after.to_lobe else next_status
+    next_status = (
+        (rows.LOBE_THROUGH if after.passed else rows.LOBE_BACK) if after.to_lobe else next_status
+    )
     next_status = next_status if active else status
     state[rows.STATUS + i] = next_status
     return next_status

@@ -12,6 +12,8 @@ class Features(NamedTuple):
     ----------
     wet : True or None
         Some legs run through wet pores.
+    foggy : True or None
+        Dry pores absorb.
     faceted : True or None
         Grains are not all smooth.
     absorbing : True or None
@@ -28,6 +30,7 @@ class Features(NamedTuple):
     """
 
     wet: bool | None
+    foggy: bool | None
     faceted: bool | None
     absorbing: bool | None
     mixed: bool | None

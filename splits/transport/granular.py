@@ -64,7 +64,7 @@ NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)
 """In place of the leg travelled last, for a ray that has not travelled yet."""
 
 
-EVERYTHING = Features(True, True, True, True, True, True, True)
+EVERYTHING = Features(*[True] * len(Features._fields))
 """What the scalar kernel is compiled for."""
 
 

@@ -126,11 +126,14 @@ class Optics(NamedTuple):
     absorption : float64[materials]
         Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
         takes them as lower bounds over the wavelengths it serves, for Russian roulette.
+    absorbs : bool[materials]
+        Whether a material absorbs at any of these wavelengths.
     """
 
     n: np.ndarray
     k: np.ndarray
     absorption: np.ndarray
+    absorbs: np.ndarray
 
 
 def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
@@ -142,4 +145,5 @@ def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
     absorption : float, shape (wavelengths, materials)
         Roulette may only use what holds for every wavelength that listens.
     """
-    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0))
+    absorbs = absorption.max(axis=0) > 0.0
+    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0), absorbs)

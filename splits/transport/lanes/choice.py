@@ -74,6 +74,7 @@ def features_for(
     ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
     return Features(
         wet=_feature(slab.saturation > 0.0),
+        foggy=_feature(bool(optics.absorbs[DRY_PORE])),
         faceted=_feature(bool((grains.facetness > 0.0).any())),
         absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),

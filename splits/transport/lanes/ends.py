@@ -12,7 +12,7 @@ from splits.transport.features import Features
 from splits.transport.flight import FIRST_ROULETTE, to_boundary
 from splits.transport.jit import ONE, ZERO, kernel
 from splits.transport.lanes import rows
-from splits.transport.lanes.flight import flier_at
+from splits.transport.lanes.flight import flier_at, travel
 from splits.transport.lanes.numbers import double, word
 from splits.transport.lanes.rows import Passing, put, vector
 from splits.transport.light import launched
@@ -122,6 +122,8 @@ def illuminate(state, lane, grains, optics, item):
     dry, wet = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
     ice = index_of(optics, item, core)
     state[rows.N_DRY + lane] = single(dry.n)
+    state[rows.K_DRY + lane] = single(dry.k)
+    state[rows.A_DRY + lane] = single(optics.absorption[item, DRY_PORE])
     state[rows.N_WET + lane] = single(wet.n)
     state[rows.K_WET + lane] = single(wet.k)
     state[rows.A_WET + lane] = single(optics.absorption[item, WET_PORE])
@@ -132,6 +134,7 @@ def illuminate(state, lane, grains, optics, item):
     state[rows.M_IN_WET + lane], state[rows.C_IN_WET + lane], state[rows.K_IN_WET + lane] = m, c, k
     m, c, k = seen(ice, dry)
     state[rows.M_OUT_DRY + lane], state[rows.C_OUT_DRY + lane] = m, c
+    state[rows.K_OUT_DRY + lane] = k
     m, c, k = seen(ice, wet)
     state[rows.M_OUT_WET + lane], state[rows.C_OUT_WET + lane] = m, c
     state[rows.K_OUT_WET + lane] = k
@@ -149,10 +152,11 @@ def put_down(lanes, lane, grains):
     """Add the lane's paths since last time to its lengths."""
     state, length = lanes.state, lanes.length
     kind = int(state[rows.KIND + lane])
-    length[lane, WET_PORE] += state[rows.PORE_PATH + lane]
+    length[lane, DRY_PORE] += state[rows.DRY_PATH + lane]
+    length[lane, WET_PORE] += state[rows.WET_PATH + lane]
     length[lane, grains.material[kind, 0]] += state[rows.COAT_PATH + lane]
     length[lane, grains.material[kind, grains.layers[kind] - 1]] += state[rows.CORE_PATH + lane]
-    for row in (rows.PORE_PATH, rows.COAT_PATH, rows.CORE_PATH):
+    for row in (rows.DRY_PATH, rows.WET_PATH, rows.COAT_PATH, rows.CORE_PATH):
         state[row + lane] = ZERO
 
 
@@ -182,10 +186,9 @@ def at_boundary(lanes, lane, task):
     arrival = to_boundary(ray, task.passing.space)
     put(state, rows.X + lane, arrival.place)
     put(state, rows.GX + lane, Vector(ZERO, ZERO, ZERO))
+    travel(state, lane, arrival.leg, task.features)
     if state[rows.WET + lane] == ZERO:
         return True
-    state[rows.PORE_PATH + lane] += arrival.leg
-    state[rows.DEPTH + lane] += arrival.leg * state[rows.A_WET + lane]
     if not task.scene.rules.boundary_fresnel:
         return True
     d = Vector(np.float64(ray.d.x), np.float64(ray.d.y), np.float64(ray.d.z))

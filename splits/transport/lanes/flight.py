@@ -201,11 +201,21 @@ def arrive(state, i, ray, met, fits, features):
     put(state, rows.GX + i, chosen(fits, Vector(ZERO, ZERO, ZERO), way))
     put(state, rows.LX + i, chosen(fits, d, ray.last.d))
     state[rows.LAST + i] = leg if fits else ray.last.length
+    travel(state, i, leg if fits else ZERO, features)
+
+
+@kernel
+def travel(state, i, leg, features):
+    """Take a lane's leg through its pore."""
+    wet = state[rows.WET + i]
     if features.wet is not None:
-        path = leg * state[rows.WET + i]
-        path = path if fits else ZERO
-        state[rows.PORE_PATH + i] += path
+        path = leg * wet
+        state[rows.WET_PATH + i] += path
         state[rows.DEPTH + i] += path * state[rows.A_WET + i]
+    if features.foggy is not None:
+        path = leg * (ONE - wet)
+        state[rows.DRY_PATH + i] += path
+        state[rows.DEPTH + i] += path * state[rows.A_DRY + i]
 
 
 @kernel

@@ -28,8 +28,8 @@ STRIDE = 2 * VECTOR
     # grain; way from there on; direction of the leg before.
     X, Y, Z, GX, GY, GZ, LX, LY, LZ,
     # Optical depth, trials in a row without a grain, shape is kept, distance to the last grain left
-    # out; lengths (m) in wet pores, in coating and in core since they were last put down.
-    DEPTH, TRIES, KEEP, SKIP_LEG, PORE_PATH, COAT_PATH, CORE_PATH,
+    # out; lengths (m) in dry and wet pores, in coating and in core since they were last put down.
+    DEPTH, TRIES, KEEP, SKIP_LEG, DRY_PATH, WET_PATH, COAT_PATH, CORE_PATH,
     # Direction; length of the leg before (none: −1).
     DX, DY, DZ, LAST,
     # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
@@ -46,16 +46,17 @@ STRIDE = 2 * VECTOR
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
     # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
     KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,
-    # Indices of the pores, absorption in wet ones.
-    N_DRY, N_WET, K_WET, A_WET,
+    # Complex index and absorption of the pores.
+    N_DRY, K_DRY, A_DRY, N_WET, K_WET, A_WET,
     # Where all grains are alike, into grains and out of them: index beyond, in units of the real
     # index on this side, real part less 1, and imaginary part.
     M_IN_DRY, M_IN_WET, M_OUT_DRY, M_OUT_WET,
     C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
-    K_IN_DRY, K_IN_WET, K_OUT_WET,
-) = (LANES * row for row in range(68))  # fmt: skip
-TRAVELLED = 16 * LANES
-STATE = 68 * LANES
+    K_IN_DRY, K_IN_WET, K_OUT_DRY, K_OUT_WET,
+) = (LANES * row for row in range(72))  # fmt: skip
+TRAVELLED = 17 * LANES
+"""End of the rows that a launch sets to zero."""
+STATE = 72 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
 """Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far;

@@ -51,9 +51,10 @@ def numbers_at(words, i, active, faceted):
 def mixed_media(state, i, stand, pore_wet):
     """Return the contrast of the media on both sides of a lane's surface, for grains of any type."""
     outward = stand.side < ZERO
-    n_dry, n_wet, k_wet = state[rows.N_DRY + i], state[rows.N_WET + i], state[rows.K_WET + i]
+    n_dry, k_dry = state[rows.N_DRY + i], state[rows.K_DRY + i]
+    n_wet, k_wet = state[rows.N_WET + i], state[rows.K_WET + i]
     n_pore = n_wet if pore_wet else n_dry
-    k_pore = k_wet if pore_wet else ZERO
+    k_pore = k_wet if pore_wet else k_dry
     n_outer, k_outer = state[rows.N_OUTER + i], state[rows.K_OUTER + i]
     n_core, k_core = state[rows.N_CORE + i], state[rows.K_CORE + i]
     below, in_pore = stand.layer > ONE, stand.layer == ZERO
@@ -82,11 +83,11 @@ def plain_media(state, i, stand, pore_wet, features):
         c_out = c_out_wet if pore_wet else c_out
     k = ZERO
     if features.absorbing is not None:
-        k_in, k_out = state[rows.K_IN_DRY + i], ZERO
+        k_in, k_out = state[rows.K_IN_DRY + i], state[rows.K_OUT_DRY + i]
         if features.wet is not None:
             k_in_wet, k_out_wet = state[rows.K_IN_WET + i], state[rows.K_OUT_WET + i]
             k_in = k_in_wet if pore_wet else k_in
-            k_out = k_out_wet if pore_wet else ZERO
+            k_out = k_out_wet if pore_wet else k_out
         k = k_out if outward else k_in
     m, less_one = (m_out if outward else m_in), (c_out if outward else c_in)
     return Contrast(m, less_one, k, m_in if outward else m_out, False)

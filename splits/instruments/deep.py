@@ -119,7 +119,7 @@ def deep_transmittance(
             for stage in range(STAGES):
                 pilot = _Sum()
                 pilot.add(source, number + stage, PILOT, rate)
-                rate = min(pilot.rate(scene.slab.depth, rate), guess)
+                rate = min(pilot.rate(float(medium.depth_m), rate), guess)
             run = _Sum()
             wanted = PILOT
             while True:

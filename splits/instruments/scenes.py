@@ -1,4 +1,4 @@
-"""Scenes: a light on a medium, as kernels take them."""
+"""Scenes: a light on media, as kernels take them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from splits.media.granular import GranularMedium
 from splits.transport.light import Light
-from splits.transport.scene import Scene, Slab
+from splits.transport.scene import Layers, Scene
 
 
 def light_of(incidence_deg: float | str) -> Light:
@@ -18,5 +18,13 @@ def light_of(incidence_deg: float | str) -> Light:
 
 def granular_scene(medium: GranularMedium, incidence_deg: float | str, analog: bool) -> Scene:
     """Return a granular medium under a light; `analog` is absorption by coin toss."""
-    slab = Slab(float(medium.depth_m), float(medium.saturation))
-    return Scene(light_of(incidence_deg), slab, medium.grains(), medium.readings.rules(analog))
+    grains = medium.grains()
+    layers = Layers(
+        face=np.array([0.0, -float(medium.depth_m)]),
+        attenuation=np.array([grains.attenuation]),
+        saturation=np.array([float(medium.saturation)]),
+        share=grains.share[np.newaxis],
+        first=np.zeros(1, dtype=np.int64),
+        pore=np.zeros(1, dtype=np.int64),
+    )
+    return Scene(light_of(incidence_deg), layers, grains.types, medium.readings.rules(analog))

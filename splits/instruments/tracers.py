@@ -12,14 +12,14 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.ensemble import Level
+from splits.instruments.scenes import granular_scene
 from splits.media.granular import GranularMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
 from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
 from splits.transport.rough_surface import BOUNDS_SHAPE, columns_for
-from splits.transport.light import Light
-from splits.transport.scene import Optics, Scene, Slab
+from splits.transport.scene import Optics
 from splits.transport.tally import exit_rows
 
 KERNELS = ("auto", "lanes", "scalar")
@@ -87,8 +87,7 @@ class GrainTracer:
     Parameters
     ----------
     medium : GranularMedium
-    cosine, diffuse
-        Illumination, see `splits.transport.scene.Slab`.
+    incidence_deg : float or "diffuse"
     seed : int
     analog : bool
         Absorption by coin toss.
@@ -105,22 +104,16 @@ class GrainTracer:
     def __init__(
         self,
         medium: GranularMedium,
-        cosine: float,
-        diffuse: bool,
+        incidence_deg: float | str,
         seed: int,
         analog: bool,
         kernel: str,
         positions: bool,
         orders: bool,
     ) -> None:
-        self.scene = Scene(
-            Light(cosine, 1.0 if diffuse else 0.0),
-            Slab(float(medium.depth_m), float(medium.saturation)),
-            medium.grains(),
-            medium.readings.rules(analog),
-        )
-        self.attenuation = self.scene.grains.attenuation
-        self.upright = not diffuse and cosine == 1.0
+        self.scene = granular_scene(medium, incidence_deg, analog)
+        self.attenuation = float(self.scene.layers.attenuation[0])
+        self.upright = self.scene.light == (1.0, 0.0)
         self.fading = False
         self.stokes: tuple[int, ...] = ()
         self.materials = len(medium.materials())
@@ -261,4 +254,4 @@ def tracer_of(
     cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
     if isinstance(medium, TurbidMedium):
         return LayerTracer(medium, cosine, diffuse, seed, analog, kernel)
-    return GrainTracer(medium, cosine, diffuse, seed, analog, kernel, positions, orders)
+    return GrainTracer(medium, incidence_deg, seed, analog, kernel, positions, orders)

@@ -18,7 +18,7 @@ from splits.media.granular import Interface
 from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains
+from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
 
 _PORES = ("air", "water")
 
@@ -198,12 +198,14 @@ class Sand:
         return Grains(
             attenuation=1.0 / self.mean_grain_distance_m,
             share=np.cumsum(self.composition.volume_fractions),
-            layers=np.array([len(layers) for layers in self._layers], dtype=np.int64),
-            material=material,
-            thickness=thickness,
-            curvature=2.0 * self.sizes.struck_inverse_sizes()[np.newaxis],
-            sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
-            facetness=facetness[np.newaxis],
+            types=Types(
+                shells=np.array([len(layers) for layers in self._layers], dtype=np.int64),
+                material=material,
+                thickness=thickness,
+                curvature=2.0 * self.sizes.struck_inverse_sizes()[np.newaxis],
+                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+                facetness=facetness[np.newaxis],
+            ),
         )
 
     def interfaces(self) -> list[Interface]:

@@ -15,7 +15,7 @@ from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
 from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import Readings
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains
+from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
 
 _ICE = 2
 
@@ -154,12 +154,14 @@ class Snow:
         return Grains(
             attenuation=1.0 / self.mean_grain_distance_m,
             share=np.ones(1),
-            layers=np.ones(1, dtype=np.int64),
-            material=np.array([[_ICE]], dtype=np.int64),
-            thickness=np.zeros((1, 1)),
-            curvature=2.0 * sizes[np.newaxis],
-            sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
-            facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
+            types=Types(
+                shells=np.ones(1, dtype=np.int64),
+                material=np.array([[_ICE]], dtype=np.int64),
+                thickness=np.zeros((1, 1)),
+                curvature=2.0 * sizes[np.newaxis],
+                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+                facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
+            ),
         )
 
     def materials(self) -> tuple[str, ...]:

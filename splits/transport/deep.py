@@ -16,18 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.flight import Purse
-from splits.transport.granular import (
-    LOST,
-    REFLECTED,
-    TRANSMITTED,
-    TRAVELS,
-    Ray,
-    Window,
-    follow,
-    launch,
-)
+from splits.transport.granular import Spent, Window, follow, launch
 from splits.transport.jit import entry, kernel
 from splits.transport.rng import mix64, start_stream, uniform
+from splits.transport.scalar import LOST, REFLECTED, TRANSMITTED, TRAVELS, Beam, Ray
 from splits.transport.scene import UNLIMITED
 
 CAPACITY = 4096
@@ -55,17 +47,11 @@ class Sent(NamedTuple):
     lost: bool
 
 
-class Spent(NamedTuple):
-    """Legs that a batch traced, and whether a ray was lost and ended it."""
-
-    legs: int
-    lost: bool
-
-
 @kernel
-def height(ray, slab):
+def height(ray, layers):
     """Return the height at which a ray stands (m)."""
-    return min(max(ray.flier.place.z + ray.flier.way.z, -slab.depth), 0.0)
+    bottom = layers.face[layers.face.size - 1]
+    return min(max(ray.flier.place.z + ray.flier.way.z, bottom), 0.0)
 
 
 @kernel
@@ -99,15 +85,15 @@ def family(state, first, scene, optics, kappa, profile):
             if ray.fate != TRAVELS:
                 break
             member = Member(ray, member.weight, member.stream)
-            here = member.weight * math.exp(-ray.purse.depth)
-            worth = here * math.exp(-kappa * height(ray, scene.slab))
+            here = member.weight * math.exp(-ray.beam.purse.depth)
+            worth = here * math.exp(-kappa * height(ray, scene.layers))
             if worth < LOWER:
                 if uniform(state) >= worth:
                     break
                 member = Member(ray, member.weight / worth, member.stream)
             elif worth > UPPER and len(waiting) + MOST < CAPACITY:
                 member = split(state, member, worth, waiting)
-        weight = member.weight * math.exp(-ray.purse.depth)
+        weight = member.weight * math.exp(-ray.beam.purse.depth)
         if ray.fate == LOST:
             return Sent(reflected, transmitted, legs, True)
         if ray.fate == REFLECTED:
@@ -146,8 +132,8 @@ def families(seed, work, scene, optics, kappa, moments, profile):
         start_stream(state, seed, work[0], number)
         ray = launch(state, scene, optics)
         # Where worth decides, roulette does not.
-        purse = Purse(0.0, math.inf, 1.0)
-        ray = Ray(ray.fate, ray.flier, ray.pore, purse, ray.legs, ray.order)
+        beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, Purse(0.0, math.inf, 1.0))
+        ray = Ray(ray.fate, ray.flier, beam, ray.legs, ray.order)
         first = Member(ray, 1.0, state[0])
         sent = family(state, first, scene, optics, kappa, profile)
         legs += sent.legs

@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from splits.transport.arithmetic import fused
-from splits.transport.elementary import Angle
 from splits.transport.jit import HALF, ONE, TWO, ZERO, kernel
-from splits.transport.vectors import Vector, along, cross, scaled
+from splits.transport.vectors import along, cross, scaled
 
 PROJECTED = 0
 """Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""

@@ -85,12 +85,16 @@ class Space(NamedTuple):
     mean_leg : float
         Mean distance between grains (m).
     low, high : float
-        Heights of the boundaries (m).
+        Heights of the faces of the layer (m).
+    floor, ceiling : float
+        Heights of the faces of the whole sample (m).
     """
 
     mean_leg: float
     low: float
     high: float
+    floor: float
+    ceiling: float
 
 
 class Fates(NamedTuple):
@@ -124,7 +128,7 @@ class Meeting(NamedTuple):
         Of the entry point (m).
     entry : Entry
     outside : bool
-        A boundary comes first.
+        A face of the layer comes first.
     fits : bool
         The grain is met.
     skipped : float
@@ -140,7 +144,7 @@ class Meeting(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """A ray at a boundary: the place and the leg that led there (m)."""
+    """A ray at a face: the place and the leg that led there (m)."""
 
     place: Vector
     leg: float
@@ -183,11 +187,11 @@ def next_grain(ray, size, aim, u, space, fates, variant):
     if variant is not None:
         leg += ray.skipped
     # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
-    start = min(max(ray.place.z + way.z, space.low), space.high)
+    start = min(max(ray.place.z + way.z, space.floor), space.ceiling)
     height = fused(leg, d.z, start)
-    outside = (height > space.high) | (height < space.low)
+    outside = (height > space.high) if d.z > ZERO else (height < space.low)
     entry = strike(d, size, aim, fates.entry, variant)
-    across = fates.refuse_across_boundary & crosses(entry, height, space.low, space.high)
+    across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.ceiling)
     behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
     backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)
@@ -201,9 +205,9 @@ def next_grain(ray, size, aim, u, space, fates, variant):
 
 @kernel
 def to_boundary(ray, space):
-    """Return where a ray meets the boundary ahead of it."""
+    """Return where a ray meets the face of its layer ahead of it."""
     place = Vector(ray.place.x + ray.way.x, ray.place.y + ray.way.y, ray.place.z + ray.way.z)
     goal = space.low if ray.d.z < ZERO else space.high
-    height = min(max(place.z, space.low), space.high)
+    height = min(max(place.z, space.floor), space.ceiling)
     leg = (goal - height) / ray.d.z
     return Arrival(Vector(place.x + leg * ray.d.x, place.y + leg * ray.d.y, goal), leg)

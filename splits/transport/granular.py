@@ -1,7 +1,12 @@
-"""The scalar kernel: one ray at a time through a slab of grains, in double precision.
+"""The scalar kernel: one ray at a time through layers of grains, in double precision.
 
 It repeats the trials of `splits.transport.flight` and `splits.transport.surface` until a ray is
-done.  Between its two extended boundaries the slab reaches to infinity sideways.
+done.  Between their extended faces layers reach to infinity sideways.
+
+Between layers nothing optical stands.  A flight spends one exponential distance, layer by layer,
+and a grain belongs to the layer in which the ray meets it; the pore of a leg is drawn once, so it
+changes at a face between layers only where their saturations differ.  Cutting a medium in two
+therefore changes nothing.
 """
 
 from __future__ import annotations
@@ -11,137 +16,42 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.elementary import Angle
-from splits.transport.faces import Crossing, Index, facing, meet
-from splits.transport.features import Features
+from splits.transport.faces import facing, meet
 from splits.transport.flight import (
     FIRST_ROULETTE,
-    Fates,
     Flier,
-    Meeting,
     Purse,
-    Space,
     next_grain,
     roulette,
     to_boundary,
 )
 from splits.transport.jit import entry, kernel
 from splits.transport.light import launched
-from splits.transport.rng import from_table, half_normal, pick, start_stream, uniform, unit_circle
-from splits.transport.scene import (
-    DRY_PORE,
-    KEPT,
-    LOBE,
-    MAX_REJECTIONS,
-    SKIPPED,
-    WET_PORE,
+from splits.transport.rng import start_stream, uniform
+from splits.transport.scalar import (
+    ABSORBED,
+    LOST,
+    NO_LEG,
+    REFLECTED,
+    TRANSMITTED,
+    TRAVELS,
+    Beam,
+    Found,
+    Paid,
+    Ray,
+    aim_of,
+    candidate_of,
+    fates_of,
+    index_of,
+    paid,
+    pore_of,
+    space_of,
 )
-from splits.transport.spheroid import Aim, Segment, Size, across, placed
-from splits.transport.surface import (
-    Contrast,
-    Numbers,
-    Stand,
-    contrast,
-    film,
-    goings,
-    outcome,
-    rough,
-)
-from splits.transport.surface import facing as smooth
+from splits.transport.scene import MAX_REJECTIONS
+from splits.transport.spheroid import Segment
 from splits.transport.tally import EXIT_LENGTH, Exit, record
-from splits.transport.vectors import ORIGIN, Vector, along
-
-ABSORBED = 0
-REFLECTED = 1
-TRANSMITTED = 2
-LOST = 3
-"""No grain was found that fits; never expected, counted so that it cannot pass unseen."""
-TRAVELS = 4
-
-FORWARD = Angle(1.0, 0.0)
-
-NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)
-"""In place of the leg travelled last, for a ray that has not travelled yet."""
-
-
-EVERYTHING = Features(*[True] * len(Features._fields))
-"""What the scalar kernel is compiled for."""
-
-
-class Ray(NamedTuple):
-    """A ray between grains, or at its end.
-
-    Attributes
-    ----------
-    fate : int
-        `TRAVELS`, or how it ended.
-    flier : Flier
-    pore : int
-        Material of its leg.
-    purse : Purse
-    legs, order : int
-        Legs through the pore space, which is what the ray cost, and grains met.
-    """
-
-    fate: int
-    flier: Flier
-    pore: int
-    purse: Purse
-    legs: int
-    order: int
-
-
-class Candidate(NamedTuple):
-    """A grain drawn, but not yet met: its type, size and half its facetness."""
-
-    kind: int
-    size: Size
-    roughness: float
-
-
-class Found(NamedTuple):
-    """What a ray meets next; `lost` where nothing was found."""
-
-    candidate: Candidate
-    meeting: Meeting
-    lost: bool
-
-
-class Paid(NamedTuple):
-    """A purse after a leg, and whether the ray survived it."""
-
-    purse: Purse
-    alive: bool
-
-
-class Beam(NamedTuple):
-    """What a ray carries: direction, material of its leg, account of the roulette."""
-
-    d: Vector
-    pore: int
-    purse: Purse
-
-
-class Walk(NamedTuple):
-    """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""
-
-    alive: bool
-    way: Vector
-    beam: Beam
-
-
-class Sides(NamedTuple):
-    """The media on both sides of a surface, and the pore on the outer side."""
-
-    contrast: Contrast
-    pore: int
-
-
-class Spent(NamedTuple):
-    """Legs that a batch traced, and whether a ray found no grain that fits and ended it."""
-
-    legs: int
-    lost: bool
+from splits.transport.vectors import ORIGIN, Vector
+from splits.transport.walk import walk
 
 
 class Window(NamedTuple):
@@ -166,11 +76,18 @@ class Window(NamedTuple):
     profile: np.ndarray
 
 
+class Spent(NamedTuple):
+    """Legs that a batch traced, and whether a ray found no grain that fits and ended it."""
+
+    legs: int
+    lost: bool
+
+
 @kernel
-def left_window(window, z, depth, purse):
+def left_window(window, z, bottom, purse):
     """Tell whether a ray's worth lies outside its window, and note where it is."""
     slices = window.profile.shape[1]
-    place = min(int(-z / depth * slices), slices - 1)
+    place = min(int(z / bottom * slices), slices - 1)
     window.profile[0, place] += 1.0
     window.profile[1, place] += window.weight * math.exp(-purse.depth)
     worth = window.weight * math.exp(-purse.depth - window.kappa * z)
@@ -178,158 +95,83 @@ def left_window(window, z, depth, purse):
 
 
 @kernel
-def paid(state, purse, leg, material, optics, analog, length):
-    """Take a leg through a material, and tell whether the ray goes on.
+def beyond(layers, layer, d):
+    """Return the layer behind the face that a ray along d has ahead; −1 or their number outside."""
+    return layer - 1 if d.z > 0.0 else layer + 1
 
-    Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
-    pass.  Weighted rays add the leg to `length` (float64[materials], m), and end only by roulette.
+
+@kernel
+def alike(layers, optics, one, other, u):
+    """Tell whether the pores of two layers are the same to light."""
+    a = index_of(optics, pore_of(layers, one, u))
+    b = index_of(optics, pore_of(layers, other, u))
+    return a.n == b.n and a.k == b.k
+
+
+@kernel
+def settled(flier, beam, layers, optics):
+    """Return a ray that left a grain, its layer that in which it now is.
+
+    Only a grain that reaches across a face lets a ray out on its other side.  If there are other
+    pores, as outside the sample, the ray counts as standing on that face.
     """
-    length[material] += leg
-    depth = optics.absorption[material] * leg
-    if analog:
-        return Paid(purse, depth == 0.0 or uniform(state) < math.exp(-depth))
-    return Paid(Purse(purse.depth + depth, purse.limit, purse.weight), True)
-
-
-@kernel
-def draw_pore(state, saturation):
-    """Return the material of the pore space for the next leg (SPLITS 4.3.2)."""
-    if saturation > 0.0 and uniform(state) < saturation:
-        return WET_PORE
-    return DRY_PORE
-
-
-@kernel
-def candidate_of(state, grains):
-    """Draw type, size, shape and roughness of a grain."""
-    kind = pick(grains.share, uniform(state)) if grains.share.size > 1 else 0
-    major = 1.0 / from_table(grains.curvature, kind, uniform(state))
-    sphericity = from_table(grains.sphericity, kind, uniform(state))
-    roughness = 0.5 * from_table(grains.facetness, kind, uniform(state))
-    return Candidate(kind, Size(major, 1.0 - sphericity * sphericity), roughness)
-
-
-@kernel
-def aim_of(state, flattening):
-    """Draw how a ray strikes a grain."""
-    while True:
-        aim = Aim(uniform(state), FORWARD, FORWARD, uniform(state), uniform(state))
-        if placed(aim, flattening):
-            return Aim(aim.facing, unit_circle(state), unit_circle(state), aim.axial, aim.area)
-
-
-@kernel
-def fates_of(rules):
-    """Return what becomes of grains that do not fit."""
-    return Fates(
-        rules.entry,
-        rules.on_last_leg != KEPT,
-        rules.across_boundary != KEPT,
-        rules.on_last_leg == SKIPPED,
-        rules.across_boundary == SKIPPED,
-    )
-
-
-@kernel
-def find(state, flier, scene, space):
-    """Draw the next grain on a ray, or find that the ray reaches a boundary first."""
-    grains = scene.grains
-    fates = fates_of(scene.rules)
-    for _ in range(MAX_REJECTIONS):
-        candidate = candidate_of(state, grains)
-        aim = aim_of(state, candidate.size.flattening)
-        meeting = next_grain(flier, candidate.size, aim, uniform(state), space, fates, True)
-        if meeting.fits or meeting.outside:
-            return Found(candidate, meeting, False)
-        flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
-    return Found(candidate, meeting, True)
-
-
-@kernel
-def media_of(state, stand, kind, pore, scene, optics):
-    """Return the media that a ray at a grain has on both sides, and the pore behind the surface."""
-    layer, beyond = int(stand.layer), int(stand.layer + stand.side)
-    materials = scene.grains.material
-    drawn = pore
-    # On its way into a lobe a ray keeps the pore that let it through.
-    if beyond == 0 and not stand.lobe:
-        drawn = draw_pore(state, scene.slab.saturation)
-    here = pore if layer == 0 else materials[kind, layer - 1]
-    there = drawn if beyond == 0 else materials[kind, beyond - 1]
-    near, far = Index(optics.n[here], optics.k[here]), Index(optics.n[there], optics.k[there])
-    return Sides(contrast(near, far), drawn)
-
-
-@kernel
-def trial(state, d, stand, grain, roughness, media, rules):
-    """Return what one trial at a grain's surface leads to."""
-    facet = smooth(d, grain, stand.side)
-    u = uniform(state)
-    while roughness > 0.0:
-        azimuth = unit_circle(state)
-        azimuth = Angle(abs(azimuth.cos), azimuth.sin)
-        numbers = Numbers(uniform(state), u, 0.0, half_normal(state), azimuth)
-        found = rough(d, facet, roughness, numbers, stand.lobe, rules.facets, True)
-        if found.accepted or stand.lobe:
-            facet = found
+    z = flier.place.z + flier.way.z
+    layer = beam.layer
+    while z > layers.face[layer] or z < layers.face[layer + 1]:
+        step = -1 if z > layers.face[layer] else 1
+        face = layers.face[layer] if step < 0 else layers.face[layer + 1]
+        other = layer + step
+        inside = 0 <= other < layers.attenuation.size
+        if not inside or not alike(layers, optics, layer, other, beam.u):
+            z = face
             break
-    return outcome(d, stand, facet, media, u, rules.wrong_side != LOBE, EVERYTHING)
+        layer = other
+    way = Vector(flier.way.x, flier.way.y, z - flier.place.z)
+    return Flier(flier.place, way, beam.d, flier.last, 0.0), Beam(beam.d, layer, beam.u, beam.purse)
 
 
 @kernel
-def walk(state, ray, found, scene, optics, length):
-    """Follow a ray from its entry point on a grain until it is back in the pore space.
+def find(state, flier, beam, scene, optics):
+    """Draw the next grain on a ray, or find the face that it reaches first.
 
-    Parameters
-    ----------
-    state : uint64[1]
-    ray : Beam
-        As it meets the grain.
-    found : Found
-    scene, optics
-        See `splits.transport.scene`.
-    length : float64[materials]
-        Path lengths (m), advanced in place by those inside the grain.
-
-    Returns
-    -------
-    Walk
+    A grain that does not fit is drawn again from where the ray set out, or from where the last one
+    was left out.
     """
-    kind, size, roughness = found.candidate
-    grain, d, pore, purse = found.meeting.entry.grain, ray.d, ray.pore, ray.purse
-    way = ORIGIN
-    stand = Stand(0.0, 1.0, False, False)
+    layers, fates = scene.layers, fates_of(scene.rules)
+    start, layer = beam.layer, beam.layer
+    ahead = Flier(flier.place, flier.way, flier.d, flier.last, 0.0)
+    tries = 0
     while True:
-        media = media_of(state, stand, kind, pore, scene, optics)
-        after = trial(state, d, stand, grain, roughness, media.contrast, scene.rules)
-        if not after.done:
-            pore = media.pore
-            stand = Stand(stand.layer, stand.side, after.to_lobe, after.passed)
+        space = space_of(layers, layer)
+        candidate = candidate_of(state, scene, layer)
+        aim = aim_of(state, candidate.size.flattening)
+        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, True)
+        if meeting.fits:
+            return Found(candidate, meeting, layer, False)
+        if meeting.outside:
+            other = beyond(layers, layer, flier.d)
+            inside = 0 <= other < layers.attenuation.size
+            if not inside or not alike(layers, optics, layer, other, beam.u):
+                return Found(candidate, meeting, layer, False)
+            layer = other
+            reach = to_boundary(flier, space).leg
+            ahead = Flier(flier.place, flier.way, flier.d, flier.last, reach)
             continue
-        gone = goings(stand, after, float(scene.grains.layers[kind]), True)
-        stand, d, pore = gone.stand, after.d, media.pore
-        if gone.out:
-            if not after.passed:
-                pore = draw_pore(state, scene.slab.saturation)
-            return Walk(True, way, Beam(d, pore, purse))
-        layer = int(stand.layer) - 1
-        if gone.core:
-            leg, grain = across(grain, d)
-            way = along(leg, d, way)
-        else:
-            leg = film(2.0 * size.major * scene.grains.thickness[kind, layer], after, True)
-        material = scene.grains.material[kind, layer]
-        payment = paid(state, purse, leg, material, optics, scene.rules.analog, length)
-        purse = payment.purse
-        if not payment.alive:
-            return Walk(False, way, Beam(d, pore, purse))
+        if meeting.skipped == meeting.leg:
+            start = layer
+            flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
+        layer = start
+        ahead = flier
+        tries += 1
+        if tries == MAX_REJECTIONS:
+            return Found(candidate, meeting, layer, True)
 
 
 @kernel
-def arrived(flier, meeting, space):
-    """Return a ray at the grain that it meets, or at the boundary that comes before."""
-    leg, height = meeting.leg, meeting.height
-    if meeting.outside:
+def arrived(flier, found, space):
+    """Return a ray at the grain that it meets, or at the face that comes before."""
+    leg, height = found.meeting.leg, found.meeting.height
+    if found.meeting.outside:
         arrival = to_boundary(flier, space)
         leg, height = arrival.leg, arrival.place.z
     x = flier.place.x + flier.way.x + leg * flier.d.x
@@ -338,17 +180,61 @@ def arrived(flier, meeting, space):
 
 
 @kernel
-def through_face(state, beam, scene, optics):
-    """Let a ray pass the boundary that it stands at, or send it back."""
-    if beam.pore != WET_PORE or not scene.rules.boundary_fresnel:
-        return Crossing(True, beam.d)
-    near, far = Index(optics.n[beam.pore], optics.k[beam.pore]), Index(optics.n[DRY_PORE], 0.0)
+def travelled(state, beam, goal, leg, scene, optics, length):
+    """Take a leg through the pores of the layers up to that in which it ends.
+
+    Parameters
+    ----------
+    beam : Beam
+        As the leg begins.
+    goal : Found
+        Where it ends.
+    leg : Segment
+        Its end as a place (m), and its length.
+    """
+    layers, d, analog = scene.layers, beam.d, scene.rules.analog
+    payment = Paid(beam.purse, True)
+    rest, layer = leg.length, beam.layer
+    z = leg.end.z - leg.length * d.z
+    while layer != goal.layer and payment.alive:
+        face = layers.face[layer] if d.z > 0.0 else layers.face[layer + 1]
+        piece = min(max((face - z) / d.z, 0.0), rest)
+        pore = pore_of(layers, layer, beam.u)
+        payment = paid(state, payment.purse, piece, pore, optics, analog, length)
+        z, rest, layer = face, rest - piece, beyond(layers, layer, d)
+    if payment.alive:
+        pore = pore_of(layers, layer, beam.u)
+        payment = paid(state, payment.purse, rest, pore, optics, analog, length)
+    return payment
+
+
+@kernel
+def at_face(state, beam, scene, optics):
+    """Let a ray pass the face that it stands at, or send it back; see `faces.Crossing`."""
+    layers = scene.layers
+    other = beyond(layers, beam.layer, beam.d)
+    near = index_of(optics, pore_of(layers, beam.layer, beam.u))
+    far = index_of(optics, layers.pore[beam.layer])
+    if 0 <= other < layers.attenuation.size:
+        far = index_of(optics, pore_of(layers, other, beam.u))
+    if not scene.rules.boundary_fresnel:
+        far = near
     return meet(beam.d, facing(beam.d), near, far, uniform(state))
 
 
 @kernel
+def played(state, purse):
+    """Let a ray play roulette as often as it is due, see `splits.transport.flight`."""
+    alive = True
+    while alive and purse.depth > purse.limit:
+        result = roulette(purse, uniform(state), True)
+        purse, alive = result.purse, not result.ended
+    return Paid(purse, alive)
+
+
+@kernel
 def follow(state, ray, scene, optics, length, window, most):
-    """Follow a ray until it leaves the slab or is absorbed, or until its worth wants a decision.
+    """Follow a ray until it leaves the scene or is absorbed, or until its worth wants a decision.
 
     Parameters
     ----------
@@ -370,34 +256,34 @@ def follow(state, ray, scene, optics, length, window, most):
         Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is
         left.
     """
-    flier, beam = ray.flier, Beam(ray.flier.d, ray.pore, ray.purse)
-    legs, order, fate = ray.legs, ray.order, TRAVELS
-    space = Space(1.0 / scene.grains.attenuation, -scene.slab.depth, 0.0)
+    flier, beam, legs, order, fate = ray.flier, ray.beam, ray.legs, ray.order, TRAVELS
+    layers = scene.layers
     while fate == TRAVELS:
-        purse = beam.purse
-        while purse.depth > purse.limit and fate == TRAVELS:
-            played = roulette(purse, uniform(state), True)
-            purse = played.purse
-            fate = ABSORBED if played.ended else TRAVELS
-        if fate == ABSORBED:
+        payment = played(state, beam.purse)
+        if not payment.alive:
+            fate = ABSORBED
             break
         legs += 1
-        found = find(state, flier, scene, space)
+        beam = Beam(beam.d, beam.layer, beam.u, payment.purse)
+        flier, beam = settled(flier, beam, layers, optics)
+        found = find(state, flier, beam, scene, optics)
         if found.lost:
             fate = LOST
             break
-        flier = arrived(flier, found.meeting, space)
-        payment = paid(
-            state, purse, flier.last.length, beam.pore, optics, scene.rules.analog, length
-        )
-        beam = Beam(beam.d, beam.pore, payment.purse)
+        flier = arrived(flier, found, space_of(layers, found.layer))
+        leg = Segment(flier.place, beam.d, flier.last.length)
+        payment = travelled(state, beam, found, leg, scene, optics, length)
+        beam = Beam(beam.d, found.layer, beam.u, payment.purse)
         if not payment.alive:
             fate = ABSORBED
         elif found.meeting.outside:
-            crossing = through_face(state, beam, scene, optics)
-            beam = Beam(crossing.d, beam.pore, beam.purse)
-            if crossing.passed:
-                fate = REFLECTED if crossing.d.z > 0.0 else TRANSMITTED
+            crossing = at_face(state, beam, scene, optics)
+            other = beyond(layers, beam.layer, beam.d)
+            layer = other if crossing.passed else beam.layer
+            if layer < 0 or layer == layers.attenuation.size:
+                fate = REFLECTED if layer < 0 else TRANSMITTED
+                layer = beam.layer
+            beam = Beam(crossing.d, layer, beam.u, beam.purse)
         elif order == most:
             fate = ABSORBED
         else:
@@ -408,27 +294,25 @@ def follow(state, ray, scene, optics, length, window, most):
             flier = Flier(flier.place, walked.way, beam.d, flier.last, 0.0)
         flier = Flier(flier.place, flier.way, beam.d, flier.last, 0.0)
         if window is not None and fate == TRAVELS and not found.meeting.outside:
-            z = min(max(flier.place.z + flier.way.z, space.low), space.high)
-            if left_window(window, z, scene.slab.depth, beam.purse):
+            bottom = layers.face[layers.face.size - 1]
+            z = min(max(flier.place.z + flier.way.z, bottom), 0.0)
+            if left_window(window, z, bottom, beam.purse):
                 break
-    return Ray(fate, flier, beam.pore, beam.purse, legs, order)
+    return Ray(fate, flier, beam, legs, order)
 
 
 @kernel
 def launch(state, scene, optics):
-    """Start a ray at the slab's top; the boundary of a wet pore may reflect it at once."""
-    rules, light = scene.rules, scene.light
+    """Start a ray at the top; the boundary of a wet pore may reflect it at once."""
+    rules, light, layers = scene.rules, scene.light, scene.layers
     d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
-    pore = draw_pore(state, scene.slab.saturation)
-    fate = TRAVELS
-    if pore == WET_PORE and rules.boundary_fresnel:
-        near, far = Index(optics.n[DRY_PORE], 0.0), Index(optics.n[pore], optics.k[pore])
-        crossing = meet(d, facing(d), near, far, uniform(state))
-        d = crossing.d
-        fate = TRAVELS if crossing.passed else REFLECTED
-    flier = Flier(ORIGIN, ORIGIN, d, NO_LEG, 0.0)
+    u = uniform(state)
+    near, far = index_of(optics, layers.pore[0]), index_of(optics, pore_of(layers, 0, u))
+    crossing = meet(d, facing(d), near, far if rules.boundary_fresnel else near, uniform(state))
+    fate = TRAVELS if crossing.passed else REFLECTED
     limit = math.inf if rules.analog else FIRST_ROULETTE
-    return Ray(fate, flier, pore, Purse(0.0, limit, 1.0), 0, 0)
+    beam = Beam(crossing.d, 0, u, Purse(0.0, limit, 1.0))
+    return Ray(fate, Flier(ORIGIN, ORIGIN, crossing.d, NO_LEG, 0.0), beam, 0, 0)
 
 
 @entry
@@ -463,8 +347,9 @@ def batch(seed, work, scene, optics, exits):
         if ray.fate == LOST:
             return Spent(legs, True)
         if ray.fate != ABSORBED:
-            flier = ray.flier
-            left = Exit(ray.fate == REFLECTED, flier.place, flier.d, ray.purse.weight, ray.order)
+            left = Exit(
+                ray.fate == REFLECTED, ray.flier.place, ray.beam.d, ray.beam.purse.weight, ray.order
+            )
             record(exits[number], left)
             exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
     return Spent(legs, False)

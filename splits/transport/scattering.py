@@ -12,19 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse
-from splits.transport.granular import (
-    Beam,
-    Found,
-    aim_of,
-    candidate_of,
-    draw_pore,
-    walk,
-)
 from splits.transport.jit import entry, kernel
 from splits.transport.rng import start_stream
-from splits.transport.scene import WET_PORE, Optics, Scene
+from splits.transport.scalar import Beam, Found, aim_of, candidate_of
+from splits.transport.scene import Optics, Scene
 from splits.transport.spheroid import strike
 from splits.transport.vectors import UP, dot
+from splits.transport.walk import walk
 
 PARTS = 16
 """Equal parts of all rays, from which errors of what theories make of them come: to 18 %."""
@@ -40,7 +34,7 @@ class Tallied(NamedTuple):
 class Solitary(NamedTuple):
     """A grain alone: `wet` is the probability that rays come to it through a wet pore.
 
-    The slab of the scene gives no boundaries here, only the saturation around the grain.
+    The layer of the scene gives no faces here, only the saturation around the grain.
     """
 
     wet: float
@@ -51,10 +45,10 @@ class Solitary(NamedTuple):
 @kernel
 def met(state, solitary):
     """Draw the grain that a ray along +z strikes."""
-    candidate = candidate_of(state, solitary.scene.grains)
+    candidate = candidate_of(state, solitary.scene, 0)
     aim = aim_of(state, candidate.size.flattening)
     hit = strike(UP, candidate.size, aim, solitary.scene.rules.entry, True)
-    return Found(candidate, Meeting(0.0, 0.0, hit, False, True, 0.0), False)
+    return Found(candidate, Meeting(0.0, 0.0, hit, False, True, 0.0), 0, False)
 
 
 @kernel
@@ -98,6 +92,7 @@ def scatter(seed, work, orders, solitary, absorption):
     sums = np.zeros((3, orders + 4, absorption.shape[0]))
     parts = np.zeros((PARTS, orders + 4, absorption.shape[0]))
     told = np.zeros(orders + 4)
+    saturation = solitary.scene.layers.saturation[0]
     length = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[1], work[1] + work[2]):
@@ -115,7 +110,7 @@ def scatter(seed, work, orders, solitary, absorption):
         told[orders] = way.z
         told[orders + 1] = dot(way, d)
         told[orders + 2] = dot(way, way)
-        told[orders + 3] = 1.0 if walked.beam.pore == WET_PORE else 0.0
+        told[orders + 3] = 1.0 if walked.beam.u < saturation else 0.0
         add(told, length, walked.beam.purse.weight, absorption, sums, parts[number % PARTS])
     return Tallied(sums, parts)
 

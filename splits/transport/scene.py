@@ -41,18 +41,14 @@ WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
 FATE = {"reject": REDRAWN, "keep": KEPT, "skip": SKIPPED}
 
 
-class Grains(NamedTuple):
+class Types(NamedTuple):
     """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
 
     A table of distributions has one row per type, or a single row that holds for all of them.
 
     Attributes
     ----------
-    attenuation : float
-        Expected number of grains met per metre of pore-space path, all types together.
-    share : float64[types]
-        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
-    layers : int64[types]
+    shells : int64[types]
         Number of coatings plus one, the core.
     material : int64[types, deepest]
         Rows of the materials from the outermost coating to the core.
@@ -66,9 +62,7 @@ class Grains(NamedTuple):
     facetness : float64[rows, m]
     """
 
-    attenuation: float
-    share: np.ndarray
-    layers: np.ndarray
+    shells: np.ndarray
     material: np.ndarray
     thickness: np.ndarray
     curvature: np.ndarray
@@ -76,19 +70,48 @@ class Grains(NamedTuple):
     facetness: np.ndarray
 
 
-class Slab(NamedTuple):
-    """The sample between its extended boundaries z = 0 and z = −depth.
+class Grains(NamedTuple):
+    """What a medium is made of.
 
     Attributes
     ----------
-    depth : float
-        Metres.
-    saturation : float
-        Probability that a leg through the pore space runs in the wet medium.
+    attenuation : float
+        Expected number of grains met per metre of pore-space path, all types together.
+    share : float64[types]
+        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
+    types : Types
     """
 
-    depth: float
-    saturation: float
+    attenuation: float
+    share: np.ndarray
+    types: Types
+
+
+class Layers(NamedTuple):
+    """Media between extended horizontal faces, top first.
+
+    Attributes
+    ----------
+    face : float64[layers + 1]
+        Heights of the faces (m), 0 at the top.
+    attenuation : float64[layers]
+        Expected number of grains met per metre of pore-space path.
+    saturation : float64[layers]
+        Probability that a leg through the pore space runs in the wet medium.
+    share : float64[layers, most]
+        Cumulative probability that the grain met is of the layer's type 0…i.
+    first : int64[layers]
+        Row of the layer's first type.
+    pore : int64[layers]
+        Material of its dry pores; that of its wet ones follows.
+    """
+
+    face: np.ndarray
+    attenuation: np.ndarray
+    saturation: np.ndarray
+    share: np.ndarray
+    first: np.ndarray
+    pore: np.ndarray
 
 
 class Rules(NamedTuple):
@@ -108,11 +131,11 @@ class Rules(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Light on a slab of grains, and how the papers are read."""
+    """Light on layers of grains, and how the papers are read."""
 
     light: Light
-    slab: Slab
-    grains: Grains
+    layers: Layers
+    types: Types
     rules: Rules
 
 

@@ -5,7 +5,7 @@ drawn, Fresnel's reflectance decides between reflection and refraction, and insi
 walk goes from wall to wall until the ray leaves or is absorbed.  A trial that is rejected changes
 nothing; another follows.
 
-The layers of a grain are numbered from 0, the pore space, over the coatings inwards to the core.
+The shells of a grain are numbered from 0, the pore space, over the coatings inwards to the core.
 A coating is so thin that it acts where the ray meets it as a flat slab: a leg through it is h/|n·d|
 long and leaves the point on the grain unchanged (SPLITS 4.2.3, 4.3.4).  The pore is drawn anew
 whenever a ray reaches the outermost interface from the inside (SPLITS 4.3.2) and when it is
@@ -63,9 +63,9 @@ class Stand(NamedTuple):
 
     Attributes
     ----------
-    layer : int or float
-        0 in the pore space, 1 in the outermost layer of the grain, and so on.
-    side : int or float
+    shell : float
+        0 in the pore space, 1 in the outermost shell of the grain, and so on to its core.
+    side : float
         1 where the ray goes inwards, −1 outwards.
     lobe : bool
         The next trial sends it into a cosine lobe: it was to go to the wrong side of the surface.
@@ -73,7 +73,7 @@ class Stand(NamedTuple):
         That lobe is on the far side.
     """
 
-    layer: float
+    shell: float
     side: float
     lobe: bool
     through: bool
@@ -192,8 +192,7 @@ def facing(d, grain, side):
 
 @kernel
 def rough(d, smooth, roughness, numbers, lobe, rule, variant):
-    """Return a facet of a rough surface, drawn by a rule of `facets`, always `PROJECTED` without
-    `variant`."""
+    """Return a facet of a rough surface, drawn by a rule of `facets`; without `variant` `PROJECTED`."""
     normal, cos_i = smooth.normal, smooth.cos_i
     tangential = along(cos_i, normal, d)
     square = max(dot(tangential, tangential), precise(d.x).normal)
@@ -316,23 +315,23 @@ def goings(stand, after, core, mixed):
     stand : Stand
     after : Outcome
     core : float
-        Number of the grain's innermost layer.
+        Number of the grain's core among its shells.
     mixed : True or None
         None where all grains are without coatings.
     """
     done = after.done
-    layer = stand.layer + stand.side if after.passed else stand.layer
-    out = layer == ZERO
+    shell = stand.shell + stand.side if after.passed else stand.shell
+    out = shell == ZERO
     if mixed is None:
         in_core = not out
         side = -ONE
     else:
-        in_core = layer == core
+        in_core = shell == core
         side = stand.side if after.passed else -stand.side
         side = -ONE if in_core else side
-    layer = layer if done else stand.layer
+    shell = shell if done else stand.shell
     side = side if done else stand.side
-    stand = Stand(layer, side, after.to_lobe, after.passed)
+    stand = Stand(shell, side, after.to_lobe, after.passed)
     return Goings(stand, done & out, done & (not out) & (not in_core), done & in_core)
 
 

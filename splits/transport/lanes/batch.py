@@ -8,7 +8,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.transport.flight import Space
-from splits.transport.granular import Spent, fates_of
+from splits.transport.granular import Spent
 from splits.transport.jit import ZERO, entry, kernel
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import (
@@ -24,15 +24,18 @@ from splits.transport.lanes.ends import (
 from splits.transport.lanes.flight import draw_types, flight
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
+from splits.transport.scalar import fates_of
+from splits.transport.scene import LOBE
 
 
 @kernel
 def passing_of(scene):
     """Return what the passes need to know of a scene."""
-    grains, slab, rules = scene.grains, scene.slab, scene.rules
-    space = Space(single(1.0 / grains.attenuation), -single(slab.depth), ZERO)
-    mirrored = rules.wrong_side != 0
-    return Passing(space, fates_of(rules), single(slab.saturation), rules.facets, mirrored)
+    layers, rules = scene.layers, scene.rules
+    top, bottom = single(layers.face[0]), single(layers.face[layers.face.size - 1])
+    space = Space(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top)
+    mirrored = rules.wrong_side != LOBE
+    return Passing(space, fates_of(rules), single(layers.saturation[0]), rules.facets, mirrored)
 
 
 @kernel
@@ -49,16 +52,16 @@ def room(materials):
 @kernel
 def advance(lanes, width, features, tables, task):
     """Give all lanes between grains their next grain; see `flight` for what it returns."""
-    draw_types(lanes.state, lanes.words, width, features, tables, task.scene.grains.share)
+    draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share[0])
     if features.mixed is not None:
         for lane in range(width):
             if lanes.state[rows.STATUS + lane] == rows.FLYING:
-                put_down(lanes, lane, task.scene.grains)
+                put_down(lanes, lane, task.scene)
     waiting = flight(lanes.state, lanes.words, width, features, task.passing)
     if features.mixed is not None:
         for lane in range(width):
             met = lanes.state[rows.STATUS + lane] == rows.TRIAL
-            if met and lanes.state[rows.LAYER + lane] == ZERO:
+            if met and lanes.state[rows.SHELL + lane] == ZERO:
                 dress(lanes, lane, task)
     return waiting
 
@@ -136,7 +139,7 @@ def serve(lanes, width, task, exits, legs, queue):
                 busy -= 1
                 legs[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
             if leaves:
-                put_down(lanes, lane, task.scene.grains)
+                put_down(lanes, lane, task.scene)
                 leave(lanes, lane, exits, task.features)
             queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
             queue = refill(lanes, lane, task, exits, queue)
@@ -181,11 +184,11 @@ def batch(seed, work, scene, optics, exits, features):
     Spent
         Its legs int64[items], the grains drawn: what the rays cost.
     """
-    grains = scene.grains
+    types = scene.types
     tables = (
-        grains.curvature.astype(np.float32),
-        (1.0 - grains.sphericity * grains.sphericity).astype(np.float32),
-        (0.5 * grains.facetness).astype(np.float32),
+        types.curvature.astype(np.float32),
+        (1.0 - types.sphericity * types.sphericity).astype(np.float32),
+        (0.5 * types.facetness).astype(np.float32),
     )
     task = Task(seed, work, scene, optics, features, passing_of(scene))
     lanes = room(optics.n.shape[1])

@@ -8,8 +8,8 @@ import numpy as np
 from numba import config
 
 from splits.transport import facets, spheroid
-from splits.transport.fresnel import interface
 from splits.transport.features import Features
+from splits.transport.fresnel import interface
 from splits.transport.jit import entry
 from splits.transport.scene import DRY_PORE, LOBE, SKIPPED, WET_PORE, Optics, Scene
 
@@ -53,18 +53,19 @@ def features_for(
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
-    light, slab, grains, rules = scene
-    if rules.analog or grains.layers.max() > 2 or slab.depth * grains.attenuation > DEEPEST:
+    light, layers, types, rules = scene
+    depth = layers.face[0] - layers.face[-1]
+    if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
     if light.diffuse < 1.0 and light.cos < GRAZING:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
-    mixed = grains.share.size > 1 or grains.layers.max() > 1
+    mixed = types.shells.size > 1 or types.shells.max() > 1
     absorbing = False
     if not mixed:
-        core = grains.material[0, 0]
-        pores = [DRY_PORE, WET_PORE] if slab.saturation > 0.0 else [DRY_PORE]
+        core = types.material[0, 0]
+        pores = [DRY_PORE, WET_PORE] if layers.saturation[0] > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
         absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
     default = (rules.entry, rules.facets, rules.wrong_side) == (
@@ -73,9 +74,9 @@ def features_for(
         LOBE,
     ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
     return Features(
-        wet=_feature(slab.saturation > 0.0),
+        wet=_feature(layers.saturation[0] > 0.0),
         foggy=_feature(bool(optics.absorbs[DRY_PORE])),
-        faceted=_feature(bool((grains.facetness > 0.0).any())),
+        faceted=_feature(bool((types.facetness > 0.0).any())),
         absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),
         variant=_feature(not default),

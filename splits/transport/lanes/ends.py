@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.faces import Crossing, Index, facing, meet
+from splits.transport.faces import Index, facing, meet
 from splits.transport.features import Features
 from splits.transport.flight import FIRST_ROULETTE, to_boundary
 from splits.transport.jit import ONE, ZERO, kernel
@@ -88,7 +88,7 @@ def index_of(optics, item, material):
 def launch(lanes, lane, task, number):
     """Start a ray of the lane's item; return whether the slab's wet top lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    light, slab, optics = task.scene.light, task.scene.slab, task.optics
+    light, layers, optics = task.scene.light, task.scene.layers, task.optics
     start_stream(lanes.stream, task.seed, task.work[item, 0], task.work[item, 1] + number)
     words[rows.KEY_HIGH + lane] = np.uint32(lanes.stream[0] >> np.uint64(32))
     words[rows.KEY_LOW + lane] = np.uint32(lanes.stream[0] & _LOW32)
@@ -97,7 +97,7 @@ def launch(lanes, lane, task, number):
     words[rows.ORDER + lane] = np.uint32(0)
     words[rows.MOST + lane] = np.uint32(task.work[item, 3])
     d = launched(light, draw(words, lane) if light.diffuse > 0.0 else 1.0)
-    wet = slab.saturation > 0.0 and draw(words, lane) < slab.saturation
+    wet = layers.saturation[0] > 0.0 and draw(words, lane) < layers.saturation[0]
     passed = True
     if wet and task.scene.rules.boundary_fresnel:
         near, far = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
@@ -111,14 +111,14 @@ def launch(lanes, lane, task, number):
     state[rows.LIMIT + lane] = single(FIRST_ROULETTE)
     state[rows.WEIGHT + lane] = ONE
     state[rows.STATUS + lane] = rows.FLYING
-    illuminate(state, lane, task.scene.grains, optics, item)
+    illuminate(state, lane, task.scene.types, optics, item)
     return passed
 
 
 @kernel
-def illuminate(state, lane, grains, optics, item):
+def illuminate(state, lane, types, optics, item):
     """Give a lane the optics of its light; all grains have the core's unless dressed otherwise."""
-    core = grains.material[0, grains.layers[0] - 1]
+    core = types.material[0, types.shells[0] - 1]
     dry, wet = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
     ice = index_of(optics, item, core)
     state[rows.N_DRY + lane] = single(dry.n)
@@ -148,14 +148,14 @@ def seen(near, far):
 
 
 @kernel
-def put_down(lanes, lane, grains):
+def put_down(lanes, lane, scene):
     """Add the lane's paths since last time to its lengths."""
-    state, length = lanes.state, lanes.length
+    state, length, types = lanes.state, lanes.length, scene.types
     kind = int(state[rows.KIND + lane])
     length[lane, DRY_PORE] += state[rows.DRY_PATH + lane]
     length[lane, WET_PORE] += state[rows.WET_PATH + lane]
-    length[lane, grains.material[kind, 0]] += state[rows.COAT_PATH + lane]
-    length[lane, grains.material[kind, grains.layers[kind] - 1]] += state[rows.CORE_PATH + lane]
+    length[lane, types.material[kind, 0]] += state[rows.COAT_PATH + lane]
+    length[lane, types.material[kind, types.shells[kind] - 1]] += state[rows.CORE_PATH + lane]
     for row in (rows.DRY_PATH, rows.WET_PATH, rows.COAT_PATH, rows.CORE_PATH):
         state[row + lane] = ZERO
 
@@ -163,11 +163,11 @@ def put_down(lanes, lane, grains):
 @kernel
 def dress(lanes, lane, task):
     """Give a lane the materials of the grain that it has just met."""
-    state, item, grains, optics = lanes.state, lanes.item[lane], task.scene.grains, task.optics
+    state, item, types, optics = lanes.state, lanes.item[lane], task.scene.types, task.optics
     kind = int(state[rows.KIND + lane])
-    layers = grains.layers[kind]
-    outer, core = grains.material[kind, 0], grains.material[kind, layers - 1]
-    state[rows.LAYERS + lane] = single(layers)
+    shells = types.shells[kind]
+    outer, core = types.material[kind, 0], types.material[kind, shells - 1]
+    state[rows.SHELLS + lane] = single(shells)
     state[rows.N_OUTER + lane] = single(optics.n[item, outer])
     state[rows.K_OUTER + lane] = single(optics.k[item, outer])
     state[rows.N_CORE + lane] = single(optics.n[item, core])
@@ -175,7 +175,7 @@ def dress(lanes, lane, task):
     state[rows.A_OUTER + lane] = single(optics.absorption[item, outer])
     state[rows.A_CORE + lane] = single(optics.absorption[item, core])
     major = state[rows.MINOR + lane] / (ONE - state[rows.FLATTENING + lane])
-    state[rows.THICKNESS + lane] = single(2.0 * grains.thickness[kind, 0]) * major
+    state[rows.THICKNESS + lane] = single(2.0 * types.thickness[kind, 0]) * major
 
 
 @kernel

@@ -224,10 +224,10 @@ def take(state, i, grain, fits, features):
     put(state, rows.QX + i, chosen(fits, grain.q, vector(state, rows.QX + i)))
     put(state, rows.WX + i, chosen(fits, grain.w, vector(state, rows.WX + i)))
     flattening, minor = state[rows.FLATTENING + i], state[rows.MINOR + i]
-    layer, side = state[rows.LAYER + i], state[rows.SIDE + i]
+    layer, side = state[rows.SHELL + i], state[rows.SIDE + i]
     state[rows.FLATTENING + i] = grain.flattening if fits else flattening
     state[rows.MINOR + i] = grain.minor if fits else minor
-    state[rows.LAYER + i] = ZERO if fits else layer
+    state[rows.SHELL + i] = ZERO if fits else layer
     state[rows.SIDE + i] = ONE if fits else side
     if features.faceted is not None:
         old, new = state[rows.SIGMA + i], state[rows.NEW_SIGMA + i]

@@ -34,8 +34,8 @@ STRIDE = 2 * VECTOR
     DX, DY, DZ, LAST,
     # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
     QX, QY, QZ, WX, WY, WZ, FLATTENING, MINOR, SIGMA,
-    # Ray at the grain: layer (0 pore, 1 outermost, 2 below), 1 inward or −1 outward.
-    LAYER, SIDE,
+    # Ray at the grain: shell (0 pore, 1 outermost, 2 below), 1 inward or −1 outward.
+    SHELL, SIDE,
     STATUS, WET,
     # Next roulette, inverse probability of survival.
     LIMIT, WEIGHT,
@@ -44,8 +44,8 @@ STRIDE = 2 * VECTOR
     # What decides these: positions in their tables, and the number read at the second; a number for
     # the type, and its choice.
     AT_CURVATURE, AT_FLATTENING, AT_SIGMA, AT_KIND, PICKED,
-    # Type of the grain, and of its outermost layer and core: complex index, absorption; coating.
-    KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, LAYERS,
+    # Type of the grain, and of its outermost shell and core: complex index, absorption; coating.
+    KIND, N_OUTER, K_OUTER, N_CORE, K_CORE, A_OUTER, A_CORE, THICKNESS, SHELLS,
     # Complex index and absorption of the pores.
     N_DRY, K_DRY, A_DRY, N_WET, K_WET, A_WET,
     # Where all grains are alike, into grains and out of them: index beyond, in units of the real

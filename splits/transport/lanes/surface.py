@@ -57,7 +57,7 @@ def mixed_media(state, i, stand, pore_wet):
     k_pore = k_wet if pore_wet else k_dry
     n_outer, k_outer = state[rows.N_OUTER + i], state[rows.K_OUTER + i]
     n_core, k_core = state[rows.N_CORE + i], state[rows.K_CORE + i]
-    below, in_pore = stand.layer > ONE, stand.layer == ZERO
+    below, in_pore = stand.shell > ONE, stand.shell == ZERO
     n_inner = n_core if below else n_outer
     k_inner = k_core if below else k_outer
     near = Index(n_pore if in_pore else n_inner, k_pore if in_pore else k_inner)
@@ -99,7 +99,7 @@ def trial(state, words, i, features, scene):
     status = state[rows.STATUS + i]
     active = (status >= rows.TRIAL) & (status <= rows.LOBE_THROUGH)
     stand = Stand(
-        state[rows.LAYER + i],
+        state[rows.SHELL + i],
         state[rows.SIDE + i],
         status > rows.TRIAL,
         status == rows.LOBE_THROUGH,
@@ -132,13 +132,13 @@ def trial(state, words, i, features, scene):
         media = plain_media(state, i, stand, pore_wet, features)
     after = outcome(d, stand, facet, media, numbers.fresnel, scene.mirrored, features)
     after = Outcome(after.d, after.passed, active & after.done, active & after.to_lobe, after.out)
-    gone = goings(stand, after, state[rows.LAYERS + i], features.mixed)
+    gone = goings(stand, after, state[rows.SHELLS + i], features.mixed)
     if features.wet is not None:
         # A ray reflected from the outside draws the pore of its next leg, too.
         state[rows.WET + i] = new_wet if gone.out | (after.to_lobe & outward) else wet
     move(state, i, grain, after, gone, features)
     put(state, rows.DX + i, chosen(after.done, after.d, d))
-    state[rows.LAYER + i] = gone.stand.layer
+    state[rows.SHELL + i] = gone.stand.shell
     state[rows.SIDE + i] = gone.stand.side
     next_status = rows.FLYING if gone.out else rows.TRIAL
     next_status = (

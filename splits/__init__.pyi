@@ -13,3 +13,4 @@ from .media import RoughSurface as RoughSurface
 from .media import Sand as Sand
 from .media import SandReadings as SandReadings
 from .media import Snow as Snow
+from .media import Stack as Stack

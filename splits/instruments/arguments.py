@@ -11,7 +11,7 @@ import numpy as np
 
 from splits.checks import in_range, increasing, refuse, row_of, scalar, suggestion
 from splits.instruments.threads import cpus
-from splits.media.granular import GranularMedium
+from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import SurfaceMedium, TurbidMedium
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
@@ -23,6 +23,7 @@ MOST_VALUES = 10_000_000
 times their memory."""
 MEDIA: dict[type, tuple[str, ...]] = {
     GranularMedium: ("Snow", "Sand"),
+    LayeredMedium: ("Stack",),
     TurbidMedium: ("Layer",),
     SurfaceMedium: ("Layer",),
 }
@@ -38,7 +39,7 @@ def check_medium(medium: Any, *kinds: type) -> None:
     *kinds : type
         Keys of `MEDIA`.
     """
-    kinds = kinds or (GranularMedium, TurbidMedium)
+    kinds = kinds or (GranularMedium, LayeredMedium, TurbidMedium)
     is_class = isinstance(medium, type)
     if isinstance(medium, kinds) and not is_class:
         return

@@ -26,7 +26,6 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.media.granular import Interface
-from splits.transport.scene import DRY_PORE, WET_PORE
 
 SLOPE = 0.3
 CURVATURE = 0.25
@@ -76,13 +75,13 @@ def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
 
 def faces(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """Return the contrast of the slab's face, shape (wavelengths, 0 or 1), its share left out."""
-    near, far, share = _sides(index, [i for i in interfaces if i not in of_grains(interfaces)])
+    near, far, share = _sides(index, [i for i in interfaces if i.place == "face"])
     return _contrasts(near, far, np.ones_like(share))
 
 
 def of_grains(interfaces: Sequence[Interface]) -> list[Interface]:
     """Return the interfaces without the slab's own face."""
-    return [i for i in interfaces if (i.near, i.far) != (DRY_PORE, WET_PORE)]
+    return [i for i in interfaces if i.place != "face"]
 
 
 def _contrasts(near: np.ndarray, far: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -99,7 +98,7 @@ def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """
     interfaces = of_grains(interfaces)
     near, far, share = _sides(index, interfaces)
-    outer = np.array([i.near in (DRY_PORE, WET_PORE) for i in interfaces])
+    outer = np.array([i.place == "outer" for i in interfaces])
     k = far.imag.max(axis=0)
     return outer * share * k / (k + DARK) * (1.0 - np.abs((far - near) / (far + near)) ** 2)
 
@@ -188,10 +187,10 @@ class _Draws:
 
     def __init__(self, index: np.ndarray, interfaces: Sequence[Interface], start: int) -> None:
         self.grains = contrasts(index, interfaces)
-        self.parts = [(1.0, self.grains), (1.0, entering(index, interfaces))]
-        met = sum(i.share for i in interfaces if i not in of_grains(interfaces))
-        if met > 0.0:
-            self.parts.append((FACE * met, faces(index, interfaces)))
+        self.layers = [
+            _parts(index, [i for i in interfaces if i.layer == layer])
+            for layer in sorted({i.layer for i in interfaces})
+        ]
         count = len(index)
         self.first, self.second = np.full((2, count), start)
         self.share = np.ones(count)
@@ -208,8 +207,12 @@ class _Draws:
             self.share[better], self.bias[better] = t[better], trial[better]
 
     def _bias(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
-        parts = (share * _bias(u, u[a], u[b], t) for share, u in self.parts)
-        return sum(parts, np.zeros(len(t)))
+        # What all layers miss together is at most what the worst would, alone in its place.
+        worst = np.zeros(len(t))
+        for parts in self.layers:
+            missed = (share * _bias(u, u[a], u[b], t) for share, u in parts)
+            worst = np.maximum(worst, sum(missed, np.zeros(len(t))))
+        return worst
 
     def keep_apart(self) -> None:
         """Make every wavelength a node of its own."""
@@ -231,6 +234,15 @@ class _Draws:
             used = share > 0.0
             weights[place[node[used]], every[used]] += share[used]
         return weights
+
+
+def _parts(index: np.ndarray, interfaces: Sequence[Interface]) -> list[tuple[float, np.ndarray]]:
+    """Return what a layer is judged by, each with its weight."""
+    parts = [(1.0, contrasts(index, interfaces)), (1.0, entering(index, interfaces))]
+    met = sum(i.share for i in interfaces if i.place == "face")
+    if met > 0.0:
+        parts.append((FACE * met, faces(index, interfaces)))
+    return parts
 
 
 def _position(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from splits.media.granular import GranularMedium
+from splits.media.granular import GranularMedium, LayeredMedium
 from splits.transport.light import Light
-from splits.transport.scene import Layers, Scene
+from splits.transport.scene import Grains, Layers, Scene, Types
 
 
 def light_of(incidence_deg: float | str) -> Light:
@@ -16,15 +18,45 @@ def light_of(incidence_deg: float | str) -> Light:
     return Light(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
 
 
-def granular_scene(medium: GranularMedium, incidence_deg: float | str, analog: bool) -> Scene:
-    """Return a granular medium under a light; `analog` is absorption by coin toss."""
-    grains = medium.grains()
+def granular_scene(
+    medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
+) -> Scene:
+    """Return granular media under a light; `analog` is absorption by coin toss."""
+    media = medium.layers if isinstance(medium, LayeredMedium) else (medium,)
+    grains = [one.grains() for one in media]
+    materials = np.cumsum([0, *(len(one.materials()) for one in media)])
+    types = np.cumsum([0, *(len(one.share) for one in grains)])
+    most = max(len(one.share) for one in grains)
     layers = Layers(
-        face=np.array([0.0, -float(medium.depth_m)]),
-        attenuation=np.array([grains.attenuation]),
-        saturation=np.array([float(medium.saturation)]),
-        share=grains.share[np.newaxis],
-        first=np.zeros(1, dtype=np.int64),
-        pore=np.zeros(1, dtype=np.int64),
+        face=-np.cumsum([0.0, *(float(one.depth_m) for one in media)]),
+        attenuation=np.array([one.attenuation for one in grains]),
+        saturation=np.array([float(one.saturation) for one in media]),
+        share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
+        first=types[:-1],
+        pore=materials[:-1],
     )
-    return Scene(light_of(incidence_deg), layers, grains.types, medium.readings.rules(analog))
+    rules = media[0].readings.rules(analog)
+    return Scene(light_of(incidence_deg), layers, _together(grains, materials), rules)
+
+
+def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:
+    """Return one table of the types of all layers, whose materials begin at given rows."""
+    if len(grains) == 1:
+        return grains[0].types
+    deepest = max(one.types.material.shape[1] for one in grains)
+
+    def wide(table: np.ndarray) -> np.ndarray:
+        return np.pad(table, ((0, 0), (0, deepest - table.shape[1])))
+
+    def every(one: Grains, table: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(table, (len(one.share), table.shape[1]))
+
+    shift = zip(grains, materials, strict=False)
+    return Types(
+        shells=np.concatenate([one.types.shells for one in grains]),
+        material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
+        thickness=np.concatenate([wide(one.types.thickness) for one in grains]),
+        curvature=np.concatenate([every(one, one.types.curvature) for one in grains]),
+        sphericity=np.concatenate([every(one, one.types.sphericity) for one in grains]),
+        facetness=np.concatenate([every(one, one.types.facetness) for one in grains]),
+    )

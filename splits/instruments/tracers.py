@@ -112,7 +112,7 @@ class GrainTracer:
         orders: bool,
     ) -> None:
         self.scene = granular_scene(medium, incidence_deg, analog)
-        self.attenuation = float(self.scene.layers.attenuation[0])
+        self.attenuation = float(self.scene.layers.attenuation.max())
         self.upright = self.scene.light == (1.0, 0.0)
         self.fading = False
         self.stokes: tuple[int, ...] = ()

@@ -6,6 +6,7 @@ from splits.media.readings import Readings, SandReadings
 from splits.media.rough_surface import RoughSurface
 from splits.media.sand import Sand
 from splits.media.snow import Snow
+from splits.media.stack import Stack
 
 __all__ = [
     "GranularMedium",
@@ -15,4 +16,5 @@ __all__ = [
     "Sand",
     "SandReadings",
     "Snow",
+    "Stack",
 ]

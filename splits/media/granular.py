@@ -14,18 +14,23 @@ from splits.transport.scene import Grains
 class Interface(NamedTuple):
     """Two materials that meet, and the share of all meetings of light with grains that is theirs.
 
-    Dry against wet pores is the slab's own face: its share is that of the light that meets it.
-
     Attributes
     ----------
     share : float
+        Of meetings with grains; of a face, that of the light that meets it.
     near, far : int
         Materials on the outer and on the inner side.
+    place : {"outer", "inner", "face"}
+        Between pores and grains; within grains; dry against wet pores, at a face of the sample.
+    layer : int
+        Of the sample.
     """
 
     share: float
     near: int
     far: int
+    place: str = "outer"
+    layer: int = 0
 
 
 class Described(Protocol):
@@ -50,6 +55,21 @@ class Described(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs and derived quantities, for a dataset's attributes."""
+        ...
+
+
+@runtime_checkable
+class LayeredMedium(Described, Protocol):
+    """Several granular media, top first."""
+
+    @property
+    def depth_m(self) -> float:
+        """Thickness (m)."""
+        ...
+
+    @property
+    def layers(self) -> Sequence[GranularMedium]:
+        """Return the media."""
         ...
 
 

@@ -216,9 +216,9 @@ class Sand:
             rows = [names.index(m) for m in layers]
             found.append(Interface(share * (1.0 - self.saturation), DRY_PORE, rows[0]))
             found.append(Interface(share * self.saturation, WET_PORE, rows[0]))
-            found += [Interface(share, *pair) for pair in pairwise(rows)]
+            found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
         if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
-            found.append(Interface(self.saturation, DRY_PORE, WET_PORE))
+            found.append(Interface(self.saturation, DRY_PORE, WET_PORE, "face"))
         return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

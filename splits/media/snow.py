@@ -173,7 +173,7 @@ class Snow:
         dry = Interface(1.0 - self.saturation, DRY_PORE, _ICE)
         found = [dry, Interface(self.saturation, WET_PORE, _ICE)]
         if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
-            found.append(Interface(self.saturation, DRY_PORE, WET_PORE))
+            found.append(Interface(self.saturation, DRY_PORE, WET_PORE, "face"))
         return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

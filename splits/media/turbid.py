@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol, runtime_checkable
 
-from splits.media.granular import Described, GranularMedium
+from splits.media.granular import Described, GranularMedium, LayeredMedium
 from splits.transport.layer import Turbid
 from splits.transport.phase import Phase
 from splits.transport.rough_surface import Fields
@@ -38,7 +38,7 @@ class TurbidMedium(Described, Protocol):
         ...
 
 
-Medium = GranularMedium | TurbidMedium
+Medium = GranularMedium | LayeredMedium | TurbidMedium
 
 
 @runtime_checkable

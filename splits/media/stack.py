@@ -1,0 +1,104 @@
+"""A stack: media of grains on top of one another, as one sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splits.checks import known_keywords, refuse, suggestion
+from splits.media.granular import GranularMedium, Interface
+
+MOST_LAYERS = 200
+
+
+@known_keywords
+@dataclass(frozen=True)
+class Stack:
+    """Media of grains in order, top first.
+
+    Between them nothing optical stands.  The pore of a leg is drawn once, so it changes at an
+    interface only where saturations differ; there Fresnel's laws act.  A grain belongs to the
+    layer in which a ray meets it, and is kept where it reaches across an interface, so that a
+    medium cut in two answers as the whole.
+
+    Parameters
+    ----------
+    layers : sequence of Snow or Sand
+        Top first, 1 to 200.  Their readings of transport must be the same.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names the layer.
+
+    Examples
+    --------
+    >>> from splits import Snow, Stack
+    >>> fresh = Snow(grain_size_um=(50, 100), density_kg_m3=120, depth_m=0.02)
+    >>> round(Stack([fresh, Snow()]).depth_m, 6)
+    0.14
+    """
+
+    kind = "stack"
+
+    layers: tuple[GranularMedium, ...]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.layers, str | GranularMedium) or not isinstance(self.layers, Iterable):
+            raise refuse("layers", self.layers, "a list of media, top first")
+        layers = tuple(self.layers)
+        if not 1 <= len(layers) <= MOST_LAYERS:
+            raise refuse("layers", f"{len(layers)} layers", f"1 to {MOST_LAYERS}")
+        for number, layer in enumerate(layers):
+            if isinstance(layer, type) or not isinstance(layer, GranularMedium):
+                given = getattr(layer, "kind", layer)
+                near = suggestion(str(given).capitalize(), ["Snow", "Sand"])
+                raise refuse(f"layers[{number}]", given, "splits.Snow(...) or splits.Sand(...)", near)
+        first = layers[0].readings.rules()
+        for number, layer in enumerate(layers):
+            if layer.readings.rules() != first:
+                raise refuse(
+                    f"layers[{number}].readings", layer.readings.as_dict(),
+                    f"those of layers[0], {layers[0].readings.as_dict()}",
+                    "rays are followed by one set of rules",
+                )  # fmt: skip
+        object.__setattr__(self, "layers", layers)
+
+    @property
+    def depth_m(self) -> float:
+        """Thickness of all layers together (m)."""
+        return float(sum(layer.depth_m for layer in self.layers))
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials, layer by layer."""
+        return tuple(
+            f"layers.{number}.{name}"
+            for number, layer in enumerate(self.layers)
+            for name in layer.materials()
+        )
+
+    def interfaces(self) -> list[Interface]:
+        """Return the pairs of materials that meet within each layer."""
+        found, first = [], 0
+        for number, layer in enumerate(self.layers):
+            found += [
+                Interface(i.share, i.near + first, i.far + first, i.place, number)
+                for i in layer.interfaces()
+            ]
+            first += len(layer.materials())
+        return found
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials)."""
+        return np.concatenate([layer.indices(wavelength_nm) for layer in self.layers], axis=1)
+
+    def describe(self) -> dict[str, Any]:
+        """Return inputs and derived quantities of all layers, for a dataset's attributes."""
+        facts: dict[str, Any] = {"depth_m": self.depth_m}
+        for number, layer in enumerate(self.layers):
+            facts[f"layers_{number}_kind"] = layer.kind
+            facts |= {f"layers_{number}_{key}": value for key, value in layer.describe().items()}
+        return facts

@@ -24,6 +24,7 @@ from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrumen
 from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
 from splits.media import Layer, Sand, Snow
+from splits.media.granular import GranularMedium, check_room
 from splits.media.turbid import Medium, TurbidMedium
 
 MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
@@ -86,6 +87,8 @@ class Simulation(Section):
                 if not self.fit:
                     medium.indices(wavelengths)
                 check_beam(incidence) if beam else check_incidence(incidence)
+                if isinstance(medium, GranularMedium):
+                    check_room(medium)
             self._check_medium(kind, medium)
         self._check_grid()
         return self

@@ -11,7 +11,7 @@ import numpy as np
 
 from splits.checks import in_range, increasing, refuse, row_of, scalar, suggestion
 from splits.instruments.threads import cpus
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.turbid import SurfaceMedium, TurbidMedium
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
@@ -42,6 +42,8 @@ def check_medium(medium: Any, *kinds: type) -> None:
     kinds = kinds or (GranularMedium, LayeredMedium, TurbidMedium)
     is_class = isinstance(medium, type)
     if isinstance(medium, kinds) and not is_class:
+        if isinstance(medium, GranularMedium | LayeredMedium):
+            check_room(medium)
         return
     names = [name for kind in kinds for name in MEDIA[kind]]
     given = medium if is_class else getattr(medium, "kind", medium)

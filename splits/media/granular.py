@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from splits.checks import refuse
 from splits.media.readings import TransportReadings
 from splits.transport.scene import Grains
 
@@ -68,6 +69,11 @@ class LayeredMedium(Described, Protocol):
         ...
 
     @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        ...
+
+    @property
     def layers(self) -> Sequence[GranularMedium]:
         """Return the media."""
         ...
@@ -88,6 +94,11 @@ class GranularMedium(Described, Protocol):
         ...
 
     @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        ...
+
+    @property
     def readings(self) -> TransportReadings:
         """Named readings of the papers."""
         ...
@@ -95,3 +106,11 @@ class GranularMedium(Described, Protocol):
     def grains(self) -> Grains:
         """Return the table of particle types."""
         ...
+
+
+def check_room(medium: GranularMedium | LayeredMedium) -> None:
+    """Refuse a sample that is not thicker than its largest grain."""
+    largest = medium.largest_grain_m
+    if medium.depth_m <= largest:
+        hint = "such a grain must fit between the boundaries"
+        raise refuse("depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint)

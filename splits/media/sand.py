@@ -122,18 +122,11 @@ class Sand:
         put("partition", numbers("partition", self.partition, ("pure", "mixed", "coated")))
         put("texture", numbers("texture", self.texture, ("clay", "silt", "sand")))
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
-        largest = self.sizes.largest
-        if self.depth_m <= largest:
-            raise refuse(
-                "depth_m",
-                self.depth_m,
-                f"more than the largest grain, {largest:g} m",
-                "such a grain must fit between the boundaries",
-            )
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], self.refractive_index))
-        _ = self.composition
+        # What these derive is checked here.
+        _ = self.sizes, self.composition
 
     @cached_property
     def sizes(self) -> SoilSizes:
@@ -157,6 +150,11 @@ class Sand:
     def density_kg_m3(self) -> float:
         """Mean density of the particles (kg/m³), SPLITS Eq 16."""
         return self.composition.density
+
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        return float(self.sizes.largest)
 
     @cached_property
     def attenuation_per_m(self) -> float:

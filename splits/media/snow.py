@@ -41,7 +41,8 @@ class Snow:
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
-        Thickness of the sample (m), more than the largest grain.
+        Thickness of the sample (m); a sample, which may have several layers, must be thicker than
+        its largest grain.
     refractive_index : mapping, optional
         Per material ("ice", "water") a dataset's name, a complex constant n + kj or a table; see
         `splits.materials.refractive_index`.
@@ -106,19 +107,17 @@ class Snow:
         )
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
         put("readings", Readings.of(self.readings))
-        if self.depth_m <= self._diameters_m[1]:
-            raise refuse(
-                "depth_m",
-                self.depth_m,
-                f"more than the largest grain, {self._diameters_m[1]:g} m",
-                "such a grain must fit between the boundaries",
-            )
         put("refractive_index", indices_of(("ice", "water"), self.refractive_index))
 
     @cached_property
     def _diameters_m(self) -> tuple[float, float]:
         scale = 1e-6 if self.readings.size_is == "diameter" else 2e-6
         return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
+
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        return self._diameters_m[1]
 
     @property
     def porosity(self) -> float:

@@ -72,6 +72,11 @@ class Stack:
         """Thickness of all layers together (m)."""
         return float(sum(layer.depth_m for layer in self.layers))
 
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain of all layers (m)."""
+        return max(layer.largest_grain_m for layer in self.layers)
+
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials, layer by layer."""
         return tuple(

@@ -1,0 +1,96 @@
+"""Media on top of one another: what a stack takes, refuses and tells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import splits
+from splits.instruments.arguments import check_medium
+from splits.instruments.nodes import choose_nodes
+from splits.instruments.scenes import granular_scene
+
+FRESH = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.02)
+SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
+
+
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        ([], "1 to 200"),
+        (FRESH, "a list of media, top first"),
+        ("snow", "a list of media, top first"),
+        ([FRESH, 3], r"layers\[1\] = 3: must be splits.Snow"),
+        ([FRESH, splits.Snow], r"layers\[1\]"),
+        ([FRESH, splits.Layer(optical_thickness=1.0)], r"layers\[1\] = 'layer'"),
+        (
+            [FRESH, splits.Snow(readings={"entry": "projected"})],
+            r"layers\[1\].readings .*those of layers\[0\]",
+        ),
+    ],
+)
+def test_what_is_no_stack_is_refused_by_its_layer(layers, message):
+    with pytest.raises(ValueError, match=message):
+        splits.Stack(layers)
+
+
+@pytest.mark.parametrize(
+    "medium",
+    [
+        splits.Snow(depth_m=0.0005),
+        splits.Sand(depth_m=0.002),
+        splits.Stack([splits.Snow(depth_m=0.0003), splits.Snow(depth_m=0.0004)]),
+    ],
+)
+def test_a_sample_is_thicker_than_its_largest_grain(medium):
+    with pytest.raises(ValueError, match="depth_m = .*more than the largest grain"):
+        check_medium(medium)
+
+
+def test_a_thin_layer_has_room_in_a_thick_stack():
+    check_medium(splits.Stack([splits.Snow(depth_m=1e-7), splits.Snow()]))
+
+
+def test_layers_keep_their_order_their_types_and_their_materials():
+    stack = splits.Stack([FRESH, SAND, splits.Snow()])
+    scene = granular_scene(stack, 30.0, False)
+    assert scene.layers.face == pytest.approx([0.0, -0.02, -0.12, -0.24])
+    assert stack.depth_m == pytest.approx(0.24)
+    sand = SAND.grains()
+    count = len(sand.share)
+    assert list(scene.layers.first) == [0, 1, 1 + count]
+    assert np.all(scene.layers.share[0] == 1.0)
+    assert np.array_equal(scene.layers.share[1], sand.share)
+    names = stack.materials()
+    assert names[:3] == ("layers.0.air", "layers.0.water", "layers.0.ice")
+    for number, medium in enumerate(stack.layers):
+        first, pore = scene.layers.first[number], scene.layers.pore[number]
+        kinds = medium.grains().types
+        for kind, shells in enumerate(kinds.shells):
+            assert scene.types.shells[first + kind] == shells
+            for shell in range(shells):
+                row = scene.types.material[first + kind, shell]
+                material = medium.materials()[kinds.material[kind, shell]]
+                assert names[row] == f"layers.{number}.{material}"
+        assert names[pore] == f"layers.{number}.{medium.materials()[0]}"
+    wavelengths = np.array([450.0, 900.0])
+    index = stack.indices(wavelengths)
+    assert index.shape == (2, len(names))
+    assert np.array_equal(index[:, :3], FRESH.indices(wavelengths))
+
+
+def test_every_layer_bounds_what_interpolation_misses():
+    wavelengths = np.arange(400.0, 1001.0, 20.0)
+    for order in ([FRESH, SAND], [SAND, FRESH]):
+        stack = splits.Stack(order)
+        nodes = choose_nodes(stack.indices(wavelengths), stack.interfaces(), 1e-3)
+        alone = choose_nodes(SAND.indices(wavelengths), SAND.interfaces(), 1e-3)
+        assert len(nodes.index) >= len(alone.index)
+        assert nodes.bias.max() <= 1e-3
+
+
+def test_all_inputs_stand_in_the_description():
+    facts = splits.Stack([FRESH, splits.Snow()]).describe()
+    assert facts["layers_0_grain_size_um"] == (50.0, 100.0)
+    assert facts["layers_1_grain_size_um"] == (300.0, 750.0)
+    assert facts["layers_1_kind"] == "snow"

@@ -23,6 +23,8 @@ class Features(NamedTuple):
     variant : True or None
         Readings of the papers other than the default in entry point, facets or wrong side, or
         grains that are skipped.
+    layered : True or None
+        There are several layers; includes `mixed`.
     positions : True or None
         Horizontal positions are tracked.
     orders : True or None
@@ -35,5 +37,10 @@ class Features(NamedTuple):
     absorbing: bool | None
     mixed: bool | None
     variant: bool | None
+    layered: bool | None
     positions: bool | None
     orders: bool | None
+
+
+EVERYTHING = Features(*[True] * len(Features._fields))
+"""What the scalar kernel is compiled for."""

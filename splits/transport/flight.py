@@ -67,7 +67,8 @@ class Flier(NamedTuple):
     last : Segment
         The leg before, which ended at `place`; its end is not used.
     skipped : float
-        Distance to the last grain left out (m).
+        Distance from which the next grain is drawn (m): to the last one left out, or to the face
+        through which the ray came into its layer.
     """
 
     place: Vector
@@ -160,7 +161,7 @@ def roulette(purse, u, active):
 
 
 @kernel
-def next_grain(ray, size, aim, u, space, fates, variant):
+def next_grain(ray, size, aim, u, space, fates, features):
     """Draw the next grain on a ray.
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
@@ -175,8 +176,7 @@ def next_grain(ray, size, aim, u, space, fates, variant):
         A uniform random number, for the distance.
     space : Space
     fates : Fates
-    variant : True or None
-        None where entry is uniform and no grain is skipped.
+    features : Features
 
     Returns
     -------
@@ -184,19 +184,19 @@ def next_grain(ray, size, aim, u, space, fates, variant):
     """
     d, way = ray.d, ray.way
     leg = -logarithm(u) * space.mean_leg
-    if variant is not None:
+    if features.variant is not None or features.layered is not None:
         leg += ray.skipped
     # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
     start = min(max(ray.place.z + way.z, space.floor), space.ceiling)
     height = fused(leg, d.z, start)
     outside = (height > space.high) if d.z > ZERO else (height < space.low)
-    entry = strike(d, size, aim, fates.entry, variant)
+    entry = strike(d, size, aim, fates.entry, features.variant)
     across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.ceiling)
     behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
     backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)
     skipped = ray.skipped
-    if variant is not None:
+    if features.variant is not None:
         skips = fates.skip_across_boundary if across else fates.skip_on_last_leg & backwards
         skipped = leg if (not outside) & skips else skipped
         skipped = ZERO if fits | outside else skipped

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.faces import facing, meet
+from splits.transport.features import EVERYTHING
 from splits.transport.flight import (
     FIRST_ROULETTE,
     Flier,
@@ -145,7 +146,7 @@ def find(state, flier, beam, scene, optics):
         space = space_of(layers, layer)
         candidate = candidate_of(state, scene, layer)
         aim = aim_of(state, candidate.size.flattening)
-        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, True)
+        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, EVERYTHING)
         if meeting.fits:
             return Found(candidate, meeting, layer, False)
         if meeting.outside:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from splits.transport.elementary import Angle
-from splits.transport.features import Features
+from splits.transport.features import EVERYTHING
 from splits.transport.jit import kernel
 from splits.transport.rng import half_normal, uniform, unit_circle
 from splits.transport.scalar import Beam, index_of, paid, pore_of
@@ -23,10 +23,6 @@ from splits.transport.surface import (
     rough,
 )
 from splits.transport.vectors import ORIGIN, Vector, along
-
-EVERYTHING = Features(*[True] * len(Features._fields))
-"""What the scalar kernel is compiled for."""
-
 
 class Walk(NamedTuple):
     """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""

@@ -22,6 +22,7 @@ from splits.transport.lanes.ends import (
     put_down,
 )
 from splits.transport.lanes.flight import draw_types, flight
+from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
 from splits.transport.scalar import fates_of
@@ -52,7 +53,7 @@ def room(materials):
 @kernel
 def advance(lanes, width, features, tables, task):
     """Give all lanes between grains their next grain; see `flight` for what it returns."""
-    draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share[0])
+    draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share)
     if features.mixed is not None:
         for lane in range(width):
             if lanes.state[rows.STATUS + lane] == rows.FLYING:
@@ -63,6 +64,8 @@ def advance(lanes, width, features, tables, task):
             met = lanes.state[rows.STATUS + lane] == rows.TRIAL
             if met and lanes.state[rows.SHELL + lane] == ZERO:
                 dress(lanes, lane, task)
+                if features.layered is not None:
+                    land(lanes, lane, task)
     return waiting
 
 
@@ -119,19 +122,33 @@ def refill(lanes, lane, task, exits, queue):
 
 
 @kernel
+def at_face(lanes, lane, task, status):
+    """Serve a ray that meets a face or has to change its layer; return whether it leaves."""
+    if task.features.layered is None:
+        return at_boundary(lanes, lane, task)
+    if status == rows.BACK:
+        begin_again(lanes, lane, task)
+        return False
+    if status == rows.ASTRAY:
+        relocate(lanes, lane, task)
+        return False
+    return at_interface(lanes, lane, task)
+
+
+@kernel
 def serve(lanes, width, task, exits, legs, queue):
     """End the rays that are done, bring others through boundaries, and launch new ones."""
     state = lanes.state
     for lane in range(width):
-        while state[rows.STATUS + lane] >= rows.AT_BOUNDARY:
+        while state[rows.STATUS + lane] >= rows.AT_FACE:
             status = state[rows.STATUS + lane]
             if status == rows.LOST:
                 return Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
             if status == rows.IDLE and queue.ray == queue.rays:
                 break
             leaves = False
-            if status == rows.AT_BOUNDARY:
-                leaves = at_boundary(lanes, lane, task)
+            if status <= rows.ASTRAY:
+                leaves = at_face(lanes, lane, task, status)
                 if not leaves:
                     break
             busy = queue.busy

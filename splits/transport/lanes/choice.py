@@ -54,8 +54,6 @@ def features_for(
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
     light, layers, types, rules = scene
-    if layers.attenuation.size > 1:
-        return None
     depth = layers.face[0] - layers.face[-1]
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
@@ -63,11 +61,12 @@ def features_for(
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
+    layered = layers.attenuation.size > 1
     mixed = types.shells.size > 1 or types.shells.max() > 1
     absorbing = False
     if not mixed:
         core = types.material[0, 0]
-        pores = [DRY_PORE, WET_PORE] if layers.saturation[0] > 0.0 else [DRY_PORE]
+        pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
         absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
     default = (rules.entry, rules.facets, rules.wrong_side) == (
@@ -76,12 +75,13 @@ def features_for(
         LOBE,
     ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
     return Features(
-        wet=_feature(layers.saturation[0] > 0.0),
-        foggy=_feature(bool(optics.absorbs[DRY_PORE])),
+        wet=_feature(layers.saturation.max() > 0.0),
+        foggy=_feature(bool(optics.absorbs[layers.pore].any())),
         faceted=_feature(bool((types.facetness > 0.0).any())),
         absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),
         variant=_feature(not default),
+        layered=_feature(layered),
         positions=_feature(positions),
         orders=_feature(orders),
     )

@@ -97,7 +97,10 @@ def launch(lanes, lane, task, number):
     words[rows.ORDER + lane] = np.uint32(0)
     words[rows.MOST + lane] = np.uint32(task.work[item, 3])
     d = launched(light, draw(words, lane) if light.diffuse > 0.0 else 1.0)
-    wet = layers.saturation[0] > 0.0 and draw(words, lane) < layers.saturation[0]
+    wet, pore = False, 0.0
+    if task.features.wet is not None:
+        pore = draw(words, lane)
+        wet = pore < layers.saturation[0]
     passed = True
     if wet and task.scene.rules.boundary_fresnel:
         near, far = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
@@ -108,25 +111,36 @@ def launch(lanes, lane, task, number):
     state[rows.LAST + lane] = -ONE
     put(state, rows.DX + lane, Vector(single(d.x), single(d.y), single(d.z)))
     state[rows.WET + lane] = ONE if wet else ZERO
+    state[rows.PORE + lane] = single(pore)
     state[rows.LIMIT + lane] = single(FIRST_ROULETTE)
     state[rows.WEIGHT + lane] = ONE
     state[rows.STATUS + lane] = rows.FLYING
-    illuminate(state, lane, task.scene.types, optics, item)
+    illuminate(state, lane, task.scene, optics, item)
     return passed
 
 
 @kernel
-def illuminate(state, lane, types, optics, item):
-    """Give a lane the optics of its light; all grains have the core's unless dressed otherwise."""
-    core = types.material[0, types.shells[0] - 1]
-    dry, wet = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
+def illuminate(state, lane, scene, optics, item):
+    """Give a lane its layer, and the optics of its light there.
+
+    All grains have the core's of the first type, unless dressed otherwise.
+    """
+    layers, types = scene.layers, scene.types
+    layer = int(state[rows.LAYER + lane])
+    state[rows.HIGH + lane], state[rows.LOW + lane] = layers.face[layer], layers.face[layer + 1]
+    state[rows.MEAN_LEG + lane] = 1.0 / layers.attenuation[layer]
+    state[rows.SATURATION + lane] = layers.saturation[layer]
+    state[rows.FIRST_KIND + lane] = layers.first[layer]
+    kind, pore = layers.first[layer], layers.pore[layer]
+    core = types.material[kind, types.shells[kind] - 1]
+    dry, wet = index_of(optics, item, pore), index_of(optics, item, pore + 1)
     ice = index_of(optics, item, core)
     state[rows.N_DRY + lane] = single(dry.n)
     state[rows.K_DRY + lane] = single(dry.k)
-    state[rows.A_DRY + lane] = single(optics.absorption[item, DRY_PORE])
+    state[rows.A_DRY + lane] = single(optics.absorption[item, pore])
     state[rows.N_WET + lane] = single(wet.n)
     state[rows.K_WET + lane] = single(wet.k)
-    state[rows.A_WET + lane] = single(optics.absorption[item, WET_PORE])
+    state[rows.A_WET + lane] = single(optics.absorption[item, pore + 1])
     state[rows.A_CORE + lane] = single(optics.absorption[item, core])
     m, c, k = seen(dry, ice)
     state[rows.M_IN_DRY + lane], state[rows.C_IN_DRY + lane], state[rows.K_IN_DRY + lane] = m, c, k
@@ -182,7 +196,7 @@ def dress(lanes, lane, task):
 def at_boundary(lanes, lane, task):
     """Bring a ray to the boundary ahead; return whether it leaves there."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    ray = flier_at(state, lane)
+    ray = flier_at(state, lane, None)
     arrival = to_boundary(ray, task.passing.space)
     put(state, rows.X + lane, arrival.place)
     put(state, rows.GX + lane, Vector(ZERO, ZERO, ZERO))

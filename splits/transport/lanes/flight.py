@@ -12,7 +12,7 @@ from numpy import float32 as single
 
 from splits.transport.arithmetic import root
 from splits.transport.elementary import circle
-from splits.transport.flight import Flier, Purse, next_grain, roulette
+from splits.transport.flight import Flier, Purse, Space, next_grain, roulette
 from splits.transport.jit import HALF, ONE, ZERO, entry, kernel
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import fine, three, word
@@ -73,20 +73,28 @@ def draws(state, words, first, features, last):
             )
         if features.mixed is not None:
             state[rows.AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
-            state[rows.PICKED + i] = ZERO
+            picked = ZERO
+            if features.layered is not None:
+                picked = state[rows.FIRST_KIND + i]
+            state[rows.PICKED + i] = picked
     two_at_a_time()
 
 
 @kernel
-def picks(state, first, share):
+def picks(state, first, share, features):
     """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
     widest_vectors()
     first &= rows.LANES - 1
-    for row in range(share.size - 1):
-        bound = single(share[row])
-        for j in range(rows.STRIDE):
-            i = first + j
-            state[rows.PICKED + i] += ONE if state[rows.AT_KIND + i] >= bound else ZERO
+    for layer in range(share.shape[0]):
+        here = single(layer)
+        for row in range(share.shape[1] - 1):
+            bound = single(share[layer, row])
+            for j in range(rows.STRIDE):
+                i = first + j
+                more = ONE if state[rows.AT_KIND + i] >= bound else ZERO
+                if features.layered is not None:
+                    more = more if state[rows.LAYER + i] == here else ZERO
+                state[rows.PICKED + i] += more
     for j in range(rows.STRIDE):
         i = first + j
         kind, picked = state[rows.NEW_KIND + i], state[rows.PICKED + i]
@@ -106,8 +114,8 @@ def draw_types(state, words, width, features, tables, share):
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
         `rng.table_probabilities`.
-    share : float64[types]
-        See `splits.transport.scene.Grains`.
+    share : float64[layers, most]
+        See `splits.transport.scene.Layers`.
     """
     widest_vectors()
     curvature, flattening, sigma = tables
@@ -115,7 +123,7 @@ def draw_types(state, words, width, features, tables, share):
     for first in range(0, width, rows.STRIDE):
         draws(state, words, first, features, last)
         if features.mixed is not None:
-            picks(state, first, share)
+            picks(state, first, share, features)
     for i in range(0, width, rows.VECTOR):
         look_up(curvature, state, rows.NEW_KIND + i, rows.AT_CURVATURE + i, rows.NEW_CURVATURE + i)
         look_up(
@@ -142,11 +150,51 @@ def numbers_at(words, i, active):
 
 
 @kernel
-def flier_at(state, i):
+def flier_at(state, i, layered):
     """Return a lane's ray between grains."""
     last = Segment(vector(state, rows.LX + i), vector(state, rows.LX + i), state[rows.LAST + i])
     place, way = vector(state, rows.X + i), vector(state, rows.GX + i)
-    return Flier(place, way, vector(state, rows.DX + i), last, state[rows.SKIP_LEG + i])
+    skipped = state[rows.SKIP_LEG + i]
+    if layered is not None:
+        skipped = state[rows.AHEAD + i]
+    return Flier(place, way, vector(state, rows.DX + i), last, skipped)
+
+
+@kernel
+def space_at(state, i, scene, layered):
+    """Return the space that a lane's ray is in."""
+    space = scene.space
+    if layered is None:
+        return space
+    mean_leg, low, high = (
+        state[rows.MEAN_LEG + i], state[rows.LOW + i], state[rows.HIGH + i]
+    )  # fmt: skip
+    return Space(mean_leg, low, high, space.floor, space.ceiling)
+
+
+@kernel
+def astray(state, i, ray, space):
+    """Tell whether a lane's ray left a grain on the other side of a face between layers."""
+    z = ray.place.z + ray.way.z
+    above = (z > space.high) & (space.high < space.ceiling)
+    below = (z < space.low) & (space.low > space.floor)
+    setting_out = (state[rows.LAYER + i] == state[rows.START + i]) & (state[rows.STANDS + i] == ZERO)
+    return setting_out & (above | below)
+
+
+@kernel
+def redrawn(state, i, ray, met, refused):
+    """Note from where a lane's next grain is drawn; tell whether that is in another layer."""
+    left_out = refused & (met.skipped == met.leg)
+    ahead, skip, start = state[rows.AHEAD + i], state[rows.SKIP_LEG + i], state[rows.FROM + i]
+    layer = state[rows.LAYER + i]
+    back = refused & (not left_out) & (layer != start)
+    again = refused & (not left_out) & (layer == start)
+    state[rows.SKIP_LEG + i] = met.leg if left_out else skip
+    state[rows.FROM + i] = layer if left_out else start
+    ahead = skip if again else ahead
+    state[rows.AHEAD + i] = met.leg if left_out else ahead
+    return back
 
 
 @kernel
@@ -158,17 +206,26 @@ def fly(state, words, i, features, scene):
     purse = Purse(state[rows.DEPTH + i], state[rows.LIMIT + i], state[rows.WEIGHT + i])
     played = roulette(purse, numbers.roulette, active)
     state[rows.LIMIT + i], state[rows.WEIGHT + i] = played.purse.limit, played.purse.weight
-    ray = flier_at(state, i)
+    ray = flier_at(state, i, features.layered)
+    space = space_at(state, i, scene, features.layered)
     # The trial of the axial position comes before all else that a draw can lead to, so that its
     # failures leave no trace in distances, shapes and types.
     size = Size(ONE / state[rows.NEW_CURVATURE + i], state[rows.NEW_FLATTENING + i])
-    met = next_grain(
-        ray, size, numbers.aim, numbers.leg, scene.space, scene.fates, features.variant
-    )
+    met = next_grain(ray, size, numbers.aim, numbers.leg, space, scene.fates, features)
     sound = placed(numbers.aim, size.flattening)
     going = active & sound & (not played.ended)
+    strays = False
+    if features.layered is not None:
+        strays = active & (not played.ended) & astray(state, i, ray, space)
+        going = going & (not strays)
     fits = going & met.fits
-    if features.variant is not None:
+    after = rows.TRIAL if fits else rows.FLYING
+    after = rows.AT_FACE if going & met.outside else after
+    if features.layered is not None:
+        refused = going & (not met.fits) & (not met.outside)
+        after = rows.BACK if redrawn(state, i, ray, met, refused) else after
+        after = rows.ASTRAY if strays else after
+    elif features.variant is not None:
         state[rows.SKIP_LEG + i] = met.skipped if going else ray.skipped
     state[rows.KEEP + i] = ONE if active & (not sound) else ZERO
     tries = state[rows.TRIES + i]
@@ -176,8 +233,6 @@ def fly(state, words, i, features, scene):
     state[rows.TRIES + i] = tries
     arrive(state, i, ray, met, fits, features)
     take(state, i, met.entry.grain, fits, features)
-    after = rows.TRIAL if fits else rows.FLYING
-    after = rows.AT_BOUNDARY if going & met.outside else after
     after = rows.LOST if tries > _MOST_TRIES else after
     after = rows.ABSORBED if played.ended else after
     if features.orders is not None:
@@ -201,7 +256,9 @@ def arrive(state, i, ray, met, fits, features):
     put(state, rows.GX + i, chosen(fits, Vector(ZERO, ZERO, ZERO), way))
     put(state, rows.LX + i, chosen(fits, d, ray.last.d))
     state[rows.LAST + i] = leg if fits else ray.last.length
-    travel(state, i, leg if fits else ZERO, features)
+    # Legs through several layers are booked between the passes.
+    if features.layered is None:
+        travel(state, i, leg if fits else ZERO, features)
 
 
 @kernel
@@ -248,7 +305,7 @@ def flights(state, words, first, features, scene):
     for j in range(rows.STRIDE):
         after = fly(state, words, first + j, features, scene)
         flying = np.int32(flying + 1) if after == rows.FLYING else flying
-        ended = np.int32(ended + 1) if after >= rows.AT_BOUNDARY else ended
+        ended = np.int32(ended + 1) if after >= rows.AT_FACE else ended
     two_at_a_time()
     return Waiting(flying, ended)
 

@@ -30,13 +30,19 @@ STRIDE = 2 * VECTOR
     # Optical depth, trials in a row without a grain, shape is kept, distance to the last grain left
     # out; lengths (m) in dry and wet pores, in coating and in core since they were last put down.
     DEPTH, TRIES, KEEP, SKIP_LEG, DRY_PATH, WET_PATH, COAT_PATH, CORE_PATH,
+    # Layer of the ray, those in which its flight set out and from which distances are drawn; distance
+    # from which they count; 1 where it stands on a face.
+    LAYER, START, FROM, AHEAD, STANDS,
     # Direction; length of the leg before (none: −1).
     DX, DY, DZ, LAST,
     # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
     QX, QY, QZ, WX, WY, WZ, FLATTENING, MINOR, SIGMA,
     # Ray at the grain: shell (0 pore, 1 outermost, 2 below), 1 inward or −1 outward.
     SHELL, SIDE,
-    STATUS, WET,
+    # What it waits for; whether its pore is wet, and the number that decided it.
+    STATUS, WET, PORE,
+    # Its layer: faces, mean distance of grains, saturation, first type.
+    HIGH, LOW, MEAN_LEG, SATURATION, FIRST_KIND,
     # Next roulette, inverse probability of survival.
     LIMIT, WEIGHT,
     # Grain drawn but not yet met: curvature, flattening, half facetness, type.
@@ -53,21 +59,22 @@ STRIDE = 2 * VECTOR
     M_IN_DRY, M_IN_WET, M_OUT_DRY, M_OUT_WET,
     C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
     K_IN_DRY, K_IN_WET, K_OUT_DRY, K_OUT_WET,
-) = (LANES * row for row in range(72))  # fmt: skip
-TRAVELLED = 17 * LANES
+) = (LANES * row for row in range(83))  # fmt: skip
+TRAVELLED = 22 * LANES
 """End of the rows that a launch sets to zero."""
-STATE = 72 * LANES
+STATE = 83 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
 """Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far;
 grains met so far, and how many a ray may meet."""
 WORDS = 6 * LANES
 
-FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_BOUNDARY, ABSORBED, LOST, IDLE = (
-    exact(float(status)) for status in range(8)
+FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_FACE, BACK, ASTRAY, ABSORBED, LOST, IDLE = (
+    exact(float(status)) for status in range(10)
 )
 """What a lane waits for: a grain; a facet; a cosine lobe on the near or on the far side; the rest
-waits for the plain loop that ends and launches rays."""
+waits for the plain loop between the passes: to meet a face, to begin its flight again in the layer
+in which it set out, to find its layer, to be ended, and to be launched."""
 
 
 @kernel

@@ -123,7 +123,10 @@ def trial(state, words, i, features, scene):
     # into, unless it is on its way there in a lobe.
     new_wet = wet
     if features.wet is not None:
-        drawn_wet = ONE if numbers.pore < scene.saturation else ZERO
+        saturation = scene.saturation
+        if features.layered is not None:
+            saturation = state[rows.SATURATION + i]
+        drawn_wet = ONE if numbers.pore < saturation else ZERO
         new_wet = wet if stand.lobe & outward else drawn_wet
     pore_wet = (new_wet if outward else wet) > ZERO
     if features.mixed is not None:
@@ -135,7 +138,11 @@ def trial(state, words, i, features, scene):
     gone = goings(stand, after, state[rows.SHELLS + i], features.mixed)
     if features.wet is not None:
         # A ray reflected from the outside draws the pore of its next leg, too.
-        state[rows.WET + i] = new_wet if gone.out | (after.to_lobe & outward) else wet
+        keep = gone.out | (after.to_lobe & outward)
+        state[rows.WET + i] = new_wet if keep else wet
+        if features.layered is not None:
+            pore = state[rows.PORE + i]
+            state[rows.PORE + i] = numbers.pore if keep & (not (stand.lobe & outward)) else pore
     move(state, i, grain, after, gone, features)
     put(state, rows.DX + i, chosen(after.done, after.d, d))
     state[rows.SHELL + i] = gone.stand.shell

@@ -48,15 +48,21 @@ def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:
     def wide(table: np.ndarray) -> np.ndarray:
         return np.pad(table, ((0, 0), (0, deepest - table.shape[1])))
 
-    def every(one: Grains, table: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(table, (len(one.share), table.shape[1]))
+    def every(name: str) -> np.ndarray:
+        rows = [
+            np.broadcast_to(table, (len(one.share), table.shape[1]))
+            for one in grains
+            for table in [getattr(one.types, name)]
+        ]
+        # Kernels read tables row by row, and concatenation keeps the order of what is broadcast.
+        return np.ascontiguousarray(np.concatenate(rows))
 
     shift = zip(grains, materials, strict=False)
     return Types(
         shells=np.concatenate([one.types.shells for one in grains]),
         material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
         thickness=np.concatenate([wide(one.types.thickness) for one in grains]),
-        curvature=np.concatenate([every(one, one.types.curvature) for one in grains]),
-        sphericity=np.concatenate([every(one, one.types.sphericity) for one in grains]),
-        facetness=np.concatenate([every(one, one.types.facetness) for one in grains]),
+        curvature=every("curvature"),
+        sphericity=every("sphericity"),
+        facetness=every("facetness"),
     )

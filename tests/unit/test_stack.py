@@ -61,6 +61,7 @@ def test_layers_keep_their_order_their_types_and_their_materials():
     assert list(scene.layers.first) == [0, 1, 1 + count]
     assert np.all(scene.layers.share[0] == 1.0)
     assert np.array_equal(scene.layers.share[1], sand.share)
+    assert all(table.flags.c_contiguous for table in scene.types)
     names = stack.materials()
     assert names[:3] == ("layers.0.air", "layers.0.water", "layers.0.ice")
     for number, medium in enumerate(stack.layers):

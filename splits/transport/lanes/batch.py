@@ -64,7 +64,7 @@ def advance(lanes, width, features, tables, task):
             met = lanes.state[rows.STATUS + lane] == rows.TRIAL
             if met and lanes.state[rows.SHELL + lane] == ZERO:
                 dress(lanes, lane, task)
-                if features.layered is not None:
+                if features.layered is not None and lanes.state[rows.LANDED + lane] == ZERO:
                     land(lanes, lane, task)
     return waiting
 

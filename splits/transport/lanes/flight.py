@@ -225,6 +225,8 @@ def fly(state, words, i, features, scene):
         refused = going & (not met.fits) & (not met.outside)
         after = rows.BACK if redrawn(state, i, ray, met, refused) else after
         after = rows.ASTRAY if strays else after
+        landed = state[rows.LANDED + i]
+        state[rows.LANDED + i] = ZERO if fits else landed
     elif features.variant is not None:
         state[rows.SKIP_LEG + i] = met.skipped if going else ray.skipped
     state[rows.KEEP + i] = ONE if active & (not sound) else ZERO

@@ -77,6 +77,7 @@ def land(lanes, lane, task):
         rest -= piece
         layer += -1 if d > 0.0 else 1
     state[rows.DEPTH + lane] += single(depth)
+    state[rows.LANDED + lane] = ONE
     set_out(state, lane)
 
 

@@ -31,8 +31,8 @@ STRIDE = 2 * VECTOR
     # out; lengths (m) in dry and wet pores, in coating and in core since they were last put down.
     DEPTH, TRIES, KEEP, SKIP_LEG, DRY_PATH, WET_PATH, COAT_PATH, CORE_PATH,
     # Layer of the ray, those in which its flight set out and from which distances are drawn; distance
-    # from which they count; 1 where it stands on a face.
-    LAYER, START, FROM, AHEAD, STANDS,
+    # from which they count; 1 where it stands on a face; 1 where its last leg has been booked.
+    LAYER, START, FROM, AHEAD, STANDS, LANDED,
     # Direction; length of the leg before (none: −1).
     DX, DY, DZ, LAST,
     # Grain: point on the unit sphere, major axis, flattening, semi-minor axis, half facetness.
@@ -59,10 +59,10 @@ STRIDE = 2 * VECTOR
     M_IN_DRY, M_IN_WET, M_OUT_DRY, M_OUT_WET,
     C_IN_DRY, C_IN_WET, C_OUT_DRY, C_OUT_WET,
     K_IN_DRY, K_IN_WET, K_OUT_DRY, K_OUT_WET,
-) = (LANES * row for row in range(83))  # fmt: skip
-TRAVELLED = 22 * LANES
+) = (LANES * row for row in range(84))  # fmt: skip
+TRAVELLED = 23 * LANES
 """End of the rows that a launch sets to zero."""
-STATE = 83 * LANES
+STATE = 84 * LANES
 
 KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
 """Rows of whole numbers, uint32: key of the random stream, numbers drawn so far; legs so far;

@@ -7,6 +7,8 @@ as the probability to pass).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splits.transport.elementary import exponential
@@ -29,21 +31,35 @@ BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
 
 
-def exit_rows(rays: int, materials: int) -> np.ndarray:
-    """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
-    rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
+class Traced(NamedTuple):
+    """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
+
+    legs: int
+    lost: bool
+
+
+def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
+    """Return room for so many rays, float64[rays, columns]: a row each, none having left.
+
+    Parameters
+    ----------
+    rays, materials : int
+    more : int, optional
+        Columns after those of the materials, for what else a kernel has to tell.
+    """
+    rows = np.full((rays, EXIT_LENGTH + materials + more), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
 
 
 @kernel
-def record(row, reflected, x, y, dx, dy, dz, weight, order):
+def record(row, reflected, place, d, weight, order):
     """Write where and how a ray left into its row; path lengths are left to the caller."""
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order
-    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = dx, dy, dz
-    row[EXIT_POSITION], row[EXIT_POSITION + 1] = x, y
+    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = d.x, d.y, d.z
+    row[EXIT_POSITION], row[EXIT_POSITION + 1] = place.x, place.y
 
 
 @entry

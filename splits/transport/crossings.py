@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.encounters import meet_face, reflect_diffusely
-from splits.transport.jit import entry, kernel
+from splits.transport.jit import entry, part
 from splits.transport.light import Light, launched
 from splits.transport.march import GONE, LOST, cleared, first_crossing, normal_of, tolerance
 from splits.transport.rng import start_stream, uniform
@@ -42,7 +42,7 @@ class Walk(NamedTuple):
     side: float
 
 
-@kernel
+@part
 def _leaks(state, surface, walk, length):
     """Return how many of four points of a leg are on the wrong side of the surface."""
     found = 0
@@ -56,7 +56,7 @@ def _leaks(state, surface, walk, length):
     return found
 
 
-@kernel
+@part
 def _beyond_facet(state, walk, hit, index):
     """Return a walk after a facet, where it is reflected or refracted."""
     upward = normal_of(hit.slope)
@@ -67,7 +67,7 @@ def _beyond_facet(state, walk, hit, index):
     return Walk(place, cleared(meeting.d, scaled(side, upward)), side)
 
 
-@kernel
+@part
 def _count(state, surface, index, walk, counts):
     """Count along one ray, and return how many facets it hit."""
     hits = 0

@@ -7,7 +7,7 @@ import math
 from splits.transport.elementary import Angle
 from splits.transport.faces import GRAZING, Index, meet
 from splits.transport.fresnel import interface
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.phase import scattered
 from splits.transport.polarized_faces import (
     Meeting,
@@ -20,7 +20,7 @@ from splits.transport.stokes import Scattered, scatter_polarized, unpolarized
 from splits.transport.vectors import around, dot, mirrored
 
 
-@kernel
+@part
 def meet_face(state, d, stokes, normal, n1, n2):
     """Reflect or refract a ray at a facet.
 
@@ -46,7 +46,7 @@ def meet_face(state, d, stokes, normal, n1, n2):
     return reflect_or_refract_polarized(state, d, stokes, normal, n1, n2)
 
 
-@kernel
+@part
 def only_reflected(d, stokes, normal, n2):
     """Reflect a ray from outside at a facet, for which other light than the reflected is lost.
 
@@ -63,7 +63,7 @@ def only_reflected(d, stokes, normal, n2):
     return reflected_polarized(d, stokes, normal, 1.0, n2)
 
 
-@kernel
+@part
 def scatter(state, phase, d, stokes):
     """Return what a particle makes of a ray, a `Scattered`; see `meet_face`."""
     if stokes is None:
@@ -71,7 +71,7 @@ def scatter(state, phase, d, stokes):
     return scatter_polarized(state, phase, d, stokes)
 
 
-@kernel
+@part
 def reflect_diffusely(state, normal, stokes):
     """Return what a Lambertian face makes of a ray, a `Scattered`: no light is polarized then.
 

@@ -10,21 +10,36 @@ from __future__ import annotations
 
 import numpy as np
 
+from splits.transport.absorption import ROULETTE_BELOW
 from splits.transport.granular import ABSORBED, LOST, REFLECTED, TRAVELS
-from splits.transport.jit import entry, kernel
-from splits.transport.layer_events import at_floor, at_particle, at_surface
+from splits.transport.jit import entry, part
+from splits.transport.layer_events import (
+    at_facet,
+    at_floor,
+    at_surface,
+    roulette,
+    scattered,
+    weakened,
+)
 from splits.transport.layer_legs import (
     AWAY,
+    FACET,
     FLOOR,
     PARTICLE,
     SURFACE,
     Past,
     Ray,
     ended,
+    facet_ahead,
+    first_of,
     gone_along,
-    next_leg,
+    near_surface,
+    smooth_ahead,
+    ways_ahead,
 )
 from splits.transport.light import launched
+from splits.transport.local import listen_particle
+from splits.transport.march import GONE, first_crossing, no_hit
 from splits.transport.rng import start_stream, uniform
 from splits.transport.stokes import rotated_to, unpolarized
 from splits.transport.tally import EXIT_LENGTH, Traced, record
@@ -37,7 +52,7 @@ ALL, STRAIGHT = range(2)
 """All light, and light that met nothing but smooth faces."""
 
 
-@kernel
+@part
 def _realised(state, fields, room):
     """Return a realisation of the rough surface, None where it is smooth."""
     if room is None:
@@ -45,7 +60,7 @@ def _realised(state, fields, room):
     return draw_waves(state, fields, room)
 
 
-@kernel
+@part
 def _aimed(d, surface):
     """Return where a ray from above begins that aims at the origin of the mean surface."""
     if surface is None:
@@ -53,7 +68,7 @@ def _aimed(d, surface):
     return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
 
 
-@kernel
+@part
 def trace(state, scene, room, detectors, most):
     """Follow one ray from the light source until it leaves the layer or is absorbed.
 
@@ -74,18 +89,35 @@ def trace(state, scene, room, detectors, most):
     -------
     Ray
     """
-    layer = scene.layer
+    layer, phase = scene.layer, scene.phase
     d = launched(scene.light, uniform(state) if scene.light.diffuse > 0.0 else 1.0)
     surface = _realised(state, scene.fields, room)
     stokes = unpolarized(d, scene.stokes)
     ray = Ray(_aimed(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
     while ray.fate == TRAVELS:
-        leg = next_leg(state, ray, layer, surface)
-        ray = gone_along(ray, leg, layer, surface)
-        if leg.event == SURFACE:
-            ray = at_surface(state, ray, leg.normal, layer, surface, most)
-        elif leg.event == PARTICLE:
-            ray = at_particle(state, ray, layer, scene.phase, detectors, most)
+        ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)
+        if room is None:
+            ahead = smooth_ahead(ray)
+        else:
+            hit = no_hit(GONE, 0)
+            if near_surface(ray, surface.reach, ways.nearest):
+                side = -1.0 if ray.inside else 1.0
+                hit = first_crossing(surface, ray.place, ray.d, side, ways.nearest)
+            ahead = facet_ahead(hit)
+        leg = first_of(ray, ways, ahead)
+        ray = gone_along(ray, leg, layer)
+        if leg.event == PARTICLE:
+            ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, most)
+            if detectors is not None and ray.fate == TRAVELS:
+                listen_particle(detectors, layer, phase, ray)
+            if ray.past.weight < ROULETTE_BELOW:
+                ray = roulette(ray, uniform(state))
+            if ray.fate == TRAVELS:
+                ray = scattered(state, ray, phase)
+        elif leg.event == SURFACE:
+            ray = at_surface(state, ray, layer)
+        elif room is not None and leg.event == FACET:
+            ray = at_facet(state, ray, leg.normal, layer, most)
         elif leg.event == FLOOR:
             ray = at_floor(state, ray, layer, detectors, most)
         else:
@@ -93,7 +125,7 @@ def trace(state, scene, room, detectors, most):
     return ray
 
 
-@kernel
+@part
 def _record_stokes(row, first, d, stokes):
     """Write Q, U, V over I into three columns of a row, Q along the plane of the normal."""
     if stokes is None:

@@ -7,26 +7,25 @@ import math
 from splits.transport.absorption import ROULETTE_BELOW, ROULETTE_SURVIVAL
 from splits.transport.encounters import meet_face, only_reflected, reflect_diffusely, scatter
 from splits.transport.granular import ABSORBED, REFLECTED, TRANSMITTED, TRAVELS
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.layer_legs import Ray, ended, moved, once_more, weighing
-from splits.transport.local import listen_bottom, listen_particle
+from splits.transport.local import listen_bottom
 from splits.transport.march import cleared
 from splits.transport.rng import uniform
 from splits.transport.turbid import OPEN
 from splits.transport.vectors import UP, scaled
 
 
-@kernel
-def _roulette(state, weight):
-    """Return the weight of a ray after Russian roulette, 0 if it ended there."""
-    if weight >= ROULETTE_BELOW:
-        return weight
-    if weight == 0.0 or uniform(state) > ROULETTE_SURVIVAL:
-        return 0.0
-    return weight / ROULETTE_SURVIVAL
+@part
+def roulette(ray, u):
+    """Return a ray that plays Russian roulette with the uniform random number u."""
+    if ray.past.weight == 0.0 or u > ROULETTE_SURVIVAL:
+        return ended(ray, ABSORBED)
+    past = weighing(ray.past, ray.past.weight / ROULETTE_SURVIVAL)
+    return moved(ray, ray.d, ray.stokes, past, ray.fate)
 
 
-@kernel
+@part
 def _crossed(state, ray, normal, layer):
     """Return a ray that is reflected or refracted at a facet of the surface."""
     if layer.extinction == math.inf:
@@ -41,25 +40,27 @@ def _crossed(state, ray, normal, layer):
     return Ray(ray.place, meeting.d, meeting.stokes, inside, ray.past, TRAVELS)
 
 
-@kernel
-def at_surface(state, ray, normal, layer, surface, most):
-    """Return a ray after a meeting with the surface."""
-    if surface is None:
-        ray = _crossed(state, ray, normal, layer)
-        return ended(ray, TRAVELS if ray.inside else REFLECTED)
-    if ray.past.order == most:
-        return ended(ray, ABSORBED)
+@part
+def at_surface(state, ray, layer):
+    """Return a ray after a meeting with a smooth surface."""
+    ray = _crossed(state, ray, UP, layer)
+    return ended(ray, TRAVELS if ray.inside else REFLECTED)
+
+
+@part
+def at_facet(state, ray, normal, layer, most):
+    """Return a ray after a meeting with a facet of a rough surface."""
+    gone = ray.past.order == most
     ray = _crossed(state, ray, normal, layer)
-    past = once_more(ray.past)
-    if layer.extinction == math.inf and past.order > 1:
-        past = weighing(past, _roulette(state, past.weight))
-        if past.weight == 0.0:
-            return ended(ray, ABSORBED)
     d = cleared(ray.d, scaled(-1.0 if ray.inside else 1.0, normal))
-    return moved(ray, d, ray.stokes, past, TRAVELS)
+    ray = moved(ray, d, ray.stokes, once_more(ray.past), TRAVELS)
+    opaque = layer.extinction == math.inf
+    if opaque and ray.past.order > 1 and ray.past.weight < ROULETTE_BELOW:
+        ray = roulette(ray, uniform(state))
+    return ended(ray, ABSORBED if gone else ray.fate)
 
 
-@kernel
+@part
 def at_floor(state, ray, layer, detectors, most):
     """Return a ray after a meeting with the open face or with the bottom."""
     if layer.bottom == OPEN:
@@ -76,21 +77,28 @@ def at_floor(state, ray, layer, detectors, most):
     return moved(ray, after.d, after.stokes, once_more(ray.past), TRAVELS)
 
 
-@kernel
-def at_particle(state, ray, layer, phase, detectors, most):
-    """Return a ray after a meeting with a particle."""
-    if ray.past.order == most:
-        return ended(ray, ABSORBED)
+@part
+def weakened(ray, layer, u, most):
+    """Return a ray at a particle, before it is scattered: absorbed, or with less weight.
+
+    Parameters
+    ----------
+    ray : Ray
+    layer : Turbid
+    u : float
+        A uniform random number; 1 where weights take the place of coin tosses.
+    most : int
+        See `layer.trace`.
+    """
     past = once_more(ray.past)
-    if layer.analog:
-        if uniform(state) >= layer.albedo:
-            return ended(ray, ABSORBED)
-    else:
+    if not layer.analog:
         past = weighing(past, past.weight * layer.albedo)
-        if detectors is not None:
-            listen_particle(detectors, layer, phase, moved(ray, ray.d, ray.stokes, past, TRAVELS))
-        past = weighing(past, _roulette(state, past.weight))
-        if past.weight == 0.0:
-            return ended(ray, ABSORBED)
+    gone = ray.past.order == most or (layer.analog and u >= layer.albedo)
+    return moved(ray, ray.d, ray.stokes, past, ABSORBED if gone else TRAVELS)
+
+
+@part
+def scattered(state, ray, phase):
+    """Return a ray that a particle has scattered."""
     after = scatter(state, phase, ray.d, ray.stokes)
-    return moved(ray, after.d, after.stokes, past, TRAVELS)
+    return moved(ray, after.d, after.stokes, ray.past, TRAVELS)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from splits.transport.jit import kernel
-from splits.transport.march import GONE, first_crossing, normal_of
+from splits.transport.jit import part
+from splits.transport.march import GONE, normal_of
 from splits.transport.march import LOST as ASTRAY
-from splits.transport.rng import uniform
 from splits.transport.vectors import UP, Vector, along
 
 
@@ -55,8 +54,9 @@ class Ray(NamedTuple):
     fate: int
 
 
-PARTICLE, SURFACE, FLOOR, AWAY, NOWHERE = range(5)
-"""What a leg ends at: `AWAY` leaves the layer upwards, `NOWHERE` is where no ray should be."""
+PARTICLE, SURFACE, FACET, FLOOR, AWAY, NOWHERE = range(6)
+"""What a leg ends at: `SURFACE` is smooth, a `FACET` is of a rough one; `AWAY` leaves the layer
+upwards, `NOWHERE` is where no ray should be."""
 
 
 class Leg(NamedTuple):
@@ -67,83 +67,110 @@ class Leg(NamedTuple):
     normal: Vector
 
 
-class Ahead(NamedTuple):
-    """How far ahead the surface is (m), inf if nowhere or beyond what matters, and its normal.
+class Ways(NamedTuple):
+    """How far it is to the next particle, to the floor, inf if there is none, and to either (m)."""
 
-    The distance is `ASTRAY` where the march found no end.
+    free: float
+    floor: float
+    nearest: float
+
+
+class Ahead(NamedTuple):
+    """The surface ahead of a ray.
+
+    Attributes
+    ----------
+    distance : float
+        Metres; inf if it is nowhere, or beyond what matters, `ASTRAY` where a march had no end.
+    normal : Vector
+        Upwards.
+    event : int
+        `SURFACE` or `FACET`.
     """
 
     distance: float
     normal: Vector
+    event: int
 
 
-@kernel
+@part
 def moved(ray, d, stokes, past, fate):
     """Return a ray at the same place, as an encounter leaves it."""
     return Ray(ray.place, d, stokes, ray.inside, past, fate)
 
 
-@kernel
+@part
 def ended(ray, fate):
     """Return a ray that has come to its end."""
     return Ray(ray.place, ray.d, ray.stokes, ray.inside, ray.past, fate)
 
 
-@kernel
+@part
 def weighing(past, weight):
     """Return the past of a ray that has another weight now."""
     return Past(weight, past.way, past.order, past.legs)
 
 
-@kernel
+@part
 def once_more(past):
     """Return the past of a ray after another scattering or meeting."""
     return Past(past.weight, past.way, past.order + 1, past.legs)
 
 
-@kernel
-def _surface_ahead(ray, surface, farthest):
-    """Return where the surface is on a ray's way, `Ahead`; beyond `farthest` it does not matter."""
-    z, d = ray.place.z, ray.d
-    if surface is None:
-        if ray.inside:
-            return Ahead(-z / d.z if d.z > 0.0 else math.inf, UP)
-        return Ahead(0.0 if d.z < 0.0 else math.inf, UP)
-    # Deep inside, most legs end before the surface can be met.
-    if ray.inside and not max(z, z + farthest * d.z) > -surface.reach:
-        return Ahead(math.inf, UP)
-    hit = first_crossing(surface, ray.place, d, -1.0 if ray.inside else 1.0, farthest)
-    if hit.distance == GONE:
-        return Ahead(math.inf, UP)
-    return Ahead(hit.distance, normal_of(hit.slope))
-
-
-@kernel
-def next_leg(state, ray, layer, surface):
-    """Return the `Leg` that is ahead of a ray."""
+@part
+def ways_ahead(ray, layer, u):
+    """Return the `Ways` ahead of a ray, with a uniform random number u; outside there are none."""
     free, floor = math.inf, math.inf
     if ray.inside:
-        free = -math.log(uniform(state)) / layer.extinction
+        free = -math.log(u) / layer.extinction
         if ray.d.z < 0.0:
             floor = (-layer.depth - ray.place.z) / ray.d.z
-    nearest = min(free, floor)
-    ahead = _surface_ahead(ray, surface, nearest)
+    return Ways(free, floor, min(free, floor))
+
+
+@part
+def smooth_ahead(ray):
+    """Return the smooth surface `Ahead` of a ray."""
+    distance = math.inf
+    if ray.inside == (ray.d.z > 0.0):
+        distance = -ray.place.z / ray.d.z if ray.inside else 0.0
+    return Ahead(distance, UP, SURFACE)
+
+
+@part
+def near_surface(ray, reach, farthest):
+    """Tell whether a leg may meet a rough surface: deep inside, most end before that."""
+    z = ray.place.z
+    return not ray.inside or max(z, z + farthest * ray.d.z) > -reach
+
+
+@part
+def facet_ahead(hit):
+    """Return the facet `Ahead` of a ray that a march has found."""
+    if hit.distance == GONE:
+        return Ahead(math.inf, UP, FACET)
+    return Ahead(hit.distance, normal_of(hit.slope), FACET)
+
+
+@part
+def first_of(ray, ways, ahead):
+    """Return the `Leg` to what comes first."""
     if ahead.distance == ASTRAY:
         return Leg(0.0, NOWHERE, UP)
     if not ray.inside and ahead.distance == math.inf:
         return Leg(0.0, AWAY if ray.d.z > 0.0 else NOWHERE, UP)
-    if ahead.distance <= nearest:
-        return Leg(ahead.distance, SURFACE, ahead.normal)
-    return Leg(nearest, FLOOR if floor <= free else PARTICLE, UP)
+    if ahead.distance <= ways.nearest:
+        return Leg(ahead.distance, ahead.event, ahead.normal)
+    return Leg(ways.nearest, FLOOR if ways.floor <= ways.free else PARTICLE, UP)
 
 
-@kernel
-def gone_along(ray, leg, layer, surface):
+@part
+def gone_along(ray, leg, layer):
     """Return a ray at the end of a leg; on smooth faces exactly."""
     place = along(leg.length, ray.d, ray.place)
     if leg.event == FLOOR:
         place = Vector(place.x, place.y, -layer.depth)
-    if surface is None and leg.event == SURFACE:
+    if leg.event == SURFACE:
         place = Vector(place.x, place.y, 0.0)
     past = ray.past
     way = past.way + (leg.length if ray.inside else 0.0)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.phase import phase_density
 from splits.transport.polarized_faces import Reflection, Transmission
 from splits.transport.stokes import rotated_to, scattered_towards
@@ -72,7 +72,7 @@ class Listener(NamedTuple):
     through: float
 
 
-@kernel
+@part
 def listener(detectors, layer, k):
     """Return the k-th detector."""
     x, y, z = detectors.toward[k]
@@ -85,7 +85,7 @@ def listener(detectors, layer, k):
     return Listener(Vector(x, y, z), Vector(along, across, 0.0), passing, returning, through)
 
 
-@kernel
+@part
 def sent(phase, d, stokes, t, plane):
     """Return the `Sound` that a particle sends towards t (1/sr), Q along the plane of p and z."""
     if stokes is None:
@@ -96,7 +96,7 @@ def sent(phase, d, stokes, t, plane):
     return Sound(density, density * seen.q, density * seen.u, density * light.stokes.v)
 
 
-@kernel
+@part
 def round_trips(face, stokes, through, odd, sound):
     """Return the `Sound` added up over 1, 3, … or over 2, 4, … reflections between two faces.
 
@@ -121,13 +121,13 @@ def round_trips(face, stokes, through, odd, sound):
     return Sound(p + s, p - s, c * u - d * v, c * v + d * u)
 
 
-@kernel
+@part
 def _series(x, odd):
     """Return the sum of all odd or of all even powers of x."""
     return (x if odd else x * x) / ((1.0 - x) * (1.0 + x))
 
 
-@kernel
+@part
 def put(sums, passing, stokes, weight, sound):
     """Add light that arrives at a face from inside to what a detector behind it has heard."""
     i, q, u, v = sound
@@ -140,7 +140,7 @@ def put(sums, passing, stokes, weight, sound):
     sums[V] += weight * passing.root * v
 
 
-@kernel
+@part
 def listen_particle(detectors, layer, phase, ray):
     """Let all detectors hear a scattering.
 
@@ -175,7 +175,7 @@ def listen_particle(detectors, layer, phase, ray):
             put(sums, one.passing, stokes, arriving, more)
 
 
-@kernel
+@part
 def listen_bottom(detectors, layer, weight):
     """Let all detectors above hear light of this weight that the diffuse bottom reflects."""
     for k in range(detectors.toward.shape[0]):

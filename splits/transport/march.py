@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.transport.jit import entry, kernel
+from splits.transport.jit import entry, kernel, part
 from splits.transport.vectors import Vector, along, dot, normalized
 from splits.transport.wave_sums import TURN, sums_along, wave_sums
-from splits.transport.waves import CURVATURE, END, EXTREME, REST, SLOPE, Slope
+from splits.transport.waves import CURVATURE, END, EXTREME, REST, SLOPE, Relief, Slope
 
 GONE = -1.0
 """No crossing: the ray leaves the surface for good."""
@@ -42,12 +42,35 @@ class Hit(NamedTuple):
     looks: int
 
 
-class Look(NamedTuple):
-    """What a look at the surface finds: whether it is met, its slope, and the way that is free."""
+class Band(NamedTuple):
+    """A column of `Surface.bands`, and whether it is the finest, of all waves."""
 
-    met: bool
-    slope: Slope
+    end: int
+    rest: float
+    slope: float
+    curvature: float
+    finest: bool
+
+
+class Look(NamedTuple):
+    """What is known of the surface at a point of a ray, by the bands looked at so far.
+
+    Attributes
+    ----------
+    relief : Relief
+    free : float
+        Way that is free of crossings (m).
+    met, enough : bool
+        Whether the ray meets the surface there; whether finer bands would not add to the way.
+    """
+
+    relief: Relief
     free: float
+    met: bool
+    enough: bool
+
+
+NOTHING_SEEN = Look(Relief(0.0, Slope(0.0, 0.0)), 0.0, False, False)
 
 
 @kernel
@@ -123,51 +146,54 @@ def safe_step(gap, rate, slope, curvature, climb):
     return max(bent, gap / fall)
 
 
-@kernel
-def look(surface, at, d, side, s):
-    """Look at the surface from a point of a ray, band by band until a way is free.
+@part
+def _band(surface, number):
+    """Return a `Band`."""
+    bands = surface.bands
+    return Band(
+        int(bands[END, number]), bands[REST, number], bands[SLOPE, number],
+        bands[CURVATURE, number], number == 0,
+    )  # fmt: skip
+
+
+@part
+def look(seen, sums, band, at, d, side, little):
+    """Return what is known of the surface with another band.
 
     Parameters
     ----------
-    surface : Surface
-        With the bounds of this leg, see `set_leg`.
+    seen : Look
+        Before.
+    sums : WaveSums
+        Of the waves that the band has beyond the last one.
+    band : Band
     at, d : Vector
-        The point and the direction.
+        Point of the ray and its direction.
     side : float
         See `first_crossing`.
-    s : float
-        Way marched so far (m).
+    little : float
+        The `tolerance`.
 
     Returns
     -------
     Look
     """
-    height, slope_x, slope_y, free = 0.0, 0.0, 0.0, 0.0
-    begin = 0
-    bands = surface.bands
-    for band in range(surface.count - 1, -1, -1):
-        end = int(bands[END, band])
-        sums = wave_sums(surface.waves, begin, end, at.x, at.y)
-        begin = end
-        height += sums.height
-        slope_x -= 2.0 * TURN * sums.along_x
-        slope_y -= 2.0 * TURN * sums.along_y
-        gap = side * (at.z - height) - bands[REST, band]
-        rate = side * (d.z - slope_x * d.x - slope_y * d.y)
-        if band == 0:
-            little = tolerance(surface, at, s)
-            if gap <= little and rate < 0.0:
-                return Look(True, Slope(slope_x, slope_y), 0.0)
-            gap = max(gap, little)
-        if gap > 0.0:
-            step = safe_step(gap, rate, bands[SLOPE, band], bands[CURVATURE, band], side * d.z)
-            free = max(free, step)
-            if gap > bands[REST, band]:
-                break
-    return Look(False, Slope(slope_x, slope_y), free)
+    height = seen.relief.height + sums.height
+    slope_x = seen.relief.slope.x - 2.0 * TURN * sums.along_x
+    slope_y = seen.relief.slope.y - 2.0 * TURN * sums.along_y
+    gap = side * (at.z - height) - band.rest
+    rate = side * (d.z - slope_x * d.x - slope_y * d.y)
+    met, enough, free = False, False, seen.free
+    if band.finest:
+        met = gap <= little and rate < 0.0
+        gap = max(gap, little)
+    if gap > 0.0 and not met:
+        free = max(free, safe_step(gap, rate, band.slope, band.curvature, side * d.z))
+        enough = gap > band.rest
+    return Look(Relief(height, Slope(slope_x, slope_y)), free, met, enough)
 
 
-@kernel
+@part
 def _within_reach(surface, place, d, side):
     """Return after how many metres a ray comes into the reach of the surface, inf if it never does.
 
@@ -180,9 +206,9 @@ def _within_reach(surface, place, d, side):
     return above / -climb if climb < 0.0 else math.inf
 
 
-@kernel
-def _nothing(distance, looks):
-    """Return a `Hit` that is none."""
+@part
+def no_hit(distance, looks):
+    """Return a `Hit` that is none: `GONE` or `LOST`, after so many looks."""
     return Hit(distance, Slope(0.0, 0.0), looks)
 
 
@@ -211,16 +237,24 @@ def first_crossing(surface, place, d, side, farthest=math.inf):
     """
     s = _within_reach(surface, place, d, side)
     if s > farthest or s == math.inf:
-        return _nothing(GONE, 0)
+        return no_hit(GONE, 0)
     set_leg(surface, d)
     for looks in range(MOST_STEPS):
         at = along(s, d, place)
         if side * d.z >= 0.0 and side * at.z > surface.reach:
-            return _nothing(GONE, looks)
-        seen = look(surface, at, d, side, s)
+            return no_hit(GONE, looks)
+        # Loops over arrays stay here: every array that a kernel is given is counted in and out.
+        seen, begin, little = NOTHING_SEEN, 0, tolerance(surface, at, s)
+        for number in range(surface.count - 1, -1, -1):
+            band = _band(surface, number)
+            sums = wave_sums(surface.waves, begin, band.end, at.x, at.y)
+            seen = look(seen, sums, band, at, d, side, little)
+            begin = band.end
+            if seen.enough:
+                break
         if seen.met:
-            return Hit(s, seen.slope, looks + 1)
+            return Hit(s, seen.relief.slope, looks + 1)
         s += seen.free
         if s > farthest or s == math.inf:
-            return _nothing(GONE, looks + 1)
-    return _nothing(LOST, MOST_STEPS)
+            return no_hit(GONE, looks + 1)
+    return no_hit(LOST, MOST_STEPS)

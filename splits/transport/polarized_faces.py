@@ -9,7 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 from splits.transport.fresnel import Passage, normal_component, refracted
-from splits.transport.jit import kernel
+from splits.transport.jit import kernel, part
 from splits.transport.rng import uniform
 from splits.transport.stokes import azimuth_of, normalised, turned
 from splits.transport.vectors import Vector, combined, cross, dot, mirrored, normalized
@@ -139,7 +139,7 @@ def fresnel_amplitudes(n1, n2, cos_i):
     )
 
 
-@kernel
+@part
 def incidence(d, stokes, normal):
     """Return the `Incidence` of light along d; straight onto a face, its plane is that of e."""
     f = cross(d, stokes.e)
@@ -150,7 +150,7 @@ def incidence(d, stokes, normal):
     return Incidence(cos_i, across, light.q, light.u, stokes.v)
 
 
-@kernel
+@part
 def _reflected(d, normal, light, face):
     """Return what becomes of light, an `Incidence`, that a face reflects."""
     plus, minus, real, imaginary = face.reflection
@@ -164,7 +164,7 @@ def _reflected(d, normal, light, face):
     return Reflected(share, d, stokes)
 
 
-@kernel
+@part
 def _refracted(d, normal, light, face):
     """Return what becomes of light, an `Incidence`, that passes a face."""
     plus, minus, root = face.transmission

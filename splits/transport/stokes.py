@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from splits.transport.jit import TINY, kernel
+from splits.transport.jit import TINY, kernel, part
 from splits.transport.phase import phase_density, polarizing_ratios, scattering_cosine
 from splits.transport.rng import uniform, unit_circle
 from splits.transport.vectors import Vector, along, combined, cross, dot, normalized, tangents
@@ -70,7 +70,7 @@ class Estimate(NamedTuple):
     stokes: Stokes
 
 
-@kernel
+@part
 def unpolarized(d, stokes):
     """Return q = u = v = 0 for light along d, with any reference.
 
@@ -85,7 +85,7 @@ def unpolarized(d, stokes):
     return Stokes(tangents(d).u, 0.0, 0.0, 0.0)
 
 
-@kernel
+@part
 def turned(q, u, c, s):
     """Return q and u for a reference along c e + s f, of any length but zero."""
     per = 1.0 / (c * c + s * s)
@@ -110,7 +110,7 @@ def rotated_to(stokes, d, t):
     return turned(stokes.q, stokes.u, dot(stokes.e, t), dot(cross(stokes.e, t), d))
 
 
-@kernel
+@part
 def azimuth_of(t, e, f):
     """Return the azimuth of t around d, where the frame is (e, f, d); where t is along ±d, that of e.
 
@@ -125,14 +125,14 @@ def azimuth_of(t, e, f):
     return Azimuth(1.0, 0.0, 0.0)
 
 
-@kernel
+@part
 def normalised(e, i, q, u, v):
     """Return the `Stokes` of I, Q, U and V; rounding never polarises faint light beyond completely."""
     per = 1.0 / max(max(i, math.sqrt(q * q + u * u + v * v)), TINY)
     return Stokes(e, q * per, u * per, v * per)
 
 
-@kernel
+@part
 def _reference_behind(mu, sine, t, d, a):
     """Return t turned along with d into the new direction a = µ d + sinΘ t, at right angles to it.
 
@@ -180,7 +180,7 @@ def scatter_polarized(state, phase, d, stokes):
     return Scattered(a, _scattered_light(e, part, light, stokes.v, ratios))
 
 
-@kernel
+@part
 def _scattered_light(e, part, light, v, ratios):
     """Return the polarization of scattered light, of which `part` is I over the phase function."""
     m12, m33 = ratios

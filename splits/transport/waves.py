@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import entry, kernel
+from splits.transport.jit import entry, kernel, part
 from splits.transport.rng import from_table, uniform, unit_circle
 from splits.transport.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE, ROWS, TURN, wave_sums
 
@@ -131,13 +131,13 @@ def wave_number(fields, field, u):
     return k0 * math.sqrt(beta * (1.0 + left)) / left
 
 
-@kernel
+@part
 def _octave(waves, column):
     """Return the octave of a wave number: half the binary exponent of its square."""
     return np.float64(waves[KX, column] ** 2 + waves[KY, column] ** 2).view(np.int64) >> 53
 
 
-@kernel
+@part
 def _sort(drawn, waves):
     """Copy waves in the order of their octaves, those far below the finest as one."""
     columns = waves.shape[1]
@@ -156,7 +156,7 @@ def _sort(drawn, waves):
         begin[octave] += 1
 
 
-@kernel
+@part
 def columns_for(fields):
     """Return the number of columns that the waves of `fields` take."""
     columns = LANES - 1
@@ -171,7 +171,7 @@ def room_for(fields):
     return flat(np.empty((len(ROWS), columns_for(fields))))
 
 
-@kernel
+@part
 def flat(waves):
     """Return a `Surface` of which nothing is known but its waves, if these."""
     return Surface(waves, np.zeros((len(BAND_ROWS), BANDS)), 0, 0.0, 0.0)
@@ -208,7 +208,7 @@ def draw_waves(state, fields, room):
     return bounded(room)
 
 
-@kernel
+@part
 def bounded(room):
     """Return the `Surface` of the waves in `room`, sorted by octave, with its bands filled in."""
     waves, bands = room.waves, room.bands
@@ -223,7 +223,7 @@ def bounded(room):
     return Surface(waves, bands, count, reach, EXTREME * TURN * math.sqrt(0.5 * steep))
 
 
-@kernel
+@part
 def _split(waves, bands, useless):
     """Split waves into bands, and return how many.
 

@@ -19,7 +19,7 @@ from splits.transport.polarized_faces import Reflection, Transmission
 from splits.transport.stokes import rotated_to, scattered_towards
 from splits.transport.vectors import Vector, dot
 
-I, Q, U, V = range(4)
+_I, _Q, _U, _V = range(4)
 """Columns of what detectors hear."""
 ABOVE, BELOW = range(2)
 """Sides on which they hear it."""
@@ -132,12 +132,12 @@ def put(sums, passing, stokes, weight, sound):
     """Add light that arrives at a face from inside to what a detector behind it has heard."""
     i, q, u, v = sound
     if stokes is None:
-        sums[I] += weight * passing.plus * i
+        sums[_I] += weight * passing.plus * i
         return
-    sums[I] += weight * (passing.plus * i + passing.minus * q)
-    sums[Q] += weight * (passing.minus * i + passing.plus * q)
-    sums[U] += weight * passing.root * u
-    sums[V] += weight * passing.root * v
+    sums[_I] += weight * (passing.plus * i + passing.minus * q)
+    sums[_Q] += weight * (passing.minus * i + passing.plus * q)
+    sums[_U] += weight * passing.root * u
+    sums[_V] += weight * passing.root * v
 
 
 @part
@@ -182,5 +182,5 @@ def listen_bottom(detectors, layer, weight):
         one = listener(detectors, layer, k)
         share = weight * one.through * one.toward.z / math.pi
         sums = detectors.sums[ABOVE, k]
-        sums[I] += share * one.passing.plus
-        sums[Q] += share * one.passing.minus
+        sums[_I] += share * one.passing.plus
+        sums[_Q] += share * one.passing.minus

@@ -189,7 +189,8 @@ def look(seen, sums, band, at, d, side, little):
         gap = max(gap, little)
     if gap > 0.0 and not met:
         free = max(free, safe_step(gap, rate, band.slope, band.curvature, side * d.z))
-        enough = gap > band.rest
+        # Waves without height leave nothing to the finer bands; those that decide are among them.
+        enough = gap > max(band.rest, little)
     return Look(Relief(height, Slope(slope_x, slope_y)), free, met, enough)
 
 

@@ -42,7 +42,8 @@ class Detectors(NamedTuple):
     below : bool
         Whether light is heard below, too.
     sums : float64[2, detectors, 4]
-        [`ABOVE`, `BELOW`], [`I`, `Q`, `U`, `V`] heard (1/sr), Q along the plane of the normal; advanced in place.
+        I, Q, U, V heard `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
+        place.
     """
 
     toward: np.ndarray

@@ -109,7 +109,7 @@ def set_leg(surface, d):
     total, total2, curved, curved2 = 0.0, 0.0, 0.0, 0.0
     begin = 0
     bands = surface.bands
-    for band in range(surface.count - 1, -1, -1):
+    for band in range(surface.used - 1, -1, -1):
         end = int(bands[END, band])
         sums = sums_along(surface.waves, begin, end, d.x, d.y)
         total += sums.slope
@@ -246,7 +246,7 @@ def first_crossing(surface, place, d, side, farthest=math.inf):
             return no_hit(GONE, looks)
         # Loops over arrays stay here: every array that a kernel is given is counted in and out.
         seen, begin, little = NOTHING_SEEN, 0, tolerance(surface, at, s)
-        for number in range(surface.count - 1, -1, -1):
+        for number in range(surface.used - 1, -1, -1):
             band = _band(surface, number)
             sums = wave_sums(surface.waves, begin, band.end, at.x, at.y)
             seen = look(seen, sums, band, at, d, side, little)

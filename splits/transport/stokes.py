@@ -112,7 +112,7 @@ def rotated_to(stokes, d, t):
 
 @part
 def azimuth_of(t, e, f):
-    """Return the azimuth of t around d, where the frame is (e, f, d); where t is along ±d, that of e.
+    """Return the `Azimuth` of t in the frame (e, f, d); where t is along ±d, that of e.
 
     Cosine and sine keep t in the plane of d even where rounding decides which plane that is.
     """
@@ -127,7 +127,7 @@ def azimuth_of(t, e, f):
 
 @part
 def normalised(e, i, q, u, v):
-    """Return the `Stokes` of I, Q, U and V; rounding never polarises faint light beyond completely."""
+    """Return the `Stokes` of I, Q, U and V; rounding polarises no light beyond completely."""
     per = 1.0 / max(max(i, math.sqrt(q * q + u * u + v * v)), TINY)
     return Stokes(e, q * per, u * per, v * per)
 

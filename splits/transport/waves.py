@@ -82,8 +82,8 @@ class Surface(NamedTuple):
         A column per band, the finest first.  A band is all waves up to `END`; `REST` (m) is what
         the others reach; `SLOPE` and `CURVATURE` (1/m) bound the band along the leg that is being
         marched, see `splits.transport.march`.
-    count : int
-        Bands.
+    used : int
+        Bands that there are.
     reach : float
         Height (m) above and below the mean surface that no point passes.
     steepest : float
@@ -92,7 +92,7 @@ class Surface(NamedTuple):
 
     waves: np.ndarray
     bands: np.ndarray
-    count: int
+    used: int
     reach: float
     steepest: float
 

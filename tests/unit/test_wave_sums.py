@@ -58,7 +58,7 @@ def test_arguments_up_to_a_million_are_reduced_exactly():
 def test_bounds_bound(name):
     for number in range(3):
         surface = realised(SURFACES[name], number)
-        waves, bands, count = surface.waves, surface.bands, surface.count
+        waves, bands, count = surface.waves, surface.bands, surface.used
         # Coarse to fine, every wave in the first band.
         k = np.hypot(waves[KX], waves[KY])
         ends = bands[kernels.END, :count]

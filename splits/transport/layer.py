@@ -8,6 +8,8 @@ is None and compiled away.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from splits.transport.absorption import ROULETTE_BELOW
@@ -22,16 +24,10 @@ from splits.transport.layer_events import (
     weakened,
 )
 from splits.transport.layer_legs import (
-    AWAY,
-    FACET,
-    FLOOR,
-    PARTICLE,
-    SURFACE,
     Past,
     Ray,
     ended,
     facet_ahead,
-    first_of,
     gone_along,
     near_surface,
     smooth_ahead,
@@ -94,6 +90,7 @@ def trace(state, scene, room, detectors, most):
     surface = _realised(state, scene.fields, room)
     stokes = unpolarized(d, scene.stokes)
     ray = Ray(_aimed(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
+    # Arrays are handed to as few functions with branches as can be: each counts who holds them.
     while ray.fate == TRAVELS:
         ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)
         if room is None:
@@ -104,9 +101,19 @@ def trace(state, scene, room, detectors, most):
                 side = -1.0 if ray.inside else 1.0
                 hit = first_crossing(surface, ray.place, ray.d, side, ways.nearest)
             ahead = facet_ahead(hit)
-        leg = first_of(ray, ways, ahead)
-        ray = gone_along(ray, leg, layer)
-        if leg.event == PARTICLE:
+        length = min(ways.nearest, ahead.distance)
+        if length < 0.0 or length == math.inf:
+            ray = ended(gone_along(ray, 0.0), REFLECTED if length > 0.0 < ray.d.z else LOST)
+            continue
+        ray = gone_along(ray, length)
+        if ahead.distance <= ways.nearest:
+            if room is None:
+                ray = at_surface(state, ray, layer)
+            else:
+                ray = at_facet(state, ray, ahead.normal, layer, most)
+        elif ways.floor <= ways.free:
+            ray = at_floor(state, ray, layer, detectors, most)
+        else:
             ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, most)
             if detectors is not None and ray.fate == TRAVELS:
                 listen_particle(detectors, layer, phase, ray)
@@ -114,14 +121,6 @@ def trace(state, scene, room, detectors, most):
                 ray = roulette(ray, uniform(state))
             if ray.fate == TRAVELS:
                 ray = scattered(state, ray, phase)
-        elif leg.event == SURFACE:
-            ray = at_surface(state, ray, layer)
-        elif room is not None and leg.event == FACET:
-            ray = at_facet(state, ray, leg.normal, layer, most)
-        elif leg.event == FLOOR:
-            ray = at_floor(state, ray, layer, detectors, most)
-        else:
-            ray = ended(ray, REFLECTED if leg.event == AWAY else LOST)
     return ray
 
 

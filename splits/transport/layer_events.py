@@ -8,7 +8,7 @@ from splits.transport.absorption import ROULETTE_BELOW, ROULETTE_SURVIVAL
 from splits.transport.encounters import meet_face, only_reflected, reflect_diffusely, scatter
 from splits.transport.granular import ABSORBED, REFLECTED, TRANSMITTED, TRAVELS
 from splits.transport.jit import part
-from splits.transport.layer_legs import Ray, ended, moved, once_more, weighing
+from splits.transport.layer_legs import Ray, ended, levelled, moved, once_more, weighing
 from splits.transport.local import listen_bottom
 from splits.transport.march import cleared
 from splits.transport.rng import uniform
@@ -43,7 +43,7 @@ def _crossed(state, ray, normal, layer):
 @part
 def at_surface(state, ray, layer):
     """Return a ray after a meeting with a smooth surface."""
-    ray = _crossed(state, ray, UP, layer)
+    ray = _crossed(state, levelled(ray, 0.0), UP, layer)
     return ended(ray, TRAVELS if ray.inside else REFLECTED)
 
 
@@ -63,6 +63,7 @@ def at_facet(state, ray, normal, layer, most):
 @part
 def at_floor(state, ray, layer, detectors, most):
     """Return a ray after a meeting with the open face or with the bottom."""
+    ray = levelled(ray, -layer.depth)
     if layer.bottom == OPEN:
         meeting = meet_face(state, ray.d, ray.stokes, UP, layer.n, 1.0)
         fate = TRANSMITTED if meeting.passed else TRAVELS

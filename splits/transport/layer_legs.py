@@ -1,4 +1,4 @@
-"""The ray in a layer, and how far it gets: to a particle, the surface or the floor."""
+"""The ray in a layer, and how far it is to the next particle, the floor and the surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 from splits.transport.jit import part
 from splits.transport.march import GONE, normal_of
-from splits.transport.march import LOST as ASTRAY
 from splits.transport.vectors import UP, Vector, along
 
 
@@ -54,19 +53,6 @@ class Ray(NamedTuple):
     fate: int
 
 
-PARTICLE, SURFACE, FACET, FLOOR, AWAY, NOWHERE = range(6)
-"""What a leg ends at: `SURFACE` is smooth, a `FACET` is of a rough one; `AWAY` leaves the layer
-upwards, `NOWHERE` is where no ray should be."""
-
-
-class Leg(NamedTuple):
-    """How long a leg is (m), what it ends at, and the upward normal of the surface there."""
-
-    length: float
-    event: int
-    normal: Vector
-
-
 class Ways(NamedTuple):
     """How far it is to the next particle, to the floor, inf if there is none, and to either (m)."""
 
@@ -81,16 +67,13 @@ class Ahead(NamedTuple):
     Attributes
     ----------
     distance : float
-        Metres; inf if it is nowhere, or beyond what matters, `ASTRAY` where a march had no end.
+        Metres; inf if it is nowhere, or beyond what matters, `march.LOST` where a march had no end.
     normal : Vector
         Upwards.
-    event : int
-        `SURFACE` or `FACET`.
     """
 
     distance: float
     normal: Vector
-    event: int
 
 
 @part
@@ -134,7 +117,7 @@ def smooth_ahead(ray):
     distance = math.inf
     if ray.inside == (ray.d.z > 0.0):
         distance = -ray.place.z / ray.d.z if ray.inside else 0.0
-    return Ahead(distance, UP, SURFACE)
+    return Ahead(distance, UP)
 
 
 @part
@@ -148,31 +131,22 @@ def near_surface(ray, reach, farthest):
 def facet_ahead(hit):
     """Return the facet `Ahead` of a ray that a march has found."""
     if hit.distance == GONE:
-        return Ahead(math.inf, UP, FACET)
-    return Ahead(hit.distance, normal_of(hit.slope), FACET)
+        return Ahead(math.inf, UP)
+    return Ahead(hit.distance, normal_of(hit.slope))
 
 
 @part
-def first_of(ray, ways, ahead):
-    """Return the `Leg` to what comes first."""
-    if ahead.distance == ASTRAY:
-        return Leg(0.0, NOWHERE, UP)
-    if not ray.inside and ahead.distance == math.inf:
-        return Leg(0.0, AWAY if ray.d.z > 0.0 else NOWHERE, UP)
-    if ahead.distance <= ways.nearest:
-        return Leg(ahead.distance, ahead.event, ahead.normal)
-    return Leg(ways.nearest, FLOOR if ways.floor <= ways.free else PARTICLE, UP)
-
-
-@part
-def gone_along(ray, leg, layer):
-    """Return a ray at the end of a leg; on smooth faces exactly."""
-    place = along(leg.length, ray.d, ray.place)
-    if leg.event == FLOOR:
-        place = Vector(place.x, place.y, -layer.depth)
-    if leg.event == SURFACE:
-        place = Vector(place.x, place.y, 0.0)
+def gone_along(ray, length):
+    """Return a ray after a leg of so many metres."""
     past = ray.past
-    way = past.way + (leg.length if ray.inside else 0.0)
+    way = past.way + (length if ray.inside else 0.0)
     past = Past(past.weight, way, past.order, past.legs + 1)
+    place = along(length, ray.d, ray.place)
     return Ray(place, ray.d, ray.stokes, ray.inside, past, ray.fate)
+
+
+@part
+def levelled(ray, z):
+    """Return a ray that has come to a smooth face: at its height exactly."""
+    place = Vector(ray.place.x, ray.place.y, z)
+    return Ray(place, ray.d, ray.stokes, ray.inside, ray.past, ray.fate)

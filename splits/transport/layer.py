@@ -36,6 +36,7 @@ from splits.transport.layer_legs import (
 from splits.transport.light import launched
 from splits.transport.local import listen_particle
 from splits.transport.march import GONE, first_crossing, no_hit
+from splits.transport.march import LOST as ASTRAY
 from splits.transport.rng import start_stream, uniform
 from splits.transport.stokes import rotated_to, unpolarized
 from splits.transport.tally import EXIT_LENGTH, Traced, record
@@ -100,12 +101,13 @@ def trace(state, scene, room, detectors, most):
             if near_surface(ray, surface.reach, ways.nearest):
                 side = -1.0 if ray.inside else 1.0
                 hit = first_crossing(surface, ray.place, ray.d, side, ways.nearest)
+            if hit.distance == ASTRAY:
+                return ended(ray, LOST)
             ahead = facet_ahead(hit)
-        length = min(ways.nearest, ahead.distance)
-        if length < 0.0 or length == math.inf:
-            ray = ended(gone_along(ray, 0.0), REFLECTED if length > 0.0 < ray.d.z else LOST)
+        if ahead.distance == math.inf and not ray.inside:
+            ray = ended(gone_along(ray, 0.0), REFLECTED if ray.d.z > 0.0 else LOST)
             continue
-        ray = gone_along(ray, length)
+        ray = gone_along(ray, min(ways.nearest, ahead.distance))
         if ahead.distance <= ways.nearest:
             if room is None:
                 ray = at_surface(state, ray, layer)

@@ -67,7 +67,7 @@ class Ahead(NamedTuple):
     Attributes
     ----------
     distance : float
-        Metres; inf if it is nowhere, or beyond what matters, `march.LOST` where a march had no end.
+        Metres; inf if it is nowhere, or beyond what matters.
     normal : Vector
         Upwards.
     """

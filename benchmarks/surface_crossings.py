@@ -19,8 +19,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import rough_surface as kernels
 from splits.transport.crossings import CROSSINGS, EVALUATIONS, LEAKS, LOSSES, crossings
+from splits.transport.march import first_crossing
+from splits.transport.vectors import Vector
+from splits.transport.waves import reliefs_at, surface_of
 
 THREADS = 2
 BATCH = 2_000
@@ -49,7 +51,7 @@ def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, le
     fields = RoughSurface.of(surface).numbers()
 
     def batch(number: int) -> np.ndarray:
-        return crossings(1, number * BATCH, BATCH, fields, index, mu)[0]
+        return crossings(1, number * BATCH, BATCH, fields, index, mu).counts
 
     total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
     while total[CROSSINGS] < least:
@@ -66,19 +68,20 @@ def time_waves() -> None:
     x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
     for waves_per_surface in (16, 64, 600):
         surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})
-        waves, bounds = surface.realisation(1), np.empty(kernels.BOUNDS_SHAPE)
-        low, high = kernels.set_bounds(waves, bounds)
-        ray = 0.6, 0.0, -0.8, 1.0, low, high
+        drawn = surface_of(surface.realisation(1))
+        places = [Vector(x[i], y[i], drawn.reach) for i in range(200)]
+        d = Vector(0.6, 0.0, -0.8)
         evaluation = crossing = math.inf
         for _ in range(20):
             begun = time.perf_counter()
-            kernels.heights_and_slopes(waves, x, y)
+            reliefs_at(drawn.waves, x, y)
             evaluation = min(evaluation, time.perf_counter() - begun)
             begun = time.perf_counter()
-            for i in range(200):
-                kernels.first_crossing(waves, bounds, x[i], y[i], high, *ray)
+            for place in places:
+                first_crossing(drawn, place, d, 1.0)
             crossing = min(crossing, time.perf_counter() - begun)
-        per_wave, per_crossing = evaluation / x.size / waves_per_surface, crossing / 200
+        per_wave = evaluation / x.size / waves_per_surface
+        per_crossing = crossing / len(places)
         print(
             f"{waves_per_surface} waves: {1e9 * per_wave:.2f} ns per wave, "
             f"{1e6 * per_crossing:.1f} µs per crossing from above"

@@ -15,9 +15,9 @@ from splits.checks import in_range, increasing, one_of, refuse, row_of
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
-from splits.transport.lens import refract_ring
-from splits.transport.rough_surface import heights_and_slopes
-from splits.transport.wave_sums import LANES
+from splits.transport.lens import Landed, refract_ring
+from splits.transport.wave_sums import AMPLITUDE, KX, LANES, PHASE, ROWS
+from splits.transport.waves import reliefs_at
 from splits.uncertainty import quantity
 
 LEAST_CAUGHT = 0.5
@@ -103,14 +103,13 @@ def lens(
     for number in range(realisations):
         drawn = medium.surface.realisation(seed, number) if given is None else given
         x0, y0, z0 = centre_of(drawn, over, width)
-        landed = np.empty((rays, 7))
         ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
-        refract_ring(drawn, medium.refractive_index, *ring, landed)
+        landed = refract_ring(drawn, medium.refractive_index, *ring)
         place, seen = _on_screens(landed, z0 - depths)
         caught[number] = seen.mean(axis=1)
         contraction[number] = _spread(place, seen) / radius
         if number == 0:
-            start = landed[:, :3] - (x0, y0, z0)
+            start = landed.point - (x0, y0, z0)
             shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
             reached = seen
     enough = caught >= LEAST_CAUGHT
@@ -154,12 +153,12 @@ def plane_waves(waves: Any) -> np.ndarray:
         raise refuse("waves", waves, "rows of amplitude, wave numbers along x and y, and phase")
     # Kernels count in cycles, and in the order of wave numbers.
     table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
-    found = np.zeros((4, -(-len(table) // LANES) * LANES))
+    found = np.zeros((len(ROWS), -(-len(table) // LANES) * LANES))
     found[:, : len(table)] = table.T
-    found[1:] /= 2.0 * np.pi
+    found[KX:] /= 2.0 * np.pi
     # Bounds of the surface add up amplitudes.
-    found[3] += 0.5 * (found[0] < 0.0)
-    found[0] = np.abs(found[0])
+    found[PHASE] += 0.5 * (found[AMPLITUDE] < 0.0)
+    found[AMPLITUDE] = np.abs(found[AMPLITUDE])
     return found
 
 
@@ -168,14 +167,14 @@ def centre_of(waves: np.ndarray, over: str, half_width: float) -> tuple[float, f
     line = np.linspace(-half_width, half_width, 1 if over == "origin" else SEARCH_POINTS)
     x, y = (0.0 * line[:1],) * 2 if over == "origin" else np.meshgrid(line, line)
     x, y = np.ravel(x), np.ravel(y)
-    height = heights_and_slopes(waves, x, y)[0]
+    height = reliefs_at(waves, x, y).height
     best = int(height.argmin() if over == "trough" else height.argmax())
     return float(x[best]), float(y[best]), float(height[best])
 
 
-def _on_screens(landed: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _on_screens(landed: Landed, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places, shape (screens, rays, 2), and which rays reach them."""
-    point, direction, again = landed[:, :3], landed[:, 3:6], landed[:, 6]
+    point, direction, again = landed
     way = (heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
     place = point[:, :2] + way[..., np.newaxis] * direction[:, :2]
     return place, (way >= 0.0) & (way < again)

@@ -16,11 +16,13 @@ from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
-from splits.transport import layer
-from splits.transport.layer import OPEN
+from splits.transport import layer as kernels
+from splits.transport.light import Light
 from splits.transport.local import Detectors
+from splits.transport.polarized_faces import fresnel_amplitudes
 from splits.transport.scene import UNLIMITED
-from splits.transport.stokes import fresnel_amplitudes
+from splits.transport.stokes import NATURAL
+from splits.transport.turbid import OPEN, Scene
 
 _STREAMS = 7_000_000
 """First stream number: one seed gives other numbers here than in the other instruments."""
@@ -104,22 +106,23 @@ def detectors_at(medium: TurbidMedium, polar: np.ndarray, azimuth: np.ndarray) -
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    scene = medium.turbid(1.0, False, False)
+    layer = medium.turbid(False)
     outer, turn = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer) / scene.n
+    sine = np.sin(outer) / layer.n
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     toward = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-    faces = np.array([fresnel_amplitudes(scene.n, 1.0, c) for c in cosine])
-    returning, passing = faces[:, :4], faces[:, 4:7]
+    faces = [fresnel_amplitudes(layer.n, 1.0, c) for c in cosine]
+    returning = np.array([face.reflection for face in faces])
+    passing = np.array([face.transmission for face in faces])
     if not medium.polarized:
         returning = returning * [1.0, 0.0, 0.0, 0.0]
         passing = passing * [1.0, 0.0, 0.0]
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    passing = passing / (scene.n**2 * cosine[:, np.newaxis])
-    below = scene.bottom == OPEN and np.isfinite(scene.depth)
+    passing = passing / (layer.n**2 * cosine[:, np.newaxis])
+    below = layer.bottom == OPEN and np.isfinite(layer.depth)
     sums = np.zeros((2, len(toward), 4))
     plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return Detectors(toward, plane, passing, np.ascontiguousarray(returning), bool(below), sums)
+    return Detectors(toward, plane, passing, returning, bool(below), sums)
 
 
 def listen(
@@ -154,7 +157,10 @@ def listen(
             "estimator", "local", "expansion or cells under a rough surface",
             "no single path leads from a scattering through it to a given direction",
         )  # fmt: skip
-    scene = medium.turbid(float(np.cos(np.radians(incidence_deg))), False, False)
+    light = Light(float(np.cos(np.radians(incidence_deg))), 0.0)
+    layer = medium.turbid(False)
+    stokes = NATURAL if medium.polarized else None
+    scene = Scene(light, layer, medium.phase, None, stokes)
     detectors = detectors_at(medium, polar, azimuth)
     if goal.side == 1 and not detectors.below:
         raise refuse(
@@ -166,9 +172,7 @@ def listen(
     def hear(batch: int) -> np.ndarray:
         heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
         work = np.array([_STREAMS, batch * BATCH, BATCH, UNLIMITED])
-        stokes = np.zeros(6) if medium.polarized else None
-        told = detectors._replace(sums=heard)
-        layer.hear(runner.seed, work, scene, medium.phase, stokes, told, totals)
+        kernels.hear(runner.seed, work, scene, detectors._replace(sums=heard), totals)
         return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
 
     # Peaked phase functions speak rarely, and loudly.
@@ -176,13 +180,13 @@ def listen(
     pilot = int(PILOT * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
     wanted = pilot if goal.rays is None else max(2, -(-goal.rays // BATCH))
     most = max(2, goal.max_rays // BATCH) if goal.rays is None else wanted
-    silent = not (scene.albedo > 0.0 and scene.extinction > 0.0) and scene.bottom <= 0.0
+    silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom <= 0.0
     with Threads(runner.threads) as pool:
         while True:
             while sums.batches < wanted:
                 for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
                     sums.add(one)
-            certain = not runner.tracer.fading and scene.bottom == 1.0
+            certain = not runner.tracer.fading and layer.bottom == 1.0
             result = sums.result(detectors.below, medium.polarized, silent, certain)
             error = result.error(goal.side)
             nothing = not silent and not result.mean[goal.side].any()

@@ -11,7 +11,7 @@ from splits.checks import refuse
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
-from splits.transport.rough_surface import heights_and_slopes
+from splits.transport.waves import reliefs_at
 from splits.uncertainty import quantity
 
 POINTS = 201
@@ -72,9 +72,9 @@ def surface_map(
     for number in range(realisations):
         waves = medium.surface.realisation(seed, number)
         if number == 0:
-            height = heights_and_slopes(waves, x, y)[0].reshape(points, points)
-        z, along, across = heights_and_slopes(waves, u, v)
-        rough[:, number] = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(along**2 + across**2))
+            height = reliefs_at(waves, x, y).height.reshape(points, points)
+        z, slope = reliefs_at(waves, u, v)
+        rough[:, number] = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(slope.x**2 + slope.y**2))
     facts = {
         **run_facts("Rough surface", "surface", medium, begun, seed),
         "realisations": realisations,

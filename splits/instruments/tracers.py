@@ -6,21 +6,24 @@ A runner knows batches, jobs and threads; a tracer knows the kernel that a scene
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.ensemble import Level
-from splits.instruments.scenes import granular_scene
+from splits.instruments.scenes import granular_scene, light_of
 from splits.media.granular import GranularMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
 from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
-from splits.transport.rough_surface import BOUNDS_SHAPE, columns_for
+from splits.transport.light import Light
 from splits.transport.scene import Optics
-from splits.transport.tally import exit_rows
+from splits.transport.stokes import NATURAL
+from splits.transport.tally import EXIT_LENGTH, exit_rows
+from splits.transport.turbid import Scene
+from splits.transport.waves import room_for
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
@@ -184,7 +187,8 @@ class LayerTracer:
     Parameters
     ----------
     medium : TurbidMedium
-    cosine, diffuse, seed, analog, kernel
+    light : Light
+    seed, analog, kernel
         As in `GrainTracer`.
     """
 
@@ -193,22 +197,24 @@ class LayerTracer:
     def __init__(
         self,
         medium: TurbidMedium,
-        cosine: float,
-        diffuse: bool,
+        light: Light,
         seed: int,
         analog: bool,
         kernel: str,
     ) -> None:
         if kernel == "lanes":
             raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
-        self.scene = (medium.turbid(cosine, diffuse, analog), medium.phase, medium.fields())
+        stokes = NATURAL if medium.polarized else None
+        self.scene = Scene(light, medium.turbid(analog), medium.phase, medium.fields(), stokes)
         self.attenuation = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
-        self.upright = not diffuse and cosine == 1.0
-        self.fading = self.scene[0].albedo < 1.0
-        first = layer.EXIT_STOKES
+        self.upright = light.diffuse == 0.0 and light.cos == 1.0
+        self.fading = self.scene.layer.albedo < 1.0
+        self.materials = len(medium.materials())
+        # After the path lengths in all materials.
+        self.first_stokes = EXIT_LENGTH + self.materials
         self.stokes: tuple[int, ...] = ()
         if medium.polarized:
-            self.stokes = first, first + 1, first + 2
+            self.stokes = tuple(range(self.first_stokes, self.first_stokes + 3))
         self.seed = seed
 
     def prepare(self, levels: Sequence[Level]) -> None:
@@ -220,24 +226,20 @@ class LayerTracer:
 
     def rows(self, rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
-        return exit_rows(rays, layer.EXIT_STOKES + len(self.stokes) - layer.EXIT_LENGTH)
+        return exit_rows(rays, self.materials, len(self.stokes))
 
     def trace(
         self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
     ) -> tuple[np.ndarray, str]:
         """Trace pieces of levels, see `Tracer`."""
-        polar = np.zeros(6) if self.stokes else None
-        fields = self.scene[-1]
-        room: tuple[Any, Any] = (None, None)
-        if fields is not None:
-            room = np.empty((4, columns_for(fields))), np.empty(BOUNDS_SHAPE)
-        parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+        room = None if self.scene.fields is None else room_for(self.scene.fields)
+        parts = np.split(exits, np.cumsum(work[:, layer.RAYS])[:-1])
         results = [
-            layer.batch(self.seed, item, *self.scene, *room, polar, part)
+            layer.batch(self.seed, item, self.scene, room, self.first_stokes, part)
             for item, part in zip(work, parts, strict=True)
         ]
-        lost = any(one[1] for one in results)
-        return np.array([one[0] for one in results]), self.LOST if lost else ""
+        lost = any(one.lost for one in results)
+        return np.array([one.legs for one in results]), self.LOST if lost else ""
 
 
 def tracer_of(
@@ -250,8 +252,6 @@ def tracer_of(
     orders: bool,
 ) -> Tracer:
     """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
-    diffuse = incidence_deg == "diffuse"
-    cosine = 1.0 if diffuse else float(np.cos(np.radians(float(incidence_deg))))
     if isinstance(medium, TurbidMedium):
-        return LayerTracer(medium, cosine, diffuse, seed, analog, kernel)
+        return LayerTracer(medium, light_of(incidence_deg), seed, analog, kernel)
     return GrainTracer(medium, incidence_deg, seed, analog, kernel, positions, orders)

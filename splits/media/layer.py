@@ -11,9 +11,9 @@ import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of
 from splits.media.rough_surface import RoughSurface
-from splits.transport.layer import OPEN, Turbid
 from splits.transport.phase import Phase, henyey_greenstein, rayleigh, tabulated
-from splits.transport.rough_surface import Fields
+from splits.transport.turbid import OPEN, Turbid
+from splits.transport.waves import Fields
 
 CLEARANCE = 8.0
 """Standard deviations of height that must fit between mean surface and bottom."""
@@ -155,8 +155,8 @@ class Layer:
         phase: Phase = self._phase  # type: ignore[attr-defined]
         return phase
 
-    def turbid(self, cos_incidence: float, diffuse: bool, analog: bool) -> Turbid:
-        """Return the layer under an illumination, as kernels take it.
+    def turbid(self, analog: bool) -> Turbid:
+        """Return the layer as kernels take it.
 
         An infinite layer that absorbs nothing sends all light back, after infinitely many
         scatterings on average; one of finite depth over a white bottom does the same in time.
@@ -171,10 +171,7 @@ class Layer:
                 reach = max(1.0, 1.0 / (1.0 - self.phase.g))
                 rough = 0.0 if self.surface is None else CLEARANCE * self.surface.rms_height_m
                 depth, bottom = DEEP * reach / self.extinction_per_m + rough, 1.0
-        return Turbid(
-            depth, self.extinction_per_m, albedo, self.refractive_index,
-            bottom, cos_incidence, diffuse, analog,
-        )  # fmt: skip
+        return Turbid(depth, self.extinction_per_m, albedo, self.refractive_index, bottom, analog)
 
     def fields(self) -> Fields | None:
         """Return the rough surface as kernels take it, None where it is smooth."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion
-from splits.transport import rough_surface as kernels
+from splits.transport import waves as kernels
 from splits.transport.rng import start_stream, table_probabilities
 
 MOST_WAVES = 100_000
@@ -275,14 +275,13 @@ class RoughSurface:
     def realisation(self, seed: int, number: int = 0) -> np.ndarray:
         """Return the waves that ray `number` of ensemble 0 draws as its first numbers.
 
-        Rows are those of `splits.transport.rough_surface`, which also evaluates them.
+        Rows are those of `splits.transport.waves`, which also evaluates them.
         """
         seed, number = _whole("seed", seed, low=0), _whole("number", number, low=0)
         state = np.zeros(1, dtype=np.uint64)
         start_stream(state, seed, 0, number)
         drawn = self.numbers()
-        waves = np.empty((4, kernels.columns_for(drawn)))
-        kernels.draw_waves(state, drawn, waves, np.empty(kernels.BOUNDS_SHAPE))
+        waves: np.ndarray = kernels.draw_waves(state, drawn, kernels.room_for(drawn)).waves
         return waves
 
     def describe(self) -> dict[str, Any]:

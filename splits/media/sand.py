@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, numbers, refuse
+from splits.checks import in_range, known_keywords, numbers
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose

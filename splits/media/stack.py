@@ -56,7 +56,9 @@ class Stack:
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
                 near = suggestion(str(given).capitalize(), ["Snow", "Sand"])
-                raise refuse(f"layers[{number}]", given, "splits.Snow(...) or splits.Sand(...)", near)
+                raise refuse(
+                    f"layers[{number}]", given, "splits.Snow(...) or splits.Sand(...)", near
+                )
         first = layers[0].readings.rules()
         for number, layer in enumerate(layers):
             if layer.readings.rules() != first:

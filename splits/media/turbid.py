@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 from splits.media.granular import Described, GranularMedium, LayeredMedium
-from splits.transport.layer import Turbid
 from splits.transport.phase import Phase
-from splits.transport.rough_surface import Fields
+from splits.transport.turbid import Turbid
+from splits.transport.waves import Fields
 
 
 @runtime_checkable
@@ -29,8 +29,8 @@ class TurbidMedium(Described, Protocol):
         """Whether the Stokes vector is followed."""
         ...
 
-    def turbid(self, cos_incidence: float, diffuse: bool, analog: bool) -> Turbid:
-        """Return the layer under an illumination."""
+    def turbid(self, analog: bool) -> Turbid:
+        """Return the layer; with absorption by coin toss if it is `analog`."""
         ...
 
     def fields(self) -> Fields | None:

@@ -2,46 +2,96 @@
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.frames import cosine_lobe, dot, mirrored
-from splits.transport.fresnel import interface, refracted
-from splits.transport.jit import entry, kernel
+from splits.transport.encounters import meet_face, reflect_diffusely
+from splits.transport.jit import entry, part
+from splits.transport.light import Light, launched
+from splits.transport.march import GONE, LOST, cleared, first_crossing, normal_of, tolerance
 from splits.transport.rng import start_stream, uniform
-from splits.transport.rough_surface import (
-    BOUNDS_SHAPE,
-    EVALUATED,
-    GONE,
-    GRAZING,
-    LOST,
-    REALISATION,
-    cleared,
-    columns_for,
-    draw_waves,
-    first_crossing,
-    height_and_slope,
-    normal_of,
-    tolerance,
-)
+from splits.transport.vectors import UP, Vector, along, scaled
+from splits.transport.waves import draw_waves, relief_at, room_for
 
 MOST_HITS = 50
 CROSSINGS, LEAKS, LOSSES, LEGS, EVALUATIONS = range(5)
 
 
-@kernel
-def _leaks(state, waves, bounds, x, y, z, dx, dy, dz, side, length):
+class Census(NamedTuple):
+    """What was counted.
+
+    Attributes
+    ----------
+    counts : int64[5]
+        `CROSSINGS`; `LEAKS`, points of legs that are on the wrong side of the surface; `LOSSES`,
+        rays that were lost; `LEGS`; `EVALUATIONS` of the surface in the search for crossings.
+    hits : int64[MOST_HITS + 1]
+        Rays by the number of their hits.
+    """
+
+    counts: np.ndarray
+    hits: np.ndarray
+
+
+class Walk(NamedTuple):
+    """A ray above the surface, side 1, or below it, side −1."""
+
+    place: Vector
+    d: Vector
+    side: float
+
+
+@part
+def _leaks(state, surface, walk, length):
     """Return how many of four points of a leg are on the wrong side of the surface."""
     found = 0
     for i in range(4):
         # Three anywhere, and one where a step too long at the end of the march would show.
         s = length * (uniform(state) if i else 1.0 - 1e-9)
-        px, py, pz = x + s * dx, y + s * dy, z + s * dz
-        height, _, _ = height_and_slope(waves, px, py)
-        if side * (pz - height) < -4.0 * tolerance(bounds, px, py, s):
+        at = along(s, walk.d, walk.place)
+        height = relief_at(surface.waves, at.x, at.y).height
+        if walk.side * (at.z - height) < -4.0 * tolerance(surface, at, s):
             found += 1
     return found
+
+
+@part
+def _beyond_facet(state, walk, hit, index):
+    """Return a walk after a facet, where it is reflected or refracted."""
+    upward = normal_of(hit.slope)
+    near, far = (1.0, index) if walk.side > 0.0 else (index, 1.0)
+    meeting = meet_face(state, walk.d, None, scaled(walk.side, upward), near, far)
+    side = -walk.side if meeting.passed else walk.side
+    place = along(hit.distance, walk.d, walk.place)
+    return Walk(place, cleared(meeting.d, scaled(side, upward)), side)
+
+
+@part
+def _count(state, surface, index, walk, counts):
+    """Count along one ray, and return how many facets it hit."""
+    hits = 0
+    while hits < MOST_HITS:
+        hit = first_crossing(surface, walk.place, walk.d, walk.side)
+        counts[LEGS] += 1
+        counts[EVALUATIONS] += hit.looks
+        if hit.distance == LOST:
+            counts[LOSSES] += 1
+            break
+        if hit.distance == GONE:
+            rest = surface.reach - walk.side * walk.place.z
+            if rest > 0.0 and walk.side * walk.d.z > 0.0:
+                length = rest / (walk.side * walk.d.z)
+                counts[LEAKS] += _leaks(state, surface, walk, length)
+            if walk.side > 0.0:
+                break
+            place = Vector(walk.place.x, walk.place.y, -2.0 * surface.reach)
+            walk = Walk(place, reflect_diffusely(state, UP, None).d, walk.side)
+            continue
+        counts[LEAKS] += _leaks(state, surface, walk, hit.distance)
+        hits += 1
+        walk = _beyond_facet(state, walk, hit, index)
+    return hits
 
 
 @entry
@@ -63,58 +113,17 @@ def crossings(seed, first, rays, fields, index, cos_incidence):
 
     Returns
     -------
-    counts : int64[5]
-        `CROSSINGS`; `LEAKS`, points of legs that are on the wrong side of the surface; `LOSSES`,
-        rays that were lost; `LEGS`; `EVALUATIONS` of the surface in the search for crossings.
-    hits : int64[MOST_HITS + 1]
-        Rays by the number of their hits.
+    Census
     """
-    counts = np.zeros(5, dtype=np.int64)
-    hits = np.zeros(MOST_HITS + 1, dtype=np.int64)
+    census = Census(np.zeros(5, dtype=np.int64), np.zeros(MOST_HITS + 1, dtype=np.int64))
     state = np.zeros(1, dtype=np.uint64)
-    waves = np.empty((4, columns_for(fields)))
-    bounds = np.empty(BOUNDS_SHAPE)
+    room = room_for(fields)
+    d = launched(Light(cos_incidence, 0.0), 1.0)
     for ray in range(first, first + rays):
         start_stream(state, seed, 0, ray)
-        low, high = draw_waves(state, fields, waves, bounds)
-        side = 1.0
-        x, y, z = 0.0, 0.0, high
-        dx, dy, dz = math.sqrt(1.0 - cos_incidence * cos_incidence), 0.0, -cos_incidence
-        hit = 0
-        while hit < MOST_HITS:
-            s, slope_x, slope_y = first_crossing(
-                waves, bounds, x, y, z, dx, dy, dz, side, low, high
-            )
-            counts[LEGS] += 1
-            if s == LOST:
-                counts[LOSSES] += 1
-                break
-            if s == GONE:
-                rest = high - side * z
-                if rest > 0.0 and side * dz > 0.0:
-                    s = rest / (side * dz)
-                    counts[LEAKS] += _leaks(state, waves, bounds, x, y, z, dx, dy, dz, side, s)
-                if side > 0.0:
-                    break
-                dx, dy, dz = cosine_lobe(state, 0.0, 0.0, 1.0)
-                z = 2.0 * low
-                continue
-            counts[LEAKS] += _leaks(state, waves, bounds, x, y, z, dx, dy, dz, side, s)
-            x, y, z = x + s * dx, y + s * dy, z + s * dz
-            hit += 1
-            nx, ny, nz = normal_of(slope_x, slope_y)
-            nx, ny, nz = side * nx, side * ny, side * nz
-            cos_i = max(-dot(dx, dy, dz, nx, ny, nz), GRAZING)
-            n1, n2 = (1.0, index) if side > 0.0 else (index, 1.0)
-            reflectance, ratio, cos_t = interface(n1, n2, 0.0, cos_i)
-            if uniform(state) < reflectance:
-                dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
-                dx, dy, dz = cleared(dx, dy, dz, nx, ny, nz)
-            else:
-                dx, dy, dz = refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t)
-                dx, dy, dz = cleared(dx, dy, dz, -nx, -ny, -nz)
-                side = -side
-        counts[CROSSINGS] += hit
-        hits[hit] += 1
-        counts[EVALUATIONS] += int(bounds[REALISATION, EVALUATED])
-    return counts, hits
+        surface = draw_waves(state, fields, room)
+        walk = Walk(Vector(0.0, 0.0, surface.reach), d, 1.0)
+        hits = _count(state, surface, index, walk, census.counts)
+        census.counts[CROSSINGS] += hits
+        census.hits[hits] += 1
+    return census

@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.flight import Purse
-from splits.transport.granular import Spent, Window, follow, launch
+from splits.transport.granular import Window, follow, launch
 from splits.transport.jit import entry, kernel
 from splits.transport.rng import mix64, start_stream, uniform
-from splits.transport.scalar import LOST, REFLECTED, TRANSMITTED, TRAVELS, Beam, Ray
+from splits.transport.scalar import Beam, Ray
 from splits.transport.scene import UNLIMITED
+from splits.transport.tally import LOST, REFLECTED, TRANSMITTED, TRAVELS, Traced
 
 CAPACITY = 4096
 """Rays that may wait to be followed; none is split while so many do."""
@@ -124,7 +125,7 @@ def families(seed, work, scene, optics, kappa, moments, profile):
 
     Returns
     -------
-    Spent
+    Traced
     """
     legs = 0
     state = np.zeros(1, dtype=np.uint64)
@@ -138,9 +139,9 @@ def families(seed, work, scene, optics, kappa, moments, profile):
         sent = family(state, first, scene, optics, kappa, profile)
         legs += sent.legs
         if sent.lost:
-            return Spent(legs, True)
+            return Traced(legs, True)
         for row, weight in ((0, sent.reflected), (1, sent.transmitted)):
             moments[row, 0] += weight
             moments[row, 1] += weight * weight
             moments[row, 2] = max(moments[row, 2], weight)
-    return Spent(legs, False)
+    return Traced(legs, False)

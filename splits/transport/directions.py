@@ -27,6 +27,10 @@ from splits.transport.tally import (
     EXIT_WEIGHT,
 )
 
+WEIGHT, SQUARE = range(2)
+"""Rows of sums over rays: of their weights, and of the squares."""
+_X, _Y, _Z = range(3)
+
 
 class Basis(NamedTuple):
     """Polynomials up to a degree, by increasing m and, for each m, increasing l.
@@ -49,6 +53,13 @@ class Basis(NamedTuple):
     slope: np.ndarray
     offset: np.ndarray
     older: np.ndarray
+
+
+class Parted(NamedTuple):
+    """Sums over rays: by direction of those that met a grain, and of those that met none."""
+
+    sums: np.ndarray
+    straight: np.ndarray
 
 
 def basis_of(degree: int) -> Basis:
@@ -97,7 +108,8 @@ def evaluate_all(basis, directions):
     """Return the polynomials at directions (float64[directions, 3]), float64[directions, …]."""
     values = np.empty((directions.shape[0], basis.scale.size))
     for i in range(directions.shape[0]):
-        evaluate(basis, directions[i, 0], directions[i, 1], abs(directions[i, 2]), values[i])
+        d = directions[i]
+        evaluate(basis, d[_X], d[_Y], abs(d[_Z]), values[i])
     return values
 
 
@@ -126,10 +138,9 @@ def expand(exits, absorption, edges, basis):
 
     Returns
     -------
-    sums : float64[classes, 2, wavelengths, polynomials]
-        Of rays that met a grain; side 0 is reflected and 1 transmitted.
-    straight : float64[2, wavelengths]
-        Weights of those that met none.
+    Parted
+        `sums` is float64[classes, 2, wavelengths, polynomials], where side 0 is reflected and 1
+        transmitted; `straight`, the weights of rays that met none, float64[2, wavelengths].
     """
     wavelengths = absorption.shape[0]
     sums = np.zeros((edges.size, 2, wavelengths, basis.scale.size))
@@ -154,7 +165,7 @@ def expand(exits, absorption, edges, basis):
             total = sums[group, side, i]
             for b in range(values.size):
                 total[b] += weight * values[b]
-    return sums, straight
+    return Parted(sums, straight)
 
 
 @entry
@@ -173,10 +184,9 @@ def count_cells(exits, absorption, polar, azimuth, part):
 
     Returns
     -------
-    sums : float64[2, 2, wavelengths, polar, azimuth]
-        [weight, its square][reflected, transmitted], of rays that met a grain.
-    straight : float64[2, 2, wavelengths]
-        The same of those that met none.
+    Parted
+        `sums` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`, `SQUARE`][reflected,
+        transmitted]; `straight` the same without cells.
     """
     wavelengths = absorption.shape[0]
     sums = np.zeros((2, 2, wavelengths, polar, azimuth))
@@ -195,9 +205,9 @@ def count_cells(exits, absorption, polar, azimuth, part):
             if part >= 0:
                 weight *= row[part]
             if row[EXIT_ORDER] == 0.0:
-                straight[0, side, i] += weight
-                straight[1, side, i] += weight * weight
+                straight[WEIGHT, side, i] += weight
+                straight[SQUARE, side, i] += weight * weight
             else:
-                sums[0, side, i, line, column] += weight
-                sums[1, side, i, line, column] += weight * weight
-    return sums, straight
+                sums[WEIGHT, side, i, line, column] += weight
+                sums[SQUARE, side, i, line, column] += weight * weight
+    return Parted(sums, straight)

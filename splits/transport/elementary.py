@@ -67,7 +67,7 @@ def _half_circle(u):
 
 @kernel
 def circle(u):
-    """Return an angle uniform on the circle for u uniform on (0, 1); in single precision to 1e-6."""
+    """Return a uniform angle on the circle for u uniform on (0, 1), in single precision to 1e-6."""
     half = half_circle(u)
     return Angle(fused(TWO * half.cos, half.cos, -ONE), TWO * half.sin * half.cos)
 

@@ -2,96 +2,82 @@
 
 from __future__ import annotations
 
-from splits.transport.frames import dot, mirrored
-from splits.transport.fresnel import interface, refracted
-from splits.transport.jit import kernel
+import math
+
+from splits.transport.elementary import Angle
+from splits.transport.faces import GRAZING, Index, meet
+from splits.transport.fresnel import interface
+from splits.transport.jit import part
 from splits.transport.phase import scattered
-from splits.transport.rng import uniform
-from splits.transport.stokes import (
-    any_reference,
+from splits.transport.polarized_faces import (
+    Meeting,
+    Reflected,
     reflect_or_refract_polarized,
     reflected_polarized,
-    scatter_polarized,
 )
+from splits.transport.rng import uniform, unit_circle
+from splits.transport.stokes import Scattered, scatter_polarized, unpolarized
+from splits.transport.vectors import around, dot, mirrored
 
 
-@kernel
-def meet_face(state, dx, dy, dz, nx, ny, nz, n1, n2, polar):
-    """Reflect or refract a ray at a facet whose normal n is against it.
+@part
+def meet_face(state, d, stokes, normal, n1, n2):
+    """Reflect or refract a ray at a facet.
 
     Parameters
     ----------
+    state : uint64[1]
+    d : Vector
+        Direction of travel.
+    stokes : Stokes or None
+        Its polarization.
+    normal : Vector
+        Of the facet, against the ray.
     n1, n2 : float
         Refractive index on the side of incidence and beyond.
-    polar : float64[6] or None
-        Reference direction and Q, U, V over I of the ray, changed in place.
 
     Returns
     -------
-    passed : bool
-    d : 3 float
+    Meeting
     """
-    if polar is not None:
-        passed, dx, dy, dz, e1, e2, e3, q, u, v = reflect_or_refract_polarized(
-            state, dx, dy, dz, polar[0], polar[1], polar[2], polar[3], polar[4], polar[5],
-            nx, ny, nz, n1, n2,
-        )  # fmt: skip
-        _keep(polar, e1, e2, e3, q, u, v)
-        return passed, dx, dy, dz
-    cos_i = min(max(-dot(dx, dy, dz, nx, ny, nz), 1e-12), 1.0)
-    reflectance, ratio, cos_t = interface(n1, n2, 0.0, cos_i)
-    if uniform(state) < reflectance:
-        dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
-        return False, dx, dy, dz
-    if n1 != n2:
-        dx, dy, dz = refracted(dx, dy, dz, nx, ny, nz, cos_i, ratio, cos_t)
-    return True, dx, dy, dz
+    if stokes is None:
+        crossing = meet(d, normal, Index(n1, 0.0), Index(n2, 0.0), uniform(state))
+        return Meeting(crossing.passed, crossing.d, stokes)
+    return reflect_or_refract_polarized(state, d, stokes, normal, n1, n2)
 
 
-@kernel
-def only_reflected(dx, dy, dz, nx, ny, nz, n2, polar):
-    """Reflect a ray from outside at a facet whose normal n is against it.
+@part
+def only_reflected(d, stokes, normal, n2):
+    """Reflect a ray from outside at a facet, for which other light than the reflected is lost.
+
+    Parameters are those of `meet_face`.
 
     Returns
     -------
-    share : float
-        Of the light that is reflected.
-    d : 3 float
+    Reflected
     """
-    if polar is not None:
-        share, dx, dy, dz, e1, e2, e3, q, u, v = reflected_polarized(
-            dx, dy, dz, polar[0], polar[1], polar[2], polar[3], polar[4], polar[5],
-            nx, ny, nz, 1.0, n2,
-        )  # fmt: skip
-        _keep(polar, e1, e2, e3, q, u, v)
-        return share, dx, dy, dz
-    cos_i = min(max(-dot(dx, dy, dz, nx, ny, nz), 1e-12), 1.0)
-    share, _, _ = interface(1.0, n2, 0.0, cos_i)
-    dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
-    return share, dx, dy, dz
+    if stokes is None:
+        cos_i = min(max(-dot(d, normal), GRAZING), 1.0)
+        share = interface(1.0, n2, 0.0, cos_i).reflectance
+        return Reflected(share, mirrored(d, normal), stokes)
+    return reflected_polarized(d, stokes, normal, 1.0, n2)
 
 
-@kernel
-def _keep(polar, e1, e2, e3, q, u, v):
-    polar[0], polar[1], polar[2] = e1, e2, e3
-    polar[3], polar[4], polar[5] = q, u, v
+@part
+def scatter(state, phase, d, stokes):
+    """Return what a particle makes of a ray, a `Scattered`; see `meet_face`."""
+    if stokes is None:
+        return Scattered(scattered(state, phase, d), stokes)
+    return scatter_polarized(state, phase, d, stokes)
 
 
-@kernel
-def scatter(state, dx, dy, dz, phase, polar):
-    """Return the direction after scattering by a particle."""
-    if polar is not None:
-        dx, dy, dz, e1, e2, e3, q, u, v = scatter_polarized(
-            state, phase, dx, dy, dz, polar[0], polar[1], polar[2], polar[3], polar[4], polar[5]
-        )
-        _keep(polar, e1, e2, e3, q, u, v)
-        return dx, dy, dz
-    return scattered(state, phase, dx, dy, dz)
+@part
+def reflect_diffusely(state, normal, stokes):
+    """Return what a Lambertian face makes of a ray, a `Scattered`: no light is polarized then.
 
-
-@kernel
-def depolarize(dx, dy, dz, polar):
-    """Forget a ray's polarization: what the source sends and the bottom reflects has none."""
-    if polar is not None:
-        e1, e2, e3 = any_reference(dx, dy, dz)
-        _keep(polar, e1, e2, e3, 0.0, 0.0, 0.0)
+    Lambert's law as in `vectors.lobe`, with the azimuth drawn by rejection.
+    """
+    u = uniform(state)
+    c, s = unit_circle(state)
+    d = around(normal, Angle(math.sqrt(u), math.sqrt(1.0 - u)), Angle(c, s))
+    return Scattered(d, unpolarized(d, stokes))

@@ -20,9 +20,9 @@ from splits.transport.vectors import Vector, combined
 ROULETTE_BELOW = 0.1
 ROULETTE_SURVIVAL = 0.3
 FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
-"""Optical depth from which a ray that carries weights plays Russian roulette, −ln 0.1: it has become
-light for every wavelength that listens to it.  Opaque grains then end it early and nothing is lost
-on average."""
+"""Optical depth from which a ray that carries weights plays Russian roulette: it has become light for
+every wavelength that listens to it.  Opaque grains then end it early, and nothing is lost on
+average."""
 _NEXT = exact(-math.log(ROULETTE_SURVIVAL))
 _SURVIVAL = exact(ROULETTE_SURVIVAL)
 _LIGHTER = exact(1.0 / ROULETTE_SURVIVAL)

@@ -30,12 +30,7 @@ from splits.transport.jit import entry, kernel
 from splits.transport.light import launched
 from splits.transport.rng import start_stream, uniform
 from splits.transport.scalar import (
-    ABSORBED,
-    LOST,
     NO_LEG,
-    REFLECTED,
-    TRANSMITTED,
-    TRAVELS,
     Beam,
     Found,
     Paid,
@@ -50,7 +45,16 @@ from splits.transport.scalar import (
 )
 from splits.transport.scene import MAX_REJECTIONS
 from splits.transport.spheroid import Segment
-from splits.transport.tally import EXIT_LENGTH, Exit, record
+from splits.transport.tally import (
+    ABSORBED,
+    EXIT_LENGTH,
+    LOST,
+    REFLECTED,
+    TRANSMITTED,
+    TRAVELS,
+    Traced,
+    record,
+)
 from splits.transport.vectors import ORIGIN, Vector
 from splits.transport.walk import walk
 
@@ -75,13 +79,6 @@ class Window(NamedTuple):
     lower: float
     upper: float
     profile: np.ndarray
-
-
-class Spent(NamedTuple):
-    """Legs that a batch traced, and whether a ray found no grain that fits and ended it."""
-
-    legs: int
-    lost: bool
 
 
 @kernel
@@ -333,7 +330,7 @@ def batch(seed, work, scene, optics, exits):
 
     Returns
     -------
-    Spent
+    Traced
     """
     legs = 0
     length = np.zeros(optics.n.size)
@@ -346,11 +343,12 @@ def batch(seed, work, scene, optics, exits):
             ray = follow(state, ray, scene, optics, length, None, work[3])
         legs += ray.legs
         if ray.fate == LOST:
-            return Spent(legs, True)
+            return Traced(legs, True)
         if ray.fate != ABSORBED:
-            left = Exit(
-                ray.fate == REFLECTED, ray.flier.place, ray.beam.d, ray.beam.purse.weight, ray.order
-            )
-            record(exits[number], left)
+            purse = ray.beam.purse
+            record(
+                exits[number], ray.fate == REFLECTED, ray.flier.place, ray.beam.d, purse.weight,
+                ray.order,
+            )  # fmt: skip
             exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
-    return Spent(legs, False)
+    return Traced(legs, False)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numba import config, njit
+from numba.extending import overload
 
 from splits.transport.cache import keep
 
@@ -23,6 +24,17 @@ def kernel(function: Any) -> Any:
     are.
     """
     return keep(njit(**ALIKE)(function))
+
+
+def part(function: Any) -> Any:
+    """Compile a function that only kernels call as `kernel` does, but not for calls from Python.
+
+    There it stays as it is written.  What takes apart and puts together named tuples at the border
+    to Python takes as long to compile as a small function itself.
+    """
+    options: Any = {**ALIKE, "no_cpython_wrapper": True}
+    overload(function, jit_options=options, strict=False)(lambda *types: function)
+    return function
 
 
 def entry(function: Any) -> Any:

@@ -9,84 +9,72 @@ is None and compiled away.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.encounters import depolarize, meet_face, only_reflected, scatter
-from splits.transport.flight import ROULETTE_BELOW, ROULETTE_SURVIVAL
-from splits.transport.frames import cosine_lobe
-from splits.transport.granular import ABSORBED, LOST, REFLECTED, TRANSMITTED
-from splits.transport.jit import entry, kernel
-from splits.transport.local import listen_bottom, listen_particle
-from splits.transport.rng import start_stream, uniform
-from splits.transport.rough_surface import (
-    GONE,
-    cleared,
-    draw_waves,
-    first_crossing,
-    normal_of,
+from splits.transport.flight import ROULETTE_BELOW
+from splits.transport.jit import entry, part
+from splits.transport.layer_events import (
+    at_facet,
+    at_floor,
+    at_surface,
+    roulette,
+    scattered,
+    weakened,
 )
-from splits.transport.rough_surface import LOST as LOST_AT_SURFACE
-from splits.transport.stokes import rotated_to
-from splits.transport.tally import EXIT_LENGTH, record
+from splits.transport.layer_legs import (
+    Past,
+    Ray,
+    ended,
+    facet_ahead,
+    gone_along,
+    near_surface,
+    smooth_ahead,
+    ways_ahead,
+)
+from splits.transport.light import launched
+from splits.transport.local import listen_particle
+from splits.transport.march import GONE, first_crossing, no_hit
+from splits.transport.march import LOST as ASTRAY
+from splits.transport.rng import start_stream, uniform
+from splits.transport.stokes import rotated_to, unpolarized
+from splits.transport.tally import ABSORBED, EXIT_LENGTH, LOST, REFLECTED, TRAVELS, Traced, record
+from splits.transport.vectors import ORIGIN, Vector
+from splits.transport.waves import draw_waves
 
-OPEN = -1.0
-"""In place of the bottom's albedo: the layer ends at a smooth face to the outer medium."""
-
-EXIT_STOKES = EXIT_LENGTH + 1
-"""First of three columns of polarized rays: Q, U, V over I, Q along the plane of the normal."""
-
-
-class Turbid(NamedTuple):
-    """The layer between its mean surface z = 0 and z = −depth, and its illumination.
-
-    Attributes
-    ----------
-    depth : float
-        Metres; may be infinite.
-    extinction : float
-        1/m; infinite where nothing comes back from below the surface.
-    albedo : float
-        Of single scattering.
-    n : float
-        Refractive index relative to the outer medium.
-    bottom : float
-        Albedo of the diffuse bottom, or `OPEN`.
-    cos_incidence : float
-        In (0, 1]; ignored under diffuse light.
-    diffuse : bool
-        Equal radiance from the whole hemisphere instead of a beam.
-    analog : bool
-        Absorption by coin toss.
-    """
-
-    depth: float
-    extinction: float
-    albedo: float
-    n: float
-    bottom: float
-    cos_incidence: float
-    diffuse: bool
-    analog: bool
+WORK = ENSEMBLE, FIRST, RAYS, MOST = tuple(range(4))
+"""Entries of a piece of work, see `splits.transport.granular.batch`."""
+ALL, STRAIGHT = range(2)
+"""All light, and light that met nothing but smooth faces."""
 
 
-@kernel
-def trace(state, layer, phase, fields, waves, bounds, polar, detectors, most):
+@part
+def _realised(state, fields, room):
+    """Return a realisation of the rough surface, None where it is smooth."""
+    if room is None:
+        return room
+    return draw_waves(state, fields, room)
+
+
+@part
+def _aimed(d, surface):
+    """Return where a ray from above begins that aims at the origin of the mean surface."""
+    if surface is None:
+        return ORIGIN
+    return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
+
+
+@part
+def trace(state, scene, room, detectors, most):
     """Follow one ray from the light source until it leaves the layer or is absorbed.
 
     Parameters
     ----------
     state : uint64[1]
         The ray's random stream.
-    layer : Turbid
-    phase : Phase
-    fields : Fields or None
-        The rough surface; every ray meets a realisation of its own.
-    waves, bounds : float64 array or None
-        Room for a realisation, see `splits.transport.rough_surface`.
-    polar : float64[6] or None
-        Polarization on the way, see `meet_face`.
+    scene : Scene
+    room : Surface or None
+        Where realisations of the rough surface live, see `waves.room_for`; None if it is smooth.
     detectors : Detectors or None
         What hears of every scattering, see `splits.transport.local`.
     most : int
@@ -95,188 +83,102 @@ def trace(state, layer, phase, fields, waves, bounds, polar, detectors, most):
 
     Returns
     -------
-    fate : int
-        `ABSORBED`, `REFLECTED`, `TRANSMITTED` (through the open face or into the bottom), `LOST`.
-    x, y, dx, dy, dz : float
-        Point and direction of exit.
-    weight : float
-    way : float
-        Path within the layer (m).
-    order, legs : int
-        Scatterings and such meetings; legs.
+    Ray
     """
-    mu = math.sqrt(uniform(state)) if layer.diffuse else layer.cos_incidence
-    dx, dy, dz = math.sqrt(max(0.0, (1.0 - mu) * (1.0 + mu))), 0.0, -mu
-    depolarize(dx, dy, dz, polar)
-    x, y, z = 0.0, 0.0, 0.0
-    weight, way = 1.0, 0.0
-    order, legs = 0, 0
-    inside = False
-    # What enters an opaque layer need not be followed.
-    opaque = layer.extinction == math.inf
-    low, high = 0.0, 0.0
-    if fields is not None:
-        low, high = draw_waves(state, fields, waves, bounds)
-        # Rays aim at the origin of the mean surface.
-        x, z = high * dx / dz, high
-    while True:
-        legs += 1
-        side = -1.0 if inside else 1.0
-        leg, floor = math.inf, math.inf
-        if inside:
-            leg = -math.log(uniform(state)) / layer.extinction
-            if dz < 0.0:
-                floor = (-layer.depth - z) / dz
-        ahead = math.inf
-        nx, ny, nz = 0.0, 0.0, 1.0
-        if fields is not None:
-            # Deep inside, most legs end before the surface can be met.
-            if not inside or max(z, z + min(leg, floor) * dz) > low:
-                distance, sx, sy = first_crossing(
-                    waves, bounds, x, y, z, dx, dy, dz, side, low, high, min(leg, floor)
-                )
-                if distance == LOST_AT_SURFACE:
-                    return LOST, x, y, dx, dy, dz, weight, way, order, legs
-                if distance != GONE:
-                    ahead = distance
-                    nx, ny, nz = normal_of(sx, sy)
-        elif inside and dz > 0.0:
-            ahead = -z / dz
-        elif not inside and dz < 0.0:
-            ahead = 0.0
-        if not inside and ahead == math.inf:
-            fate = REFLECTED if dz > 0.0 else LOST
-            return fate, x, y, dx, dy, dz, weight, way, order, legs
-        step = min(leg, floor, ahead)
-        x += step * dx
-        y += step * dy
-        z += step * dz
-        if inside:
-            way += step
-        if ahead <= min(leg, floor):
-            if fields is None:
-                z = 0.0
-            else:
-                if order == most:
-                    return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
-                order += 1
-            n1, n2 = (layer.n, 1.0) if inside else (1.0, layer.n)
-            if opaque and not inside:
-                share, dx, dy, dz = only_reflected(dx, dy, dz, nx, ny, nz, n2, polar)
-                weight *= share
-                if fields is None:
-                    return REFLECTED, x, y, dx, dy, dz, weight, way, order, legs
-                if weight < ROULETTE_BELOW and order > 1:
-                    if uniform(state) > ROULETTE_SURVIVAL:
-                        return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
-                    weight /= ROULETTE_SURVIVAL
-                dx, dy, dz = cleared(dx, dy, dz, nx, ny, nz)
-                continue
-            passed, dx, dy, dz = meet_face(
-                state, dx, dy, dz, side * nx, side * ny, side * nz, n1, n2, polar
-            )
-            if passed:
-                inside = not inside
-            if fields is None:
-                if not inside:
-                    return REFLECTED, x, y, dx, dy, dz, weight, way, order, legs
-            else:
-                away = -1.0 if inside else 1.0
-                dx, dy, dz = cleared(dx, dy, dz, away * nx, away * ny, away * nz)
-            continue
-        if floor <= leg:
-            z = -layer.depth
-            if layer.bottom == OPEN:
-                passed, dx, dy, dz = meet_face(
-                    state, dx, dy, dz, 0.0, 0.0, 1.0, layer.n, 1.0, polar
-                )
-                if passed:
-                    return TRANSMITTED, x, y, dx, dy, dz, weight, way, order, legs
-                continue
-            if detectors is not None:
-                listen_bottom(detectors, layer, weight * layer.bottom)
-            if uniform(state) >= layer.bottom:
-                return TRANSMITTED, x, y, dx, dy, dz, weight, way, order, legs
-            if order == most:
-                return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
-            order += 1
-            dx, dy, dz = cosine_lobe(state, 0.0, 0.0, 1.0)
-            depolarize(dx, dy, dz, polar)
-            continue
-        if order == most:
-            return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
-        order += 1
-        if layer.analog:
-            if uniform(state) >= layer.albedo:
-                return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
+    layer, phase = scene.layer, scene.phase
+    d = launched(scene.light, uniform(state) if scene.light.diffuse > 0.0 else 1.0)
+    surface = _realised(state, scene.fields, room)
+    stokes = unpolarized(d, scene.stokes)
+    ray = Ray(_aimed(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
+    # Arrays are handed to as few functions with branches as can be: each counts who holds them.
+    while ray.fate == TRAVELS:
+        ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)
+        if room is None:
+            ahead = smooth_ahead(ray)
         else:
-            weight *= layer.albedo
-            if detectors is not None:
-                listen_particle(detectors, layer, phase, z, dx, dy, dz, weight, polar)
-            if weight < ROULETTE_BELOW:
-                # A weight of zero always ends here.
-                if weight == 0.0 or uniform(state) > ROULETTE_SURVIVAL:
-                    return ABSORBED, x, y, dx, dy, dz, weight, way, order, legs
-                weight /= ROULETTE_SURVIVAL
-        dx, dy, dz = scatter(state, dx, dy, dz, phase, polar)
+            hit = no_hit(GONE, 0)
+            if near_surface(ray, surface.reach, ways.nearest):
+                side = -1.0 if ray.inside else 1.0
+                hit = first_crossing(surface, ray.place, ray.d, side, ways.nearest)
+            if hit.distance == ASTRAY:
+                return ended(ray, LOST)
+            ahead = facet_ahead(hit)
+        if ahead.distance == math.inf and not ray.inside:
+            ray = ended(gone_along(ray, 0.0), REFLECTED if ray.d.z > 0.0 else LOST)
+            continue
+        ray = gone_along(ray, min(ways.nearest, ahead.distance))
+        if ahead.distance <= ways.nearest:
+            if room is None:
+                ray = at_surface(state, ray, layer)
+            else:
+                ray = at_facet(state, ray, ahead.normal, layer, most)
+        elif ways.floor <= ways.free:
+            ray = at_floor(state, ray, layer, detectors, most)
+        else:
+            ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, most)
+            if detectors is not None and ray.fate == TRAVELS:
+                listen_particle(detectors, layer, phase, ray)
+            if ray.past.weight < ROULETTE_BELOW:
+                ray = roulette(ray, uniform(state))
+            if ray.fate == TRAVELS:
+                ray = scattered(state, ray, phase)
+    return ray
+
+
+@part
+def _record_stokes(row, first, d, stokes):
+    """Write Q, U, V over I into three columns of a row, Q along the plane of the normal."""
+    if stokes is None:
+        return
+    # Straight up or down, every plane holds the normal.
+    upright = d.x == 0.0 and d.y == 0.0
+    seen = rotated_to(stokes, d, Vector(1.0 if upright else d.x, d.y, 0.0))
+    row[first], row[first + 1], row[first + 2] = seen.q, seen.u, stokes.v
 
 
 @entry
-def batch(seed, work, layer, phase, fields, waves, bounds, polar, exits):
+def batch(seed, work, scene, room, first_stokes, exits):
     """Trace rays and record how they leave.
 
     Parameters
     ----------
     seed, work
         See `splits.transport.granular.batch`.
-    layer, phase, fields, waves, bounds, polar
+    scene, room
         See `trace`.
+    first_stokes : int
+        First of three columns of exits for polarized rays: Q, U, V over I.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.transport.tally`; polarized rays have columns
-        `EXIT_STOKES` besides.
+        A row for each ray, see `splits.transport.tally`.
 
     Returns
     -------
-    legs : int
-        Legs traced.
-    lost : bool
-        Whether a ray was lost; the batch then ends early.
+    Traced
     """
     legs = 0
     state = np.zeros(1, dtype=np.uint64)
-    for ray in range(work[2]):
-        start_stream(state, seed, work[0], work[1] + ray)
-        fate, x, y, dx, dy, dz, weight, way, order, spent = trace(
-            state, layer, phase, fields, waves, bounds, polar, None, work[3]
-        )
-        legs += spent
-        if fate == LOST:
-            return legs, True
-        if fate == ABSORBED:
+    for number in range(work[RAYS]):
+        start_stream(state, seed, work[ENSEMBLE], work[FIRST] + number)
+        ray = trace(state, scene, room, None, work[MOST])
+        legs += ray.past.legs
+        if ray.fate == LOST:
+            return Traced(legs, True)
+        if ray.fate == ABSORBED:
             continue
-        row = exits[ray]
-        record(row, fate == REFLECTED, x, y, dx, dy, dz, weight, order)
-        row[EXIT_LENGTH] = way
-        if polar is not None:
-            # Straight up or down, every plane holds the normal.
-            upright = dx == 0.0 and dy == 0.0
-            q, u = rotated_to(
-                polar[3], polar[4], polar[0], polar[1], polar[2],
-                dx, dy, dz, 1.0 if upright else dx, dy, 0.0,
-            )  # fmt: skip
-            row[EXIT_STOKES] = q
-            row[EXIT_STOKES + 1] = u
-            row[EXIT_STOKES + 2] = polar[5]
-    return legs, False
+        row = exits[number]
+        record(row, ray.fate == REFLECTED, ray.place, ray.d, ray.past.weight, ray.past.order)
+        row[EXIT_LENGTH] = ray.past.way
+        _record_stokes(row, first_stokes, ray.d, ray.stokes)
+    return Traced(legs, False)
 
 
 @entry
-def hear(seed, work, layer, phase, polar, detectors, totals):
+def hear(seed, work, scene, detectors, totals):
     """Trace rays under a smooth surface for detectors to hear, and return the legs traced.
 
     Parameters
     ----------
-    seed, work, layer, phase, polar
+    seed, work, scene
         See `batch`.
     detectors : Detectors
         Advanced in place.
@@ -286,15 +188,13 @@ def hear(seed, work, layer, phase, polar, detectors, totals):
     """
     legs = 0
     state = np.zeros(1, dtype=np.uint64)
-    for ray in range(work[2]):
-        start_stream(state, seed, work[0], work[1] + ray)
-        fate, _, _, _, _, _, weight, _, order, spent = trace(
-            state, layer, phase, None, None, None, polar, detectors, work[3]
-        )
-        legs += spent
-        if fate != ABSORBED:
-            side = 0 if fate == REFLECTED else 1
-            totals[side, 0] += weight
-            if order == 0:
-                totals[side, 1] += weight
+    for number in range(work[RAYS]):
+        start_stream(state, seed, work[ENSEMBLE], work[FIRST] + number)
+        ray = trace(state, scene, None, detectors, work[MOST])
+        legs += ray.past.legs
+        if ray.fate != ABSORBED:
+            total = totals[0 if ray.fate == REFLECTED else 1]
+            total[ALL] += ray.past.weight
+            if ray.past.order == 0:
+                total[STRAIGHT] += ray.past.weight
     return legs

@@ -3,46 +3,62 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.transport.fresnel import interface, refracted
 from splits.transport.jit import entry
-from splits.transport.rough_surface import (
-    BOUNDS_SHAPE,
-    GONE,
-    first_crossing,
-    height_and_slope,
-    normal_of,
-    set_bounds,
-)
+from splits.transport.march import GONE, first_crossing, normal_of
+from splits.transport.vectors import Vector
+from splits.transport.waves import relief_at, surface_of
+
+_X, _Y, _Z = range(3)
+
+
+class Landed(NamedTuple):
+    """Where rays came down, and where they go from there.
+
+    Attributes
+    ----------
+    point, direction : float64[rays, 3]
+        Of the surface (m), and below it.
+    again : float64[rays]
+        How far along it the ray meets the surface again (m), or infinity.
+    """
+
+    point: np.ndarray
+    direction: np.ndarray
+    again: np.ndarray
 
 
 @entry
-def refract_ring(waves, index, x, y, landed):
+def refract_ring(waves, index, x, y):
     """Refract vertical rays at a surface.
 
     Parameters
     ----------
     waves : float64[4, columns]
-        See `splits.transport.rough_surface`.
+        See `splits.transport.waves`.
     index : float
         Refractive index below the surface, with 1 above.
     x, y : float64[rays]
         Where the rays come down (m).
-    landed : float64[rays, 7]
-        Set to the point of the surface, the direction below it, and how far along it the ray
-        meets the surface again (m), or infinity.
+
+    Returns
+    -------
+    Landed
     """
-    bounds = np.empty(BOUNDS_SHAPE)
-    low, high = set_bounds(waves, bounds)
+    surface = surface_of(waves)
+    landed = Landed(np.empty((x.size, 3)), np.empty((x.size, 3)), np.empty(x.size))
     for ray in range(x.size):
-        z, slope_x, slope_y = height_and_slope(waves, x[ray], y[ray])
-        nx, ny, nz = normal_of(slope_x, slope_y)
-        _, ratio, cos_t = interface(1.0, index, 0.0, nz)
-        dx, dy, dz = refracted(0.0, 0.0, -1.0, nx, ny, nz, nz, ratio, cos_t)
-        again, _, _ = first_crossing(waves, bounds, x[ray], y[ray], z, dx, dy, dz, -1.0, low, high)
-        row = landed[ray]
-        row[0], row[1], row[2] = x[ray], y[ray], z
-        row[3], row[4], row[5] = dx, dy, dz
-        row[6] = math.inf if again == GONE else again
+        relief = relief_at(waves, x[ray], y[ray])
+        normal = normal_of(relief.slope)
+        passage = interface(1.0, index, 0.0, normal.z)
+        d = refracted(Vector(0.0, 0.0, -1.0), normal, normal.z, passage)
+        place = Vector(x[ray], y[ray], relief.height)
+        hit = first_crossing(surface, place, d, -1.0)
+        for row, vector in ((landed.point[ray], place), (landed.direction[ray], d)):
+            row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
+        landed.again[ray] = math.inf if hit.distance == GONE else hit.distance
+    return landed

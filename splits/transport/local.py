@@ -13,9 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.phase import phase_density
+from splits.transport.polarized_faces import Reflection, Transmission
 from splits.transport.stokes import rotated_to, scattered_towards
+from splits.transport.vectors import Vector, dot
+
+_I, _Q, _U, _V = range(4)
+"""Columns of what detectors hear."""
+ABOVE, BELOW = range(2)
+"""Sides on which they hear it."""
 
 
 class Detectors(NamedTuple):
@@ -28,14 +35,15 @@ class Detectors(NamedTuple):
     plane : float64[detectors, 2]
         Horizontal unit vector that, with the normal, spans the plane that Q refers to.
     passing : float64[detectors, 3]
-        Of the face, for its (T₊, T₋, √(T_s T_p)): transmittance times the ratio of solid angles
+        Of the face, a `Transmission`: transmittance times the ratio of solid angles
         inside and outside, over the outer cosine.
     returning : float64[detectors, 4]
-        Of the face, from inside: (R₊, R₋, Re r_p r_s*, Im r_p r_s*).
+        Of the face, from inside, a `Reflection`.
     below : bool
         Whether light is heard below, too.
     sums : float64[2, detectors, 4]
-        I, Q, U, V heard above and below (1/sr), Q along the plane of the normal; advanced in place.
+        I, Q, U, V heard `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
+        place.
     """
 
     toward: np.ndarray
@@ -46,32 +54,64 @@ class Detectors(NamedTuple):
     sums: np.ndarray
 
 
-@kernel
-def sent(phase, dx, dy, dz, polar, tx, ty, tz, px, py):
-    """Return I, Q, U, V that a particle sends towards t (1/sr), Q along the plane of p and z."""
-    if polar is None:
-        return phase_density(phase, dx * tx + dy * ty + dz * tz), 0.0, 0.0, 0.0
-    density, q, u, v, e1, e2, e3 = scattered_towards(
-        phase, dx, dy, dz, polar[0], polar[1], polar[2], polar[3], polar[4], polar[5], tx, ty, tz
-    )
-    q, u = rotated_to(q, u, e1, e2, e3, tx, ty, tz, px, py, 0.0)
-    return density, density * q, density * u, density * v
+class Sound(NamedTuple):
+    """I, Q, U, V of light that is heard."""
+
+    i: float
+    q: float
+    u: float
+    v: float
 
 
-@kernel
-def round_trips(face, polar, through, odd, i, q, u, v):
-    """Return I, Q, U, V added up over 1, 3, … or over 2, 4, … reflections between two faces.
+class Listener(NamedTuple):
+    """One of the detectors, see `Detectors`; `through` is what the whole layer lets through."""
+
+    toward: Vector
+    plane: Vector
+    passing: Transmission
+    returning: Reflection
+    through: float
+
+
+@part
+def listener(detectors, layer, k):
+    """Return the k-th detector."""
+    x, y, z = detectors.toward[k]
+    along, across = detectors.plane[k]
+    plus, minus, root = detectors.passing[k]
+    passing = Transmission(plus, minus, root)
+    plus, minus, real, imaginary = detectors.returning[k]
+    returning = Reflection(plus, minus, real, imaginary)
+    through = math.exp(-layer.extinction * layer.depth / z)
+    return Listener(Vector(x, y, z), Vector(along, across, 0.0), passing, returning, through)
+
+
+@part
+def sent(phase, d, stokes, t, plane):
+    """Return the `Sound` that a particle sends towards t (1/sr), Q along the plane of p and z."""
+    if stokes is None:
+        return Sound(phase_density(phase, dot(d, t)), 0.0, 0.0, 0.0)
+    light = scattered_towards(phase, d, stokes, t)
+    seen = rotated_to(light.stokes, t, plane)
+    density = light.density
+    return Sound(density, density * seen.q, density * seen.u, density * light.stokes.v)
+
+
+@part
+def round_trips(face, stokes, through, odd, sound):
+    """Return the `Sound` added up over 1, 3, … or over 2, 4, … reflections between two faces.
 
     Every reflection and the way through the layer after it multiply I + Q and I − Q by R_p t and
-    R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s* (`stokes.fresnel_amplitudes`): geometric
-    series.
+    R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s* (`polarized_faces.fresnel_amplitudes`):
+    geometric series.
     """
-    if polar is None:
-        x = face[0] * through
-        return i * _series(x, odd), 0.0, 0.0, 0.0
-    p = 0.5 * (i + q) * _series((face[0] + face[1]) * through, odd)
-    s = 0.5 * (i - q) * _series((face[0] - face[1]) * through, odd)
-    x, y = face[2] * through, -face[3] * through
+    i, q, u, v = sound
+    if stokes is None:
+        x = face.plus * through
+        return Sound(i * _series(x, odd), 0.0, 0.0, 0.0)
+    p = 0.5 * (i + q) * _series((face.plus + face.minus) * through, odd)
+    s = 0.5 * (i - q) * _series((face.plus - face.minus) * through, odd)
+    x, y = face.real * through, -face.imaginary * through
     # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
     square_x, square_y = x * x - y * y, 2.0 * x * y
     top_x, top_y = (x, y) if odd else (square_x, square_y)
@@ -79,76 +119,69 @@ def round_trips(face, polar, through, odd, i, q, u, v):
     per = 1.0 / (below_x * below_x + below_y * below_y)
     c = (top_x * below_x + top_y * below_y) * per
     d = (top_y * below_x - top_x * below_y) * per
-    return p + s, p - s, c * u - d * v, c * v + d * u
+    return Sound(p + s, p - s, c * u - d * v, c * v + d * u)
 
 
-@kernel
+@part
 def _series(x, odd):
     """Return the sum of all odd or of all even powers of x."""
     return (x if odd else x * x) / ((1.0 - x) * (1.0 + x))
 
 
-@kernel
-def put(sums, passing, polar, weight, i, q, u, v):
+@part
+def put(sums, passing, stokes, weight, sound):
     """Add light that arrives at a face from inside to what a detector behind it has heard."""
-    if polar is None:
-        sums[0] += weight * passing[0] * i
+    i, q, u, v = sound
+    if stokes is None:
+        sums[_I] += weight * passing.plus * i
         return
-    sums[0] += weight * (passing[0] * i + passing[1] * q)
-    sums[1] += weight * (passing[1] * i + passing[0] * q)
-    sums[2] += weight * passing[2] * u
-    sums[3] += weight * passing[2] * v
+    sums[_I] += weight * (passing.plus * i + passing.minus * q)
+    sums[_Q] += weight * (passing.minus * i + passing.plus * q)
+    sums[_U] += weight * passing.root * u
+    sums[_V] += weight * passing.root * v
 
 
-@kernel
-def listen_particle(detectors, layer, phase, z, dx, dy, dz, weight, polar):
-    """Let all detectors hear a scattering at height z of a ray of direction d.
+@part
+def listen_particle(detectors, layer, phase, ray):
+    """Let all detectors hear a scattering.
 
     Parameters
     ----------
     detectors : Detectors
     layer : Turbid
     phase : Phase
-    z, dx, dy, dz : float
-        Height and direction before.
-    weight : float
-        After scattering.
-    polar : float64[6] or None
-        See `splits.transport.encounters.meet_face`.
+    ray : Ray
+        Its place, direction and polarization before the scattering, and its weight after.
     """
+    weight, place, stokes = ray.past.weight, ray.place, ray.stokes
     for k in range(detectors.toward.shape[0]):
-        tx, ty, tz = detectors.toward[k]
-        px, py = detectors.plane[k]
-        face = detectors.returning[k]
-        through = math.exp(-layer.extinction * layer.depth / tz)
-        for below in range(2 if detectors.below else 1):
-            up = 1.0 if below == 0 else -1.0
-            way = -z if below == 0 else layer.depth + z
-            i, q, u, v = sent(phase, dx, dy, dz, polar, tx, ty, up * tz, px, py)
-            sums, passing = detectors.sums[below, k], detectors.passing[k]
-            put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), i, q, u, v)
-            if layer.bottom >= 0.0 or face[0] == 0.0:
+        one = listener(detectors, layer, k)
+        t, plane, face = one.toward, one.plane, one.returning
+        for side in range(2 if detectors.below else 1):
+            up = 1.0 if side == ABOVE else -1.0
+            way = -place.z if side == ABOVE else layer.depth + place.z
+            arriving = weight * math.exp(-layer.extinction * way / t.z)
+            sums = detectors.sums[side, k]
+            sound = sent(phase, ray.d, stokes, Vector(t.x, t.y, up * t.z), plane)
+            put(sums, one.passing, stokes, arriving, sound)
+            if layer.bottom >= 0.0 or face.plus == 0.0:
                 continue
             # Two smooth faces: light that first went towards this one, and light that went away.
-            more = round_trips(face, polar, through, False, i, q, u, v)
-            put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), *more)
-            i, q, u, v = sent(phase, dx, dy, dz, polar, tx, ty, -up * tz, px, py)
-            more = round_trips(face, polar, through, True, i, q, u, v)
+            more = round_trips(face, stokes, one.through, False, sound)
+            put(sums, one.passing, stokes, arriving, more)
+            sound = sent(phase, ray.d, stokes, Vector(t.x, t.y, -up * t.z), plane)
+            more = round_trips(face, stokes, one.through, True, sound)
             way = layer.depth - way
-            put(sums, passing, polar, weight * math.exp(-layer.extinction * way / tz), *more)
+            arriving = weight * math.exp(-layer.extinction * way / t.z)
+            put(sums, one.passing, stokes, arriving, more)
 
 
-@kernel
+@part
 def listen_bottom(detectors, layer, weight):
     """Let all detectors above hear light of this weight that the diffuse bottom reflects."""
     for k in range(detectors.toward.shape[0]):
-        tz = detectors.toward[k, 2]
-        share = weight * math.exp(-layer.extinction * layer.depth / tz) * tz / math.pi
-        put_plain(detectors.sums[0, k], detectors.passing[k], share)
-
-
-@kernel
-def put_plain(sums, passing, weight):
-    """Add unpolarized light."""
-    sums[0] += weight * passing[0]
-    sums[1] += weight * passing[1]
+        one = listener(detectors, layer, k)
+        share = weight * one.through * one.toward.z / math.pi
+        sums = detectors.sums[ABOVE, k]
+        sums[_I] += share * one.passing.plus
+        sums[_Q] += share * one.passing.minus

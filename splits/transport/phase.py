@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.transport.frames import around
+from splits.transport.elementary import Angle
 from splits.transport.jit import TINY, kernel
 from splits.transport.rng import uniform, unit_circle
+from splits.transport.vectors import around
 
 HENYEY_GREENSTEIN = 0
 RAYLEIGH = 1
@@ -59,6 +60,13 @@ class Phase(NamedTuple):
     cosines: np.ndarray
     density: np.ndarray
     quantiles: np.ndarray
+
+
+class Ratios(NamedTuple):
+    """m12/m11 and m33/m11 = m44/m11 (see the module)."""
+
+    m12: float
+    m33: float
 
 
 def _without_table(kind: int, g: float, polarizing: float) -> Phase:
@@ -186,15 +194,15 @@ def phase_density(phase, mu):
 
 @kernel
 def polarizing_ratios(phase, mu):
-    """Return m12/m11 and m33/m11 = m44/m11 (see the module)."""
+    """Return the `Ratios` at a cosine."""
     square = mu * mu
     per = 1.0 / (1.0 + square)
-    return -phase.polarizing * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per
+    return Ratios(-phase.polarizing * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per)
 
 
 @kernel
-def scattered(state, phase, dx, dy, dz):
+def scattered(state, phase, d):
     """Return the direction into which unpolarised light along d is scattered."""
     mu = scattering_cosine(state, phase)
     c, s = unit_circle(state)
-    return around(dx, dy, dz, mu, math.sqrt((1.0 - mu) * (1.0 + mu)), c, s)
+    return around(d, Angle(mu, math.sqrt((1.0 - mu) * (1.0 + mu))), Angle(c, s))

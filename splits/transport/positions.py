@@ -3,12 +3,32 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.directions import strength
+from splits.transport.directions import SQUARE, WEIGHT, strength
 from splits.transport.jit import entry
 from splits.transport.tally import EXIT_ORDER, EXIT_POSITION, EXIT_SIDE
+
+
+class Spread(NamedTuple):
+    """Where rays left; sides are reflected and transmitted.
+
+    Attributes
+    ----------
+    radial : float64[2, wavelengths, bins]
+        Weights by side and distance.
+    first_moment : float64[2, wavelengths]
+        Weights times distance (m).
+    place : float64[2, 2, wavelengths, cells, cells]
+        [`WEIGHT`, `SQUARE`][side], along the beam and across; the two sides of the plane of
+        incidence are alike and share what they have.
+    """
+
+    radial: np.ndarray
+    first_moment: np.ndarray
+    place: np.ndarray
 
 
 @entry
@@ -34,13 +54,7 @@ def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
 
     Returns
     -------
-    radial : float64[2, wavelengths, bins]
-        [reflected, transmitted], weights by distance.
-    first_moment : float64[2, wavelengths]
-        Weights times distance (m).
-    place : float64[2, 2, wavelengths, cells, cells]
-        [weight, its square][side], along the beam and across; the two sides of the plane of
-        incidence are alike and share what they have.
+    Spread
     """
     wavelengths = absorption.shape[0]
     radial = np.zeros((2, wavelengths, bins))
@@ -67,10 +81,10 @@ def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
             if inside and cells > 0:
                 mirrored = cells - 1 - across
                 if across == mirrored:
-                    place[0, side, i, along, across] += weight
-                    place[1, side, i, along, across] += weight * weight
+                    place[WEIGHT, side, i, along, across] += weight
+                    place[SQUARE, side, i, along, across] += weight * weight
                     continue
                 for line in (across, mirrored):
-                    place[0, side, i, along, line] += 0.5 * weight
-                    place[1, side, i, along, line] += 0.25 * weight * weight
-    return radial, first_moment, place
+                    place[WEIGHT, side, i, along, line] += 0.5 * weight
+                    place[SQUARE, side, i, along, line] += 0.25 * weight * weight
+    return Spread(radial, first_moment, place)

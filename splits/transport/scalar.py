@@ -14,13 +14,6 @@ from splits.transport.scene import KEPT, SKIPPED
 from splits.transport.spheroid import Aim, Segment, Size, placed
 from splits.transport.vectors import ORIGIN, Vector
 
-ABSORBED = 0
-REFLECTED = 1
-TRANSMITTED = 2
-LOST = 3
-"""No grain was found that fits; never expected, counted so that it cannot pass unseen."""
-TRAVELS = 4
-
 _FORWARD = Angle(1.0, 0.0)
 
 NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)

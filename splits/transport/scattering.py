@@ -99,9 +99,10 @@ def scatter(seed, work, orders, solitary, absorption):
         start_stream(state, seed, work[0], number)
         length[:] = 0.0
         purse = Purse(0.0, FIRST_ROULETTE, 1.0)
-        pore = draw_pore(state, solitary.wet)
+        # A pore is wet where its number lies below the saturation.
+        beam = Beam(UP, 0, 0.0 if uniform(state) < solitary.wet else 1.0, purse)
         found = met(state, solitary)
-        walked = walk(state, Beam(UP, pore, purse), found, solitary.scene, solitary.optics, length)
+        walked = walk(state, beam, found, solitary.scene, solitary.optics, length)
         if not walked.alive:
             continue
         d, way = walked.beam.d, walked.way

@@ -192,7 +192,7 @@ def facing(d, grain, side):
 
 @kernel
 def rough(d, smooth, roughness, numbers, lobe, rule, variant):
-    """Return a facet of a rough surface, drawn by a rule of `facets`; without `variant` `PROJECTED`."""
+    """Return a facet of a rough surface, drawn by a rule of `facets`; by default `PROJECTED`."""
     normal, cos_i = smooth.normal, smooth.cos_i
     tangential = along(cos_i, normal, d)
     square = max(dot(tangential, tangential), precise(d.x).normal)

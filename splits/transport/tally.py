@@ -13,7 +13,14 @@ import numpy as np
 
 from splits.transport.elementary import exponential
 from splits.transport.jit import ONE, ZERO, entry, kernel
-from splits.transport.vectors import Vector
+
+ABSORBED = 0
+REFLECTED = 1
+TRANSMITTED = 2
+LOST = 3
+"""No grain that fits was found, or no way on at a surface; never expected, counted so that it cannot
+pass unseen."""
+TRAVELS = 4
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
@@ -32,46 +39,35 @@ BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
 
 
-class Exit(NamedTuple):
-    """How a ray left.
+class Traced(NamedTuple):
+    """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
 
-    Attributes
+    legs: int
+    lost: bool
+
+
+def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
+    """Return room for so many rays, float64[rays, columns]: a row each, none having left.
+
+    Parameters
     ----------
-    reflected : bool
-        Through the top.
-    place, d : Vector
-        Where (m) and in which direction.
-    weight : float
-        Inverse probability of having survived roulette.
-    order : int
-        Grains met.
+    rays, materials : int
+    more : int, optional
+        Columns after those of the materials, for what else a kernel has to tell.
     """
-
-    reflected: bool
-    place: Vector
-    d: Vector
-    weight: float
-    order: int
-
-
-def exit_rows(rays: int, materials: int) -> np.ndarray:
-    """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
-    rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
+    rows = np.full((rays, EXIT_LENGTH + materials + more), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
 
 
 @kernel
-def record(row, left):
-    """Write how a ray left into its row; path lengths are left to the caller."""
-    row[EXIT_SIDE] = 0.0 if left.reflected else 1.0
-    row[EXIT_WEIGHT] = left.weight
-    row[EXIT_ORDER] = left.order
-    row[EXIT_DIRECTION] = left.d.x
-    row[EXIT_DIRECTION + 1] = left.d.y
-    row[EXIT_DIRECTION + 2] = left.d.z
-    row[EXIT_POSITION] = left.place.x
-    row[EXIT_POSITION + 1] = left.place.y
+def record(row, reflected, place, d, weight, order):
+    """Write where and how a ray left into its row; path lengths are left to the caller."""
+    row[EXIT_SIDE] = 0.0 if reflected else 1.0
+    row[EXIT_WEIGHT] = weight
+    row[EXIT_ORDER] = order
+    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = d.x, d.y, d.z
+    row[EXIT_POSITION], row[EXIT_POSITION + 1] = place.x, place.y
 
 
 @entry

@@ -24,6 +24,7 @@ from splits.transport.surface import (
 )
 from splits.transport.vectors import ORIGIN, Vector, along
 
+
 class Walk(NamedTuple):
     """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -18,7 +18,7 @@ from splits.transport.jit import ALIKE
 
 LANES = 8
 """Waves that are evaluated side by side."""
-AMPLITUDE, KX, KY, PHASE = range(4)
+ROWS = AMPLITUDE, KX, KY, PHASE = tuple(range(4))
 """Rows of an array of waves."""
 
 TURN = 2.0 * math.pi
@@ -34,6 +34,23 @@ _COSINE = (
     1.0, -4.934802200544676, 4.058712126416497, -1.335262768843447, 0.23533063012953284,
     -0.025806888737002202, 0.0019295562724817132, -0.00010456655338748738, 4.149564353942586e-06,
 )  # fmt: skip
+
+
+class WaveSums(NamedTuple):
+    """Σ over waves for Ψ and, per −4π, for ∂Ψ/∂x and ∂Ψ/∂y; or the pair of factors of each."""
+
+    height: Any
+    along_x: Any
+    along_y: Any
+
+
+class LegSums(NamedTuple):
+    """Σ a|q|, Σ (aq)², Σ a q², Σ (a q²)² for q = k·d; or the pair of factors of each."""
+
+    slope: Any
+    slope2: Any
+    curvature: Any
+    curvature2: Any
 
 
 class _Lanes:
@@ -87,25 +104,26 @@ def _fused(a: Any, b: Any, c: Any) -> Any:
     return a.fused(b, c) if isinstance(a, _Lanes) else a * b + c
 
 
-def _summed(formula: Callable[..., tuple]) -> Callable[..., tuple[float, ...]]:
+def _summed(formula: Callable[..., Any], kind: Any) -> Callable[..., Any]:
     """Return the function (waves, first, end, p, q) that sums a formula over columns of waves.
 
-    The formula takes p, q and the rows of waves, and returns for every sum a pair of factors.  It
-    serves plain Python, with whole rows, and compiled code, with vectors of `LANES` columns: left
-    to itself the compiler would add wave after wave, as another order is another sum.
+    The formula takes p, q and the rows of waves, and returns for every sum a pair of factors, in a
+    named tuple of the given kind, as the sums are.  It serves plain Python, with whole rows, and
+    compiled code, with vectors of `LANES` columns: left to itself the compiler would add wave after
+    wave, as another order is another sum.
     """
 
     def plain(waves, first, end, p, q):
-        return tuple(float(np.dot(*pair)) for pair in formula(p, q, *waves[:, first:end]))
+        return kind(*(float(np.dot(*pair)) for pair in formula(p, q, *waves[:, first:end])))
 
-    count = len(formula(*[0.0] * 6))
+    count = len(kind._fields)
 
     @intrinsic
     def vectors(typing_context, waves, first, end, p, q):
         if not (isinstance(waves, types.Array) and (waves.ndim, waves.layout) == (2, "C")):
             raise errors.TypingError("waves must be a contiguous array of rows")
         ends, numbers = [types.intp] * 2, [types.float64] * 2
-        signature = types.UniTuple(types.float64, count)(waves, *ends, *numbers)
+        signature = types.NamedUniTuple(types.float64, count, kind)(waves, *ends, *numbers)
 
         def generate(context, builder, signature, arguments):
             array = context.make_array(waves)(context, builder, arguments[0])
@@ -153,7 +171,7 @@ def _loop(
     steps = builder.sdiv(builder.sub(end, first), size(LANES))
     with cgutils.for_range(builder, steps) as loop:
         column = builder.add(first, builder.mul(loop.index, size(LANES)))
-        pairs = formula(p, q, *(row(number, column) for number in range(4)))
+        pairs = formula(p, q, *(row(number, column) for number in ROWS))
         for place, (left, right) in zip(sums, pairs, strict=True):
             builder.store(left.fused(right, _Lanes(builder, builder.load(place))).value, place)
     found = []
@@ -180,16 +198,16 @@ def _wave(x, y, amplitude, kx, ky, phase):
         cosine = _fused(cosine, square, coefficient)
     sine = sine * r
     half = amplitude * (sine * cosine)
-    return (amplitude, _fused(sine * -2.0, sine, 1.0)), (kx, half), (ky, half)
+    return WaveSums((amplitude, _fused(sine * -2.0, sine, 1.0)), (kx, half), (ky, half))
 
 
 def _along(dx, dy, amplitude, kx, ky, phase):
-    """Factors of Σ a|q|, Σ (aq)², Σ a q², Σ (a q²)² for q = k·d in cycles per metre."""
+    """Factors of the bounds along d, q = k·d in cycles per metre."""
     q = abs(_fused(kx, dx, ky * dy))
     slope = amplitude * q
     curvature = slope * q
-    return (amplitude, q), (slope, slope), (slope, q), (curvature, curvature)
+    return LegSums((amplitude, q), (slope, slope), (slope, q), (curvature, curvature))
 
 
-wave_sums = _summed(_wave)
-sums_along = _summed(_along)
+wave_sums = _summed(_wave, WaveSums)
+sums_along = _summed(_along, LegSums)

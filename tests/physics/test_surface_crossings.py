@@ -6,15 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values, scaled
+from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values
+from chi2 import scaled as sample_size
 from numba import njit
 from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
 from splits.transport import rng
-from splits.transport import rough_surface as kernels
 from splits.transport.crossings import CROSSINGS, LEAKS, LEGS, LOSSES, crossings
-from splits.transport.rough_surface import GONE
+from splits.transport.march import GONE, first_crossing
+from splits.transport.vectors import Vector, along, scaled
+from splits.transport.waves import draw_waves, relief_at, room_for
 
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}
@@ -65,23 +67,18 @@ def test_rays_do_not_depend_on_how_they_are_shared_out():
 
 
 @njit
-def _there_and_back(state, fields, waves, bounds, side):
+def _there_and_back(state, fields, room, side):
     """Return the way to a crossing, and the way from there back past where it came from."""
-    low, high = kernels.draw_waves(state, fields, waves, bounds)
+    surface = draw_waves(state, fields, room)
     dx, dy, dz = rng.unit_sphere(state)
-    dz = -side * abs(dz)
-    z = side * high * (1.0 - 2.0 * rng.uniform(state))
-    height, _, _ = kernels.height_and_slope(waves, 0.0, 0.0)
-    if side * (z - height) <= 0.0:
+    d = Vector(dx, dy, -side * abs(dz))
+    place = Vector(0.0, 0.0, side * surface.reach * (1.0 - 2.0 * rng.uniform(state)))
+    if side * (place.z - relief_at(surface.waves, 0.0, 0.0).height) <= 0.0:
         return 0.0, 0.0, 0.0
-    s, slope_x, slope_y = kernels.first_crossing(
-        waves, bounds, 0.0, 0.0, z, dx, dy, dz, side, low, high
-    )
+    s, slope, _ = first_crossing(surface, place, d, side)
     # A point in sight sees where it is seen from: nothing is met before that.
-    t, _, _ = kernels.first_crossing(
-        waves, bounds, s * dx, s * dy, z + s * dz, -dx, -dy, -dz, side, low, high
-    )
-    into = side * (dz - slope_x * dx - slope_y * dy)
+    t = first_crossing(surface, along(s, d, place), scaled(-1.0, d), side).distance
+    into = side * (d.z - slope.x * d.x - slope.y * d.y)
     return s, t, into
 
 
@@ -89,8 +86,7 @@ def _there_and_back(state, fields, waves, bounds, side):
 @pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
 def test_points_in_sight_see_where_they_are_seen_from(name, side):
     fields = RoughSurface(CASES[name][0]).numbers()
-    waves, bounds = np.empty((4, kernels.columns_for(fields))), np.empty(kernels.BOUNDS_SHAPE)
-    out = draw(_there_and_back, scaled(50_000), fields, waves, bounds, side, width=3)
+    out = draw(_there_and_back, sample_size(50_000), fields, room_for(fields), side, width=3)
     s, t, into = out[out[:, 0] != 0.0].T
     assert s.size > 0.3 * len(out) and s.min() > 0.0
     assert into.max() < 0.0
@@ -102,38 +98,33 @@ def test_points_in_sight_see_where_they_are_seen_from(name, side):
 
 
 @njit
-def _met(state, fields, waves, bounds, mu):
+def _met(state, fields, room, mu):
     """Return height and slopes where a ray from above first meets a surface."""
-    low, high = kernels.draw_waves(state, fields, waves, bounds)
-    sine = math.sqrt(1.0 - mu * mu)
-    s, slope_x, slope_y = kernels.first_crossing(
-        waves, bounds, 0.0, 0.0, high, sine, 0.0, -mu, 1.0, low, high
-    )
-    return high - s * mu, slope_x, slope_y
+    surface = draw_waves(state, fields, room)
+    d = Vector(math.sqrt(1.0 - mu * mu), 0.0, -mu)
+    s, slope, _ = first_crossing(surface, Vector(0.0, 0.0, surface.reach), d, 1.0)
+    return surface.reach - s * mu, slope.x, slope.y
 
 
 @njit
-def _in_sight(state, fields, waves, bounds, mu):
+def _in_sight(state, fields, room, mu):
     """Return the height of the surface at the origin and the share of a beam that meets it there.
 
     The latter in units of the mean plane's share, 0 if it is in shadow.
     """
-    low, high = kernels.draw_waves(state, fields, waves, bounds)
-    height, slope, _ = kernels.height_and_slope(waves, 0.0, 0.0)
-    sine = math.sqrt(1.0 - mu * mu)
-    facing = 1.0 + slope * sine / mu
+    surface = draw_waves(state, fields, room)
+    height, slope = relief_at(surface.waves, 0.0, 0.0)
+    d = Vector(-math.sqrt(1.0 - mu * mu), 0.0, mu)
+    facing = 1.0 - slope.x * d.x / mu
     if facing <= 0.0:
         return height, 0.0
-    s, _, _ = kernels.first_crossing(
-        waves, bounds, 0.0, 0.0, height, -sine, 0.0, mu, 1.0, low, high
-    )
+    s = first_crossing(surface, Vector(0.0, 0.0, height), d, 1.0).distance
     return height, facing if s == GONE else 0.0
 
 
 def drawn(sampler, surface, mu, count, **of):
     fields = RoughSurface(surface).numbers()
-    waves, bounds = np.empty((4, kernels.columns_for(fields))), np.empty(kernels.BOUNDS_SHAPE)
-    return draw(sampler, scaled(count), fields, waves, bounds, mu, **of)
+    return draw(sampler, sample_size(count), fields, room_for(fields), mu, **of)
 
 
 @NEEDS_JIT

@@ -10,7 +10,8 @@ import pytest
 from chi2 import EDGES, draw, judge_p, judge_z, p_of_counts, scaled
 from numba import njit
 
-from splits.transport import phase, stokes
+from splits.transport import phase, polarized_faces, stokes
+from splits.transport.vectors import Vector
 
 COUNT = scaled(200_000)
 RAYLEIGH = phase.rayleigh()
@@ -125,13 +126,13 @@ def test_mean_of_a_fine_table():
 
 
 @njit
-def _direction(state, model, light):
-    return stokes.scatter_polarized(state, model, *light)[:3]
+def _direction(state, model, d, light):
+    return stokes.scatter_polarized(state, model, d, light).d
 
 
 @njit
-def _unpolarised(state, model, dx, dy, dz):
-    return phase.scattered(state, model, dx, dy, dz)
+def _unpolarised(state, model, d):
+    return phase.scattered(state, model, d)
 
 
 D = np.array([0.48, -0.64, 0.6])
@@ -142,6 +143,7 @@ LIGHT = {
     "linear": (-0.6, 0.8, 0.0),
     "circular": (0.0, 0.0, -1.0),
 }
+ALONG, REFERENCE = Vector(*D.tolist()), Vector(*E.tolist())
 TURN = 2.0 * np.pi * np.arange(13) / 12
 
 
@@ -163,7 +165,8 @@ def joint(model, s, levels):
         t = m * D + math.sqrt(1.0 - m * m) * sides
         for column, pair in enumerate(t):
             for one in pair:
-                density = stokes.scattered_towards(model, *D, *E, *s, *one)[0]
+                light, toward = stokes.Stokes(REFERENCE, *s), Vector(*one.tolist())
+                density = stokes.scattered_towards(model, ALONG, light, toward).density
                 out[row, column] += w * density * 0.5 * (TURN[1] - TURN[0])
     return edges, out
 
@@ -181,19 +184,21 @@ def test_azimuths_of_polarised_light():
     models = {"forward": phase.henyey_greenstein(0.5, 0.9), "Rayleigh": RAYLEIGH}
     for model_name, model in models.items():
         for i, (name, s) in enumerate(LIGHT.items()):
-            out = draw(_direction, COUNT // 2, model, (*D, *E, *s), width=3, ray=i)
+            light = stokes.Stokes(REFERENCE, *s)
+            out = draw(_direction, COUNT // 2, model, ALONG, light, width=3, ray=i)
             edges, share = joint(model, s, levels)
             share /= share.sum()
             p[model_name, name] = p_of_counts(counts_of(out, edges), share)
-        out = draw(_unpolarised, COUNT // 2, model, *D, width=3)
+        out = draw(_unpolarised, COUNT // 2, model, ALONG, width=3)
         edges, share = joint(model, LIGHT["unpolarised"], levels)
         p[model_name, "scalar"] = p_of_counts(counts_of(out, edges), share / share.sum())
     judge_p(p)
 
 
 @njit
-def _passed(state, light, normal, n1, n2):
-    return 1.0 if stokes.reflect_or_refract_polarized(state, *light, *normal, n1, n2)[0] else 0.0
+def _passed(state, d, light, normal, n1, n2):
+    meeting = polarized_faces.reflect_or_refract_polarized(state, d, light, normal, n1, n2)
+    return 1.0 if meeting.passed else 0.0
 
 
 def test_share_reflected_of_polarised_light():
@@ -201,11 +206,11 @@ def test_share_reflected_of_polarised_light():
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0)):
         for cos_i in (0.95, 0.7, 0.3):
             side = 0.28 * E - 0.96 * np.cross(D, E)
-            normal = -cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side
+            normal = Vector(*(-cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side).tolist())
             for s in LIGHT.values():
-                light = (*D, *E, *s)
-                share = stokes.reflected_polarized(*light, *normal, n1, n2)[0]
-                passed = draw(_passed, COUNT // 8, light, tuple(normal), n1, n2, ray=len(z))
+                beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, n1, n2
+                share = polarized_faces.reflected_polarized(*beam).share
+                passed = draw(_passed, COUNT // 8, *beam, ray=len(z))
                 if share == 1.0:
                     assert not passed.any()
                     continue

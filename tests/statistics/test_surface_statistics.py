@@ -12,7 +12,7 @@ from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
 from splits.transport import rng
-from splits.transport import rough_surface as kernels
+from splits.transport import waves as kernels
 from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
 
 REALISATIONS = scaled(60_000)
@@ -40,13 +40,12 @@ LAGS = np.array([0.2, 0.5, 1.0, 2.0, 4.0]) / K0
 @njit
 def _heights(seed, ensemble, fields, x, y, found):
     state = np.zeros(1, dtype=np.uint64)
-    waves = np.empty((4, kernels.columns_for(fields)))
-    bounds = np.empty(kernels.BOUNDS_SHAPE)
+    room = kernels.room_for(fields)
     for i in range(found.shape[0]):
         rng.start_stream(state, seed, ensemble, i)
-        kernels.draw_waves(state, fields, waves, bounds)
+        waves = kernels.draw_waves(state, fields, room).waves
         for j in range(x.size):
-            found[i, j] = kernels.height_and_slope(waves, x[j], y[j])[0]
+            found[i, j] = kernels.relief_at(waves, x[j], y[j]).height
 
 
 def heights(name, x, y):

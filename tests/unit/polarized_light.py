@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from chi2 import scaled
 
+from splits.transport.stokes import Stokes
+from splits.transport.vectors import Vector
+
 GEOMETRIES = scaled(50_000) // 1000 * 4
 IDENTITY = np.eye(3)
 
@@ -35,6 +38,16 @@ def stokes_of(c, d, e):
     """Return I, Q, U, V of a coherency tensor, mean E E* in space."""
     (ee, ef), (_, ff) = frame(d, e).T @ c @ frame(d, e)
     return np.array([(ee + ff).real, (ee - ff).real, 2.0 * ef.real, -2.0 * ef.imag])
+
+
+def vector(x):
+    """Return three numbers as kernels take them."""
+    return Vector(*(float(c) for c in x))
+
+
+def light_of(e, s):
+    """Return a reference and q, u, v as kernels take them."""
+    return Stokes(vector(e), *(float(x) for x in s))
 
 
 def assert_frame(d, e, within=4e-15):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import rough_surface as kernels
 from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.transport.waves import surface_of
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}
@@ -23,12 +23,10 @@ SURFACES = {
 
 
 def realised(surface, number=0):
-    """Return waves and bounds of a realisation."""
-    waves = RoughSurface.of(surface).realisation(7, number)
-    bounds = np.empty(kernels.BOUNDS_SHAPE)
-    low, high = kernels.set_bounds(waves, bounds)
-    assert -low == high > 0.0
-    return waves, bounds
+    """Return a realisation."""
+    found = surface_of(RoughSurface.of(surface).realisation(7, number))
+    assert found.reach > 0.0
+    return found
 
 
 def summed(waves, x, y):

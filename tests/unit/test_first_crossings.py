@@ -11,9 +11,21 @@ from rough_surfaces import GAUSSIAN, SURFACES, realised, summed
 from scipy import optimize
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import rough_surface as kernels
-from splits.transport.rough_surface import GONE, LOST
+from splits.transport import march as kernels
+from splits.transport.march import GONE, LOST
+from splits.transport.vectors import Vector
 from splits.transport.wave_sums import KX, KY, LANES
+from splits.transport.waves import Slope, draw_waves, relief_at, room_for, surface_of
+
+
+def crossing(surface, ray, side, farthest=math.inf):
+    """Return the `Hit` of a ray (x, y, z, dx, dy, dz)."""
+    ray = [float(x) for x in ray]
+    return kernels.first_crossing(surface, Vector(*ray[:3]), Vector(*ray[3:]), side, farthest)
+
+
+def tolerance(surface, x, y, s):
+    return kernels.tolerance(surface, Vector(x, y, 0.0), s)
 
 
 def gaps(waves, ray, side, s):
@@ -53,16 +65,16 @@ def test_crossings_of_one_wave(side, steepness):
     waves = np.zeros((4, LANES))
     waves[:, 3] = 0.7, 0.6, 0.8, 0.4
     waves[KX : KY + 1] *= steepness / (0.7 * 2.0 * np.pi)
-    bounds = np.empty(kernels.BOUNDS_SHAPE)
-    low, high = kernels.set_bounds(waves, bounds)
+    surface = surface_of(waves)
+    high = surface.reach
     assert high == 0.7
     for ray in rays_from(np.random.default_rng(3), high, side, 40):
-        s, slope_x, slope_y = kernels.first_crossing(waves, bounds, *ray, side, low, high)
+        s, slope, _ = crossing(surface, ray, side)
         expected = scanned(waves, ray, side, 2.5 * high / abs(ray[5]), 20_001)
         assert s == pytest.approx(expected, rel=1e-9)
         at = ray[0] + s * ray[3], ray[1] + s * ray[4]
-        assert (slope_x, slope_y) == pytest.approx(kernels.height_and_slope(waves, *at)[1:])
-        assert abs(gaps(waves, ray, side, np.array([s]))[0]) <= kernels.tolerance(bounds, *at, s)
+        assert slope == pytest.approx(relief_at(waves, *at).slope)
+        assert abs(gaps(waves, ray, side, np.array([s]))[0]) <= tolerance(surface, *at, s)
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -71,16 +83,16 @@ def test_no_crossing_is_missed(name, side):
     generator = np.random.default_rng(4)
     grazed = 0
     for number in range(scaled(6_000) // 1000):
-        waves, bounds = realised(SURFACES[name], number)
-        low, high = kernels.set_bounds(waves, bounds)
-        for ray in rays_from(generator, high, side, 10):
-            s, _, _ = kernels.first_crossing(waves, bounds, *ray, side, low, high)
+        surface = realised(SURFACES[name], number)
+        waves = surface.waves
+        for ray in rays_from(generator, surface.reach, side, 10):
+            s = crossing(surface, ray, side).distance
             assert s > 0.0
             probed = gaps(waves, ray, side, np.linspace(0.0, s * (1.0 - 1e-9), 3001))
-            tolerance = kernels.tolerance(bounds, ray[0], ray[1], 2.0 * s)
-            assert probed.min() >= -tolerance
+            allowed = tolerance(surface, ray[0], ray[1], 2.0 * s)
+            assert probed.min() >= -allowed
             gap = gaps(waves, ray, side, np.array([s]))[0]
-            assert abs(gap) <= tolerance
+            assert abs(gap) <= allowed
             # Beyond the crossing the ray is on the other side, unless it only touched the surface.
             ahead = gaps(waves, ray, side, s + 1e-6 * s * np.arange(1, 4))
             grazed += not (ahead < 0.0).any()
@@ -89,67 +101,61 @@ def test_no_crossing_is_missed(name, side):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_rays_that_stand_on_the_surface(side):
-    waves, bounds = realised(GAUSSIAN)
-    low, high = kernels.set_bounds(waves, bounds)
+    surface = realised(GAUSSIAN)
+    waves, high = surface.waves, surface.reach
     generator = np.random.default_rng(5)
     away = 0
     for ray in rays_from(generator, high, side, 40):
-        s, slope_x, slope_y = kernels.first_crossing(waves, bounds, *ray, side, low, high)
+        s, slope, _ = crossing(surface, ray, side)
         start = tuple(ray[i] + s * ray[i + 3] for i in range(3))
-        n = side * np.array(kernels.normal_of(slope_x, slope_y))
+        n = side * np.array(kernels.normal_of(slope))
         assert n @ ray[3:] < 0.0
         for grazing in (0.0, 1e-15, 1e-12, 1e-6, 0.5):
             d = np.cross(n, generator.normal(size=3))
-            d = kernels.cleared(*(d / np.linalg.norm(d) + grazing * n), *n)
+            d = kernels.cleared(Vector(*(d / np.linalg.norm(d) + grazing * n)), Vector(*n))
             assert np.dot(d, n) > 0.5 * kernels.GRAZING
-            t, _, _ = kernels.first_crossing(waves, bounds, *start, *d, side, low, high)
+            t = crossing(surface, (*start, *d), side).distance
             assert t == GONE or t > 0.0
             away += t == GONE
             length = t if t > 0.0 else (high - side * start[2]) / (side * d[2])
             probed = gaps(waves, (*start, *d), side, length * np.linspace(0.0, 1.0 - 1e-9, 2001))
-            assert probed.min() >= -2.0 * kernels.tolerance(bounds, *start[:2], length)
+            assert probed.min() >= -2.0 * tolerance(surface, *start[:2], length)
     assert 20 < away < 180
 
 
 def test_a_surface_without_height_is_a_plane():
-    surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.0})
-    state, bounds = stream(), np.empty(kernels.BOUNDS_SHAPE)
-    waves = np.empty((4, kernels.columns_for(surface.numbers())))
-    low, high = kernels.draw_waves(state, surface.numbers(), waves, bounds)
-    assert low == high == 0.0
+    fields = RoughSurface(GAUSSIAN | {"rms_height_m": 0.0}).numbers()
+    surface = draw_waves(stream(), fields, room_for(fields))
+    assert surface.reach == 0.0
     for dz in (-1.0, -0.3, -1e-3):
         flat = math.sqrt(1.0 - dz * dz)
         for side in (1.0, -1.0):
-            s, *slopes = kernels.first_crossing(
-                waves, bounds, 1.0, 2.0, 3.0 * side, flat, 0.0, dz * side, side, low, high
-            )
-            assert s == pytest.approx(-3.0 / dz, rel=1e-14) and slopes == [0.0, 0.0]
-            away = kernels.first_crossing(
-                waves, bounds, 1.0, 2.0, 0.0, flat, 0.0, -dz * side, side, low, high
-            )
-            assert away == (GONE, 0.0, 0.0)
-    assert kernels.normal_of(0.0, 0.0) == (0.0, 0.0, 1.0)
+            s, slope, _ = crossing(surface, (1.0, 2.0, 3.0 * side, flat, 0.0, dz * side), side)
+            assert s == pytest.approx(-3.0 / dz, rel=1e-14) and slope == (0.0, 0.0)
+            away = crossing(surface, (1.0, 2.0, 0.0, flat, 0.0, -dz * side), side)
+            assert away[:2] == (GONE, (0.0, 0.0))
+    assert kernels.normal_of(Slope(0.0, 0.0)) == (0.0, 0.0, 1.0)
 
 
 def test_rays_that_meet_nothing():
-    waves, bounds = realised(GAUSSIAN)
-    low, high = kernels.set_bounds(waves, bounds)
+    surface = realised(GAUSSIAN)
+    high = surface.reach
 
-    def crossing(*ray, side=1.0, farthest=math.inf):
-        return kernels.first_crossing(waves, bounds, *ray, side, low, high, farthest)[0]
+    def met(*ray, side=1.0, farthest=math.inf):
+        return crossing(surface, ray, side, farthest).distance
 
-    assert crossing(0.0, 0.0, 2.0 * high, 0.6, 0.0, 0.8) == GONE
-    assert crossing(0.0, 0.0, 2.0 * high, 1.0, 0.0, 0.0) == GONE
-    assert crossing(0.0, 0.0, 2.0 * low, 0.6, 0.0, -0.8, side=-1.0) == GONE
+    assert met(0.0, 0.0, 2.0 * high, 0.6, 0.0, 0.8) == GONE
+    assert met(0.0, 0.0, 2.0 * high, 1.0, 0.0, 0.0) == GONE
+    assert met(0.0, 0.0, -2.0 * high, 0.6, 0.0, -0.8, side=-1.0) == GONE
     down = 0.0, 0.0, 2.0 * high, 0.6, 0.0, -0.8
-    s = crossing(*down)
+    s = met(*down)
     assert s > high / 0.8
-    assert crossing(*down, farthest=1.001 * s) == s
-    assert crossing(*down, farthest=0.999 * s) == GONE
+    assert met(*down, farthest=1.001 * s) == s
+    assert met(*down, farthest=0.999 * s) == GONE
     # Straight down and up, the height itself.
-    height, _, _ = kernels.height_and_slope(waves, 3.0, 4.0)
-    assert crossing(3.0, 4.0, 5.0, 0.0, 0.0, -1.0) == pytest.approx(5.0 - height, rel=1e-12)
-    below = crossing(3.0, 4.0, -5.0, 0.0, 0.0, 1.0, side=-1.0)
+    height = relief_at(surface.waves, 3.0, 4.0).height
+    assert met(3.0, 4.0, 5.0, 0.0, 0.0, -1.0) == pytest.approx(5.0 - height, rel=1e-12)
+    below = met(3.0, 4.0, -5.0, 0.0, 0.0, 1.0, side=-1.0)
     assert below == pytest.approx(5.0 + height, rel=1e-12)
 
 
@@ -159,22 +165,22 @@ def test_a_level_ray_that_never_meets_the_surface_is_lost():
     waves = np.zeros((4, LANES))
     waves[:, 6] = 1.0, 0.1, 0.0, 0.0
     waves[:, 7] = 1.0, 0.2, 0.0, 0.5
-    bounds = np.empty(kernels.BOUNDS_SHAPE)
-    low, high = kernels.set_bounds(waves, bounds)
-    assert high == 2.0
+    surface = surface_of(waves)
+    assert surface.reach == 2.0
     level = 0.0, 0.0, 1.5, 1.0, 0.0, 0.0
-    assert kernels.first_crossing(waves, bounds, *level, 1.0, low, high)[0] == LOST
+    assert crossing(surface, level, 1.0).distance == LOST
     # Along its crests the same surface is level too.
     along = 0.0, 0.0, 1.5, 0.0, 1.0, 0.0
-    assert kernels.first_crossing(waves, bounds, *along, 1.0, low, high)[0] == GONE
+    assert crossing(surface, along, 1.0).distance == GONE
 
 
 @NEEDS_JIT
 def test_plain_python_finds_the_same():
     for name in SURFACES:
-        waves, bounds = realised(SURFACES[name])
-        low, high = kernels.set_bounds(waves, bounds)
-        for ray in rays_from(np.random.default_rng(6), high, 1.0, 3):
-            fast = kernels.first_crossing(waves, bounds, *ray, 1.0, low, high)
-            slow = kernels.first_crossing.py_func(waves, bounds, *ray, 1.0, low, high)
-            assert fast == pytest.approx(slow, rel=1e-9, abs=1e-9)
+        surface = realised(SURFACES[name])
+        for ray in rays_from(np.random.default_rng(6), surface.reach, 1.0, 3):
+            begin = surface, Vector(*ray[:3]), Vector(*ray[3:]), 1.0
+            fast = kernels.first_crossing(*begin)
+            slow = kernels.first_crossing.py_func(*begin)
+            assert fast.distance == pytest.approx(slow.distance, rel=1e-9, abs=1e-9)
+            assert fast.slope == pytest.approx(slow.slope, rel=1e-9, abs=1e-9)

@@ -14,13 +14,16 @@ from polarized_light import (
     assert_frame,
     coherency,
     frame,
+    light_of,
     random_light,
     random_units,
     stokes_of,
+    vector,
 )
 
-from splits.transport import stokes
+from splits.transport import polarized_faces as faces
 from splits.transport.fresnel import interface
+from splits.transport.stokes import rotated_to
 
 COSINES = [*np.logspace(-12, 0, 13), *(1.0 - np.logspace(-15, -1, 8)), 0.3, 0.5, 0.7]
 INDICES = [(1.0, 1.33), (1.33, 1.0), (1.0, 1.0 + 1e-9), (1.0 + 1e-9, 1.0), (1.0, 300.0), (2.4, 1.5)]
@@ -69,19 +72,36 @@ def incident(rng, cos_i, pure):
     return d, e, s, -cos_i * d + math.sqrt((1.0 - cos_i) * (1.0 + cos_i)) * side
 
 
-def refracted(dx, dy, dz, ex, ey, ez, q, u, v, nx, ny, nz, n1, n2):
+def reflected(d, e, s, n, n1, n2):
+    """Return the share of light that a face reflects, and what it becomes."""
+    share, d, out = faces.reflected_polarized(vector(d), light_of(e, s), vector(n), n1, n2)
+    return share, *flat(d, out)
+
+
+def refracted(d, e, s, n, n1, n2):
     """Return the share of light that passes a face, and what it becomes.
 
-    It is put together as in `stokes.reflect_or_refract_polarized`, which draws only one of both
+    It is put together as in `faces.reflect_or_refract_polarized`, which draws only one of both
     ways; where nothing passes, light comes back as it went in, unpolarised.
     """
-    d, n = (dx, dy, dz), (nx, ny, nz)
-    cos_i, *side, q, u = stokes._incidence(*d, ex, ey, ez, q, u, *n)
-    plus, minus, root, *onward = stokes.fresnel_amplitudes(n1, n2, cos_i)[4:]
+    d, n = vector(d), vector(n)
+    light = faces.incidence(d, light_of(e, s), n)
+    face = faces.fresnel_amplitudes(n1, n2, light.cos)
+    plus, minus, _ = face.transmission
     if plus == 0.0:
-        return 0.0, *d, ex, ey, ez, 0.0, 0.0, 0.0
-    out = stokes._refracted(*d, *n, *side, q, u, v, plus, minus, root, cos_i, *onward)
-    return plus + minus * q, *out
+        return 0.0, np.array(d), np.array(e), np.zeros(3)
+    _, d, out = faces._refracted(d, n, light, face)
+    return plus + minus * light.q, *flat(d, out)
+
+
+def flat(d, stokes):
+    """Return direction, reference, and q, u, v as arrays."""
+    return np.array(d), np.array(stokes.e), np.array(stokes[1:])
+
+
+def rotated(s, e, d, t):
+    """Return q and u when the reference changes from e to t."""
+    return rotated_to(light_of(e, s), vector(d), vector(t))
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.33), (1.33, 1.0), (1.5, 1.33), (1.0, 1.001)], ids=str)
@@ -95,21 +115,19 @@ def test_interface_fulfils_maxwells_equations(indices):
         fields = [into(side) for side in frame(d, e).T]
         r, t = (np.stack([f[j] for f in fields], axis=1) for j in (0, 1))
 
-        share, *out = stokes.reflected_polarized(*d, *e, *s, *n, n1, n2)
-        d2, e2, s2 = np.reshape(out, (3, 3))
+        share, d2, e2, s2 = reflected(d, e, s, n, n1, n2)
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_r / n1, abs=1e-13)
         expected = stokes_of(r @ coherency(*s) @ r.conj().T, d2, e2)
         assert share == pytest.approx(expected[0], abs=1e-13)
         assert share * s2 == pytest.approx(expected[1:], abs=1e-12)
 
-        passed, *out = refracted(*d, *e, *s, *n, n1, n2)
+        passed, d2, e2, s2 = refracted(d, e, s, n, n1, n2)
         assert passed + share == pytest.approx(1.0, abs=1e-14)
         if k_t.imag.any():
             assert (share, passed) == (1.0, 0.0)
-            assert (*out[:6], *out[6:]) == (*d, *e, 0.0, 0.0, 0.0)
+            assert (*d2, *e2, *s2) == (*d, *e, 0.0, 0.0, 0.0)
             continue
-        d2, e2, s2 = np.reshape(out, (3, 3))
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_t.real / n2, abs=1e-13)
         expected = stokes_of(t @ coherency(*s) @ t.conj().T, d2, e2)
@@ -121,10 +139,12 @@ def test_interface_fulfils_maxwells_equations(indices):
 @pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_is_that_of_unpolarised_light(indices):
     for cos_i in COSINES:
-        plus, minus, real, imaginary, t_plus, t_minus, t_root, ratio, cos_t = (
-            stokes.fresnel_amplitudes(*indices, cos_i)
-        )
+        face = faces.fresnel_amplitudes(*indices, cos_i)
+        plus, minus, real, imaginary = face.reflection
+        t_plus, t_minus, t_root = face.transmission
+        _, ratio, cos_t = face.passage
         expected = interface(*indices, 0.0, cos_i)
+        assert face.passage.reflectance == plus
         assert plus == pytest.approx(expected[0], rel=1e-14)
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
         assert plus + t_plus == pytest.approx(1.0, abs=4e-15)
@@ -149,7 +169,8 @@ def test_amplitudes_against_50_digits(indices):
 
     with mp.workdps(50):
         for cos_i in COSINES:
-            out = stokes.fresnel_amplitudes(n1, n2, cos_i)
+            face = faces.fresnel_amplitudes(n1, n2, cos_i)
+            out = (*face.reflection, *face.transmission)
             values = exact(mp.mpf(cos_i))
             moved = exact(mp.mpf(cos_i) * (1 + mp.mpf(2) ** -52))
             for value, right, next_one in zip(
@@ -166,16 +187,17 @@ def test_amplitudes_against_50_digits(indices):
 def test_brewsters_angle():
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0), (1.0, 2.4)):
         d = np.array([n2, 0.0, -n1]) / math.hypot(n1, n2)
-        plus, minus, *_ = stokes.fresnel_amplitudes(n1, n2, -d[2])
+        plus, minus, *_ = faces.fresnel_amplitudes(n1, n2, -d[2]).reflection
         assert plus + minus == pytest.approx(0.0, abs=1e-16)
-        share, *out = stokes.reflected_polarized(*d, 0, 1, 0, 0, 0, 0, 0, 0, 1, n1, n2)
+        up = (0, 0, 1)
+        share, *_, out = reflected(d, (0, 1, 0), (0, 0, 0), up, n1, n2)
         r = (n2**2 - n1**2) / (n2**2 + n1**2)
         assert share == pytest.approx(0.5 * r * r, rel=1e-12)
-        assert out[6:] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
+        assert out == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
         # Light polarised in the plane of incidence, at right angles to y, passes altogether.
-        passed, *out = refracted(*d, 0, 1, 0, -1, 0, 0, 0, 0, 1, n1, n2)
+        passed, *_, out = refracted(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
         assert passed == pytest.approx(1.0, abs=1e-15)
-        assert out[6:] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
+        assert out == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
 
 
 def test_phase_of_total_reflection():
@@ -184,8 +206,9 @@ def test_phase_of_total_reflection():
     for theta in np.linspace(math.asin(n) + 1e-9, math.pi / 2, 40):
         sine, cosine = math.sin(theta), math.cos(theta)
         delta = 2.0 * math.atan(cosine * math.sqrt(sine**2 - n**2) / sine**2)
-        out = stokes.fresnel_amplitudes(n1, n2, cosine)
-        assert out[:2] == (1.0, 0.0) and out[4:] == (0.0,) * 5
+        out, transmission, passage = faces.fresnel_amplitudes(n1, n2, cosine)
+        assert out[:2] == (1.0, 0.0) and transmission == (0.0,) * 3
+        assert passage == (1.0, 0.0, 0.0)
         assert out[2] == pytest.approx(math.cos(delta), abs=1e-9)
         assert out[3] == pytest.approx(-math.sin(delta), abs=1e-9)
         assert math.hypot(out[2], out[3]) == pytest.approx(1.0, abs=1e-15)
@@ -195,7 +218,7 @@ def test_phase_next_to_the_critical_angle():
     critical = math.sqrt(1.0 - (1.0 / 1.5) ** 2)
     for away in np.logspace(-14, -3, 12):
         for cos_i in (critical * (1 - away), critical * (1 + away)):
-            plus, minus, real, imaginary, *_ = stokes.fresnel_amplitudes(1.5, 1.0, cos_i)
+            plus, minus, real, imaginary = faces.fresnel_amplitudes(1.5, 1.0, cos_i).reflection
             amplitude = math.sqrt(plus * plus - minus * minus)
             assert math.hypot(real, imaginary) == pytest.approx(amplitude, rel=1e-13)
             # Both sides meet in 1 as the root of the distance; 10 is beyond its factor here.
@@ -213,22 +236,22 @@ def test_horizontal_surfaces_keep_the_plane_of_the_normal():
     for _ in range(GEOMETRIES):
         d, _, s = random_light(rng)
         normal = np.array([0.0, 0.0, -math.copysign(1.0, d[2])])
-        face = stokes.fresnel_amplitudes(1.33, 1.0, abs(d[2]))[:7]
+        face = faces.fresnel_amplitudes(1.33, 1.0, abs(d[2]))
         light = np.append(1.0, s)
-        plus, minus, real, imaginary, t_plus, t_minus, root = face
+        plus, minus, real, imaginary = face.reflection
+        t_plus, t_minus, root = face.transmission
         back = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
         back += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
         on = [[t_plus, t_minus, 0, 0], [t_minus, t_plus, 0, 0], [0, 0, root, 0], [0, 0, 0, root]]
         e = meridian(d)
         for kernel, matrix in (
-            (stokes.reflected_polarized, back),
+            (reflected, back),
             (refracted, on),
         ):
-            share, *out = kernel(*d, *e, *s, *normal, 1.33, 1.0)
-            d2, e2, s2 = np.reshape(out, (3, 3))
+            share, d2, e2, s2 = kernel(d, e, s, normal, 1.33, 1.0)
             expected = np.array(matrix) @ light
             assert share == pytest.approx(expected[0], abs=1e-13)
-            q, u = stokes.rotated_to(*s2[:2], *e2, *d2, *meridian(d2))
+            q, u = rotated(s2, e2, d2, meridian(d2))
             got = [share * q, share * u, share * s2[2]]
             assert got == pytest.approx(expected[1:], abs=1e-12)
 
@@ -239,14 +262,14 @@ def test_fresnels_rhomb():
     normal = np.array([0.0, 0.0, 1.0])
     d = np.array([math.sin(theta), 0.0, -math.cos(theta)])
     e = np.array([math.cos(theta), 0.0, math.sin(theta)])
-    share, *out = stokes.reflected_polarized(*d, *e, 0, 1, 0, *normal, 1.51, 1.0)
+    share, *out = reflected(d, e, (0, 1, 0), normal, 1.51, 1.0)
     assert share == 1.0
     # One eighth of a wave.
-    assert out[6:] == pytest.approx([0.0, math.sqrt(0.5), math.sqrt(0.5)], abs=1e-3)
-    share, *out = stokes.reflected_polarized(*out, *-normal, 1.51, 1.0)
+    assert out[2] == pytest.approx([0.0, math.sqrt(0.5), math.sqrt(0.5)], abs=1e-3)
+    share, *out = reflected(*out, -normal, 1.51, 1.0)
     assert share == 1.0
-    assert out[:3] == pytest.approx(d, abs=1e-15)
-    assert out[6:] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
+    assert out[0] == pytest.approx(d, abs=1e-15)
+    assert out[2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
 
 
 def test_normal_incidence():
@@ -254,17 +277,15 @@ def test_normal_incidence():
     r = ((1.33 - 1.0) / (1.33 + 1.0)) ** 2
     for cos_i in (1.0, 1.0 - 1e-15):
         d, e, s, n = incident(rng, cos_i, pure=True)
-        share, *out = stokes.reflected_polarized(*d, *e, *s, *n, 1.0, 1.33)
-        d2, e2, s2 = np.reshape(out, (3, 3))
+        share, d2, e2, s2 = reflected(d, e, s, n, 1.0, 1.33)
         assert share == pytest.approx(r, rel=1e-13)
         assert d2 == pytest.approx(-d, abs=1e-7)
         # The light that comes back has the same lines of polarization and the other handedness.
-        q, u = stokes.rotated_to(*s2[:2], *e2, *d2, *e)
+        q, u = rotated(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx((s[0], -s[1], -s[2]), abs=1e-6)
-        passed, *out = refracted(*d, *e, *s, *n, 1.0, 1.33)
-        d2, e2, s2 = np.reshape(out, (3, 3))
+        passed, d2, e2, s2 = refracted(d, e, s, n, 1.0, 1.33)
         assert passed == pytest.approx(1.0 - r, rel=1e-13)
-        q, u = stokes.rotated_to(*s2[:2], *e2, *d2, *e)
+        q, u = rotated(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx(s, abs=1e-6)
 
 
@@ -272,22 +293,22 @@ def test_normal_incidence():
 def test_grazing_incidence_reflects_everything(indices):
     rng = np.random.default_rng(10)
     d, e, s, n = incident(rng, 0.0, pure=True)
-    share, *out = stokes.reflected_polarized(*d, *e, *s, *n, *indices)
+    share, _, e2, s2 = reflected(d, e, s, n, *indices)
     assert share == pytest.approx(1.0, abs=1e-14)
-    q, u = stokes.rotated_to(*out[6:8], *out[3:6], *d, *e)
-    assert (q, u, out[8]) == pytest.approx(s, abs=1e-14)
+    q, u = rotated(s2, e2, d, e)
+    assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
 
 
 def test_equal_media_have_no_interface():
     rng = np.random.default_rng(11)
     for cos_i in (0.0, 1e-9, 0.5, 1.0):
         d, e, s, n = incident(rng, cos_i, pure=True)
-        passed, *out = refracted(*d, *e, *s, *n, 1.33, 1.33)
+        passed, d2, e2, s2 = refracted(d, e, s, n, 1.33, 1.33)
         assert passed == 1.0
-        assert out[:3] == pytest.approx(d, abs=1e-15)
-        q, u = stokes.rotated_to(*out[6:8], *out[3:6], *d, *e)
-        assert (q, u, out[8]) == pytest.approx(s, abs=1e-14)
-        assert stokes.reflected_polarized(*d, *e, *s, *n, 1.33, 1.33)[0] == 0.0
+        assert d2 == pytest.approx(d, abs=1e-15)
+        q, u = rotated(s2, e2, d, e)
+        assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
+        assert reflected(d, e, s, n, 1.33, 1.33)[0] == 0.0
 
 
 def test_light_stays_possible():
@@ -296,12 +317,12 @@ def test_light_stays_possible():
         d, e, s, n = incident(rng, rng.choice(COSINES), pure=i % 2 == 0)
         n1, n2 = INDICES[i % len(INDICES)]
         shares = []
-        for kernel in (stokes.reflected_polarized, refracted):
-            share, *out = kernel(*d, *e, *s, *n, n1, n2)
+        for kernel in (reflected, refracted):
+            share, d2, e2, s2 = kernel(d, e, s, n, n1, n2)
             shares.append(share)
             assert -1e-15 <= share <= 1.0 + 1e-15
-            assert_frame(*np.reshape(out[:6], (2, 3)), within=1e-14)
-            assert np.linalg.norm(out[6:]) <= 1.0 + 1e-15
+            assert_frame(d2, e2, within=1e-14)
+            assert np.linalg.norm(s2) <= 1.0 + 1e-15
         assert sum(shares) == pytest.approx(1.0, abs=1e-14)
 
 
@@ -311,8 +332,11 @@ def test_reflect_or_refract_returns_one_of_both():
     seen = set()
     for i in range(GEOMETRIES):
         d, e, s, n = incident(rng, rng.random(), pure=i % 2 == 0)
-        passed, *out = stokes.reflect_or_refract_polarized(state, *d, *e, *s, *n, 1.33, 1.0)
-        kernel = refracted if passed else stokes.reflected_polarized
-        assert out == pytest.approx(kernel(*d, *e, *s, *n, 1.33, 1.0)[1:], abs=1e-15)
+        passed, *out = faces.reflect_or_refract_polarized(
+            state, vector(d), light_of(e, s), vector(n), 1.33, 1.0
+        )
+        kernel = refracted if passed else reflected
+        expected = np.concatenate(kernel(d, e, s, n, 1.33, 1.0)[1:])
+        assert np.concatenate(flat(*out)) == pytest.approx(expected, abs=1e-15)
         seen.add(passed)
     assert len(seen) == 2

@@ -14,14 +14,35 @@ from polarized_light import (
     assert_frame,
     coherency,
     frame,
+    light_of,
     random_light,
     random_units,
     stokes_of,
+    vector,
 )
 
 from splits.transport import phase, stokes
+from splits.transport.vectors import Vector
 
 RAYLEIGH = phase.rayleigh()
+
+
+def rotated(q, u, e, d, t):
+    """Return q and u when the reference changes from e to t."""
+    return stokes.rotated_to(light_of(e, (q, u, 0.0)), vector(d), vector(t))
+
+
+def towards(model, d, e, s, t):
+    """Return density, q, u, v, and the reference of light scattered towards t, in one array."""
+    density, out = stokes.scattered_towards(model, vector(d), light_of(e, s), vector(t))
+    return np.array([density, *out[1:], *out.e])
+
+
+def drawn(state, model, d, e, s):
+    """Return direction, reference, and q, u, v of light scattered somewhere."""
+    d, out = stokes.scatter_polarized(state, model, vector(d), light_of(e, s))
+    return np.array(d), np.array(out.e), np.array(out[1:])
+
 
 # --- rotation ---------------------------------------------------------------------------------
 
@@ -33,14 +54,14 @@ RAYLEIGH = phase.rayleigh()
 def test_rotation_by_an_angle(degrees, expected):
     a = math.radians(degrees)
     # The light travels along z: from x towards y is from e towards d × e.
-    q, u = stokes.rotated_to(0.6, 0.3, 1, 0, 0, 0, 0, 1, math.cos(a), math.sin(a), 0)
+    q, u = rotated(0.6, 0.3, (1, 0, 0), (0, 0, 1), (math.cos(a), math.sin(a), 0))
     assert (q, u) == pytest.approx(expected, abs=1e-15)
 
 
 def test_light_along_the_new_reference_has_q_of_1():
     a = math.radians(30.0)
     q, u = math.cos(2 * a), math.sin(2 * a)
-    turned = stokes.rotated_to(q, u, 1, 0, 0, 0, 0, 1, math.cos(a), math.sin(a), 0)
+    turned = rotated(q, u, (1, 0, 0), (0, 0, 1), (math.cos(a), math.sin(a), 0))
     assert turned == pytest.approx((1.0, 0.0), abs=1e-15)
 
 
@@ -50,17 +71,20 @@ def test_rotation_there_and_back():
         d, e, (q, u, _) = random_light(rng)
         t = np.cross(d, random_units(rng, 1)[0])
         t /= np.linalg.norm(t)
-        q2, u2 = stokes.rotated_to(q, u, *e, *d, *t)
+        q2, u2 = rotated(q, u, e, d, t)
         assert q2**2 + u2**2 == pytest.approx(q**2 + u**2, rel=1e-14)
-        assert stokes.rotated_to(q2, u2, *t, *d, *e) == pytest.approx((q, u), abs=1e-14)
+        assert rotated(q2, u2, t, d, e) == pytest.approx((q, u), abs=1e-14)
         # Only the direction of the new reference counts, and not how long it is.
         longer = 3.0 * t + 0.2 * d
-        assert stokes.rotated_to(q, u, *e, *d, *longer) == pytest.approx((q2, u2), abs=1e-13)
+        assert rotated(q, u, e, d, longer) == pytest.approx((q2, u2), abs=1e-13)
 
 
 def test_any_reference():
     for d in random_units(np.random.default_rng(2), 100):
-        assert_frame(d, np.array(stokes.any_reference(*d)))
+        light = stokes.unpolarized(vector(d), stokes.NATURAL)
+        assert_frame(d, np.array(light.e))
+        assert light[1:] == (0.0, 0.0, 0.0)
+    assert stokes.unpolarized(vector(d), None) is None
 
 
 # --- scattering -------------------------------------------------------------------------------
@@ -82,7 +106,7 @@ def test_rayleigh_scattering_is_that_of_a_dipole():
         d, e, s = random_light(rng, pure=i % 2 == 0)
         inside = frame(d, e) @ coherency(*s) @ frame(d, e).T
         for t in geometries(rng, d, e):
-            out = np.array(stokes.scattered_towards(RAYLEIGH, *d, *e, *s, *t))
+            out = towards(RAYLEIGH, d, e, s, t)
             density, e2 = out[0], out[4:]
             assert_frame(t, e2)
             # The field of a dipole is that of the light it scatters, seen across t.
@@ -124,23 +148,23 @@ def test_scattering_is_rotation_scattering_matrix_rotation(polarizing):
             @ rotation(angle(e, across, d))
             @ np.append(1.0, s)
         )
-        out = np.array(stokes.scattered_towards(model, *d, *e, *s, *t))
+        out = towards(model, d, e, s, t)
         p = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * math.cos(theta)) ** 1.5)
         assert out[0] == pytest.approx(p * expected[0], rel=1e-12)
-        q, u = stokes.rotated_to(*out[1:3], *out[4:], *t, *last)
+        q, u = rotated(*out[1:3], out[4:], t, last)
         assert (q, u, out[3]) == pytest.approx(expected[1:] / expected[0], abs=1e-11)
 
 
 def test_unpolarised_light_at_90_degrees():
-    out = np.array(stokes.scattered_towards(RAYLEIGH, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0))
+    out = towards(RAYLEIGH, (0, 0, 1), (0, 1, 0), (0, 0, 0), (1, 0, 0))
     # Polarised completely, at right angles to the plane of scattering.
     assert out[:4] == pytest.approx([3 / (16 * math.pi), -1.0, 0.0, 0.0], abs=1e-15)
     assert abs(out[4:] @ [0, 1, 0]) < 1e-15
 
 
 def test_no_light_along_the_dipole():
-    out = stokes.scattered_towards(RAYLEIGH, 0, 0, 1, 1, 0, 0, 1, 0, 0, 1, 0, 0)
-    assert out[:4] == (0.0, 0.0, 0.0, 0.0)
+    out = towards(RAYLEIGH, (0, 0, 1), (1, 0, 0), (1, 0, 0), (1, 0, 0))
+    assert (out[:4] == 0.0).all()
 
 
 TABLE = phase.tabulated([1.0, -1.0, 0.2, 0.8], [5.0, 1.0, 0.0, 2.0], 0.5)
@@ -167,7 +191,7 @@ def test_density_integrates_to_1(model):
         for m, w in zip(mu, weight, strict=True):
             around = frame(d, e) @ [np.cos(turn), np.sin(turn)]
             for t in m * d + math.sqrt(1.0 - m * m) * around.T:
-                total += w * stokes.scattered_towards(model, *d, *e, *s, *t)[0]
+                total += w * towards(model, d, e, s, t)[0]
         assert total * 2.0 * np.pi / turn.size == pytest.approx(1.0, rel=1e-11)
 
 
@@ -177,32 +201,30 @@ def test_what_is_drawn_is_what_is_estimated(model):
     state = stream()
     for i in range(GEOMETRIES):
         d, e, s = random_light(rng, pure=i % 2 == 0)
-        out = np.array(stokes.scatter_polarized(state, model, *d, *e, *s))
-        t, e2 = out[:3], out[3:6]
+        t, e2, s2 = drawn(state, model, d, e, s)
         assert_frame(t, e2)
-        assert np.linalg.norm(out[6:]) <= 1.0 + 1e-15
-        expected = np.array(stokes.scattered_towards(model, *d, *e, *s, *t))
+        assert np.linalg.norm(s2) <= 1.0 + 1e-15
+        expected = towards(model, d, e, s, t)
         seen = 4.0 * math.pi * expected[0]
         assert seen > 0.0
-        turned = stokes.rotated_to(*out[6:8], *e2, *t, *expected[4:])
-        assert (*turned, out[8]) == pytest.approx(expected[1:4], abs=1e-10 / min(seen, 1.0))
+        turned = rotated(*s2[:2], e2, t, expected[4:])
+        assert (*turned, s2[2]) == pytest.approx(expected[1:4], abs=1e-10 / min(seen, 1.0))
 
 
 @njit
 def _scattered_often(state, model, times):
-    dx, dy, dz, ex, ey, ez, q, u, v = 0.0, 0.6, 0.8, 1.0, 0.0, 0.0, 0.5, 0.3, -0.4
+    d = Vector(0.0, 0.6, 0.8)
+    light = stokes.Stokes(Vector(1.0, 0.0, 0.0), 0.5, 0.3, -0.4)
     for _ in range(times):
-        dx, dy, dz, ex, ey, ez, q, u, v = stokes.scatter_polarized(
-            state, model, dx, dy, dz, ex, ey, ez, q, u, v
-        )
-    return dx, dy, dz, ex, ey, ez, q, u, v
+        d, light = stokes.scatter_polarized(state, model, d, light)
+    return d, light
 
 
 def test_frames_survive_many_scatterings():
     for model in (*MODELS.values(), phase.henyey_greenstein(0.99, 1.0)):
-        out = np.array(_scattered_often(stream(), model, scaled(50_000)))
-        assert_frame(out[:3], out[3:6])
-        assert np.linalg.norm(out[6:]) <= 1.0 + 1e-15
+        d, light = _scattered_often(stream(), model, scaled(50_000))
+        assert_frame(np.array(d), np.array(light.e))
+        assert np.linalg.norm(light[1:]) <= 1.0 + 1e-15
 
 
 def test_rayleigh_scattering_keeps_light_completely_polarised():
@@ -210,6 +232,6 @@ def test_rayleigh_scattering_keeps_light_completely_polarised():
     state = stream()
     for _ in range(GEOMETRIES):
         d, e, s = random_light(rng, pure=True)
-        out = stokes.scatter_polarized(state, RAYLEIGH, *d, *e, *s)
-        density = stokes.scattered_towards(RAYLEIGH, *d, *e, *s, *out[:3])[0]
-        assert np.linalg.norm(out[6:]) == pytest.approx(1.0, abs=1e-14 / density)
+        t, _, s2 = drawn(state, RAYLEIGH, d, e, s)
+        density = towards(RAYLEIGH, d, e, s, t)[0]
+        assert np.linalg.norm(s2) == pytest.approx(1.0, abs=1e-14 / density)

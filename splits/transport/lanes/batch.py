@@ -8,7 +8,6 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.transport.flight import Space
-from splits.transport.granular import Spent
 from splits.transport.jit import ZERO, entry, kernel
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import (
@@ -27,6 +26,7 @@ from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
 from splits.transport.scalar import fates_of
 from splits.transport.scene import LOBE
+from splits.transport.tally import Traced
 
 
 @kernel
@@ -198,7 +198,7 @@ def batch(seed, work, scene, optics, exits, features):
 
     Returns
     -------
-    Spent
+    Traced
         Its legs int64[items], the grains drawn: what the rays cost.
     """
     types = scene.types
@@ -217,7 +217,7 @@ def batch(seed, work, scene, optics, exits, features):
         if ended > 0:
             queue = serve(lanes, width, task, exits, legs, queue)
             if queue.lost or queue.busy == 0:
-                return Spent(legs, queue.lost)
+                return Traced(legs, queue.lost)
             if queue.busy <= width - rows.STRIDE:
                 width = close_ranks(lanes, width, queue.busy)
             flying = count_flying(lanes.state, width)

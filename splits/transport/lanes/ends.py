@@ -18,7 +18,7 @@ from splits.transport.lanes.rows import Passing, put, vector
 from splits.transport.light import launched
 from splits.transport.rng import start_stream
 from splits.transport.scene import DRY_PORE, WET_PORE, Optics, Scene
-from splits.transport.tally import EXIT_LENGTH, Exit, record
+from splits.transport.tally import EXIT_LENGTH, record
 from splits.transport.vectors import Vector
 
 _LOW32 = np.uint64(0xFFFFFFFF)
@@ -229,7 +229,7 @@ def leave(lanes, lane, exits, features):
     if features.orders is not None:
         order = np.float64(lanes.words[rows.ORDER + lane])
     d = vector(state, rows.DX + lane)
-    record(row, Exit(d.z > ZERO, place, d, state[rows.WEIGHT + lane], order))
+    record(row, d.z > ZERO, place, d, state[rows.WEIGHT + lane], order)
     row[EXIT_LENGTH : EXIT_LENGTH + lanes.length.shape[1]] = lanes.length[lane]
 
 

@@ -138,7 +138,7 @@ def draw_types(state, words, width, features, tables, share):
 
 @kernel
 def numbers_at(words, i, active):
-    """Draw a lane's random numbers of a flight; lanes that wait keep their place in their stream."""
+    """Draw a lane's random numbers of a flight; lanes that wait keep their place in the stream."""
     roulette_, facing, azimuth = three(word(words, i, 0))
     turn, axial, area = three(word(words, i, 1))
     leg = fine(word(words, i, 2))
@@ -178,7 +178,9 @@ def astray(state, i, ray, space):
     z = ray.place.z + ray.way.z
     above = (z > space.high) & (space.high < space.ceiling)
     below = (z < space.low) & (space.low > space.floor)
-    setting_out = (state[rows.LAYER + i] == state[rows.START + i]) & (state[rows.STANDS + i] == ZERO)
+    setting_out = (state[rows.LAYER + i] == state[rows.START + i]) & (
+        state[rows.STANDS + i] == ZERO
+    )
     return setting_out & (above | below)
 
 

@@ -155,4 +155,3 @@ def at_interface(lanes, lane, task):
         enter(lanes, lane, task, other)
         set_out(state, lane)
     return passed and not inside
-

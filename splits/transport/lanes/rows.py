@@ -30,7 +30,7 @@ STRIDE = 2 * VECTOR
     # Optical depth, trials in a row without a grain, shape is kept, distance to the last grain left
     # out; lengths (m) in dry and wet pores, in coating and in core since they were last put down.
     DEPTH, TRIES, KEEP, SKIP_LEG, DRY_PATH, WET_PATH, COAT_PATH, CORE_PATH,
-    # Layer of the ray, those in which its flight set out and from which distances are drawn; distance
+    # Layer of the ray, those in which its flight set out and from which distances are drawn; way
     # from which they count; 1 where it stands on a face; 1 where its last leg has been booked.
     LAYER, START, FROM, AHEAD, STANDS, LANDED,
     # Direction; length of the leg before (none: −1).

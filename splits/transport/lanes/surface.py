@@ -49,7 +49,7 @@ def numbers_at(words, i, active, faceted):
 
 @kernel
 def mixed_media(state, i, stand, pore_wet):
-    """Return the contrast of the media on both sides of a lane's surface, for grains of any type."""
+    """Return the contrast of the media on both sides of a surface, for grains of any type."""
     outward = stand.side < ZERO
     n_dry, k_dry = state[rows.N_DRY + i], state[rows.K_DRY + i]
     n_wet, k_wet = state[rows.N_WET + i], state[rows.K_WET + i]

@@ -10,10 +10,10 @@ import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
 from numba import njit
 from scipy import integrate
+from splits.transport.absorption import WEIGHT, start_purse
 
 import splits
 from splits.transport import grain, spheroid
-from splits.transport.absorption import WEIGHT, start_purse
 from splits.transport.scene import Grains, Optics
 
 pytestmark = NEEDS_JIT

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z, stream
 from scipy import integrate
+from splits.transport.absorption import WEIGHT
 
 import splits
 from splits.transport import granular
-from splits.transport.absorption import WEIGHT
 from splits.transport.fresnel import interface
 from splits.transport.scene import UNLIMITED, Optics, Slab
 from splits.transport.tally import exit_rows, tally

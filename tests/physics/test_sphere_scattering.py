@@ -10,10 +10,10 @@ from chi2 import NEEDS_JIT, draw, judge_z
 from numba import njit
 from scipy import integrate
 from spheroids import gradient, quadratic, real_point
+from splits.transport.absorption import start_purse
 
 import splits
 from splits.transport import grain, spheroid
-from splits.transport.absorption import start_purse
 from splits.transport.scene import Optics
 
 pytestmark = NEEDS_JIT

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values, scaled
+from events import unit_sphere
 from numba import njit
 from scipy import stats
 
@@ -68,7 +69,7 @@ def test_rays_do_not_depend_on_how_they_are_shared_out():
 def _there_and_back(state, fields, waves, bounds, side):
     """Return the way to a crossing, and the way from there back past where it came from."""
     low, high = kernels.draw_waves(state, fields, waves, bounds)
-    dx, dy, dz = rng.unit_sphere(state)
+    dx, dy, dz = unit_sphere(state)
     dz = -side * abs(dz)
     z = side * high * (1.0 - 2.0 * rng.uniform(state))
     height, _, _ = kernels.height_and_slope(waves, 0.0, 0.0)

@@ -20,7 +20,9 @@ from splits.media import grain_statistics as statistics
 from splits.media.soil_sizes import LIMITS_M, soil_sizes
 from splits.transport import facets, spheroid
 from splits.transport.fresnel import interface
-from splits.transport.rng import half_normal, table_probabilities
+from splits.transport.rng import table_probabilities
+from splits.transport.spheroid import Spheroid
+from splits.transport.vectors import Vector
 
 M = mp.mpf
 RELATIVE = 1e-12
@@ -300,15 +302,16 @@ def test_chord_down_to_a_grazing_ray(psi, grazing):
     flattening = 1.0 - psi * psi
     for w, s, t in units(np.random.default_rng(7)):
         # A point of the unit sphere, and a direction along the surface there.
-        n = np.array(spheroid.normal_at(*s, *w, flattening))
+        grain = Spheroid(Vector(*s), Vector(*w), flattening, 1.0)
+        n = np.array(spheroid.normal_at(grain))
         tangent = np.cross(n, t)
         d = -grazing * n + math.sqrt(1.0 - grazing**2) * tangent / np.linalg.norm(tangent)
         exact, end, spread = exact_chord(s, d, w, flattening)
-        value, *other = spheroid.across(*s, *d, *w, flattening)
+        value, there = spheroid.across(grain, Vector(*d))
         assert off(value, exact) < RELATIVE + 4.0 * EPS * spread
         # In lengths of the grain this is always nothing.
         assert abs(value - float(exact)) < 1e-11 / (psi * psi)
-        assert np.abs(np.array(other) - np.array(end, dtype=float)).max() < 1e-11
+        assert np.abs(np.array(there.q) - np.array(end, dtype=float)).max() < 1e-11
 
 
 def test_tilt_of_a_rough_facet():

@@ -18,11 +18,13 @@ from splits.materials import ice_density
 from splits.materials.mixing import maxwell_garnett
 from splits.media import grain_statistics as statistics
 from splits.media.soil_sizes import LIMITS_M, soil_sizes
-from splits.transport import facets, spheroid
+from splits.transport import facets, rng, spheroid, surface
+from splits.transport.elementary import Angle
 from splits.transport.fresnel import interface
 from splits.transport.rng import table_probabilities
 from splits.transport.spheroid import Spheroid
-from splits.transport.vectors import Vector
+from splits.transport.surface import Numbers
+from splits.transport.vectors import UP, Vector
 
 M = mp.mpf
 RELATIVE = 1e-12
@@ -325,12 +327,16 @@ def test_tilt_of_a_nearly_smooth_facet(facetness):
 
 
 def check_tilt(facetness):
-    # Along the normal no draw is refused: the first |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
+    # |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
+    d = Vector(0.6, 0.0, -0.8)
+    smooth = surface.facing(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
     for ray in range(40):
-        state = stream(ray)
-        tilt = 0.5 * facetness * half_normal(state)
+        normal = rng.half_normal(stream(ray))
+        tilt = 0.5 * facetness * normal
         if tilt >= 1.0:
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
-        _, sine, _, _, _ = facets.facet_angles(stream(ray), facetness, 1.0, facets.UNWEIGHTED)
-        assert off(sine, exact) < RELATIVE
+        numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
+        facet = surface.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED, True)
+        assert facet.leaned.cos == 1.0 - tilt
+        assert off(0.6 * facet.leaned.sin, exact) < RELATIVE

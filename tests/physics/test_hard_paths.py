@@ -23,7 +23,7 @@ from splits.transport.vectors import Vector, along, dot, scaled
 MANY = 10_000_000
 DRIFT = 1e-9
 EPS = 2.0**-52
-FIRST_LONG_RAY = 165
+FIRST_LONG_RAY = 189
 RULES = splits.Readings().rules()
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 

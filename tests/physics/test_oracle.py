@@ -35,29 +35,29 @@ OTHER = {
 }
 # Medium, incidence, rays per wavelength: the deeper and clearer, the more a ray costs.
 MEDIA = {
-    "snow": (splits.Snow(depth_m=0.03), 0.0, 1000),
-    "dry snow": (splits.Snow(depth_m=0.02, saturation=0.0), 0.0, 1000),
-    "smooth snow": (splits.Snow(depth_m=0.02, facetness=SMOOTH), 0.0, 1000),
-    "thin wet snow": (splits.Snow(depth_m=0.002, saturation=0.5), 0.0, 4000),
+    "snow": (splits.Snow(depth_m=0.03), 0.0, 2000),
+    "dry snow": (splits.Snow(depth_m=0.02, saturation=0.0), 0.0, 2000),
+    "smooth snow": (splits.Snow(depth_m=0.02, facetness=SMOOTH), 0.0, 2000),
+    "thin wet snow": (splits.Snow(depth_m=0.002, saturation=0.5), 0.0, 8000),
     "coarse wet snow": (
-        splits.Snow(depth_m=0.03, grain_size_um=(900, 1000), saturation=0.3), 0.0, 1000,
+        splits.Snow(depth_m=0.03, grain_size_um=(900, 1000), saturation=0.3), 0.0, 2000,
     ),
-    "fine snow": (splits.Snow(depth_m=0.005, grain_size_um=(100, 200)), 0.0, 1000),
-    "packed snow": (splits.Snow(depth_m=0.01, density_kg_m3=600.0), 0.0, 1000),
-    "snow at 60 degrees": (splits.Snow(depth_m=0.01), 60.0, 1500),
+    "fine snow": (splits.Snow(depth_m=0.005, grain_size_um=(100, 200)), 0.0, 2000),
+    "packed snow": (splits.Snow(depth_m=0.01, density_kg_m3=600.0), 0.0, 2000),
+    "snow at 60 degrees": (splits.Snow(depth_m=0.01), 60.0, 3000),
     "snow by other readings": (
-        splits.Snow(depth_m=0.01, saturation=0.3, readings=OTHER), 30.0, 1500,
+        splits.Snow(depth_m=0.01, saturation=0.3, readings=OTHER), 30.0, 3000,
     ),
-    "sand": (splits.Sand(depth_m=0.001), 0.0, 2000),
+    "sand": (splits.Sand(depth_m=0.003), 0.0, 4000),
     "wet sand of eight types": (
         splits.Sand(
-            depth_m=0.001, hematite_ratio=0.5, magnetite=0.05, saturation=0.4,
+            depth_m=0.003, hematite_ratio=0.5, magnetite=0.05, saturation=0.4,
             partition=(0.3, 0.3, 0.4),
         ),
-        30.0, 2000,
+        30.0, 4000,
     ),
     "sand of coated grains only": (
-        splits.Sand(depth_m=0.001, partition=(0.0, 0.0, 1.0), hematite_ratio=1.0), "diffuse", 2000,
+        splits.Sand(depth_m=0.003, partition=(0.0, 0.0, 1.0), hematite_ratio=1.0), "diffuse", 4000,
     ),
 }  # fmt: skip
 KERNELS = ("lanes", "scalar")
@@ -128,13 +128,15 @@ def test_kernels_agree_with_the_oracle():
             seen = 0.5 * (values + truth)[:, 0] > 20.0 / rays
             error = np.hypot(values[:, 1], truth[:, 1])[seen]
             away, value = (values - truth)[:, 0][seen], truth[:, 0][seen]
-            judge_z(away / error, f"{kernel}, {name}", independent=len(optics))
             found[kernel].append((away, error, value))
-        print(name, np.diff(begun).round(2))
+            z = (away / error).round(1).tolist()
+            print(f"{name}, {kernel}: {begun[-1] - begun[-2]:.1f} s, {z}")
+        print(f"{name}, oracle: {begun[1] - begun[0]:.1f} s", flush=True)
     for kernel, parts in found.items():
         away, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
         z = away / error
-        rms, pooled = np.sqrt((z**2).mean()), [pooled_z(away, error), pooled_z(away, error, value)]
+        rms = np.sqrt((z**2).mean())
+        pooled = [pooled_z(away, error), pooled_z(away, error, value)]
         known = 1.0 / np.sqrt(((value / error) ** 2).sum())
         print(
             f"{kernel}: {z.size} comparisons, rms z {rms:.2f}, pooled {pooled[0]:+.2f}, relative "

@@ -25,11 +25,11 @@ from splits.transport import faces, fresnel, granular, rng
 from splits.transport.faces import Index
 from splits.transport.light import Light, launched
 from splits.transport.scene import DRY_PORE, WET_PORE
-from splits.transport.vectors import UP, Vector
+from splits.transport.vectors import ORIGIN, UP, Vector
 
 COUNT = scaled(200_000)
 # Way from the end of the last leg, its direction, its length.
-NO_LEG = (Vector(0.0, 0.0, 0.0), Vector(0.0, 0.0, 0.0), -1.0)
+NO_LEG = (ORIGIN, granular.NO_LEG.d, granular.NO_LEG.length)
 # Semi-major axes of SPLITSnow Table 1 (m).
 LOW, HIGH = 1.5e-4, 3.75e-4
 single = np.float32

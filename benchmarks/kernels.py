@@ -39,12 +39,13 @@ import pandas as pd
 
 import splits
 from splits.analysis.tables import write_table
+from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import cpus
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, lanes
+from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
-from splits.transport.lanes.rows import Features
-from splits.transport.scene import UNLIMITED, Optics, Slab
+from splits.transport.scene import UNLIMITED, Optics
 from splits.transport.tally import exit_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,22 +134,22 @@ class Bench:
     """
 
     def __init__(self, medium: Any, wavelength_nm: float, features: Features | None) -> None:
-        self.scene = scene(medium, wavelength_nm)
+        self.scene = granular_scene(medium, 0.0, False)
+        self.optics = optics_at(medium, wavelength_nm)
         self.features = features
         self.rays = self.calls = 1
-        self.exits = exit_rows(1, self.scene[3].n.size)
+        self.exits = exit_rows(1, self.optics.n.size)
         self.ray_s = self.leg_s = np.inf
         self.legs_per_ray = np.nan
 
     def run(self, seed: int, first: int) -> int:
         """Trace rays from one of that number on and return their legs."""
-        *scene, optics = self.scene
         work = np.array([[0, first, self.rays, UNLIMITED]])
         if self.features is None:
-            legs, lost = granular.batch(seed, work[0], *scene, optics, self.exits)
+            legs, lost = granular.batch(seed, work[0], self.scene, self.optics, self.exits)
         else:
-            optics = Optics(*(values[np.newaxis] for values in optics))
-            (legs,), lost = lanes.batch(seed, work, *scene, optics, self.exits, self.features)
+            optics = Optics(*(values[np.newaxis] for values in self.optics))
+            (legs,), lost = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)
         if lost:
             raise RuntimeError("a ray was lost")
         return int(legs)
@@ -156,7 +157,7 @@ class Bench:
     def prepare(self, plan: Plan) -> None:
         """Compile, and choose how many calls make a timing of the length planned."""
         self.rays = plan.rays if self.features else plan.rays // 8
-        self.exits = exit_rows(self.rays, self.scene[3].n.size)
+        self.exits = exit_rows(self.rays, self.optics.n.size)
         self.run(0, 0)
         begun = time.perf_counter()
         self.run(0, self.rays)
@@ -174,18 +175,16 @@ class Bench:
         self.legs_per_ray = legs / rays
 
 
-def scene(medium: Any, wavelength_nm: float) -> tuple[Any, ...]:
-    """Return grains, slab, rules and optics of a medium at a wavelength, normal incidence."""
+def optics_at(medium: Any, wavelength_nm: float) -> Optics:
+    """Return the optics of a medium at a wavelength."""
     index = medium.indices(np.array([wavelength_nm]))[0]
     absorption = absorption_coefficient(index, wavelength_nm)
-    optics = Optics(index.real.copy(), index.imag.copy(), absorption)
-    slab = Slab(float(medium.depth_m), float(medium.saturation), 1.0, False)
-    return medium.grains(), slab, medium.readings.rules(), optics
+    return Optics(index.real.copy(), index.imag.copy(), absorption)
 
 
 def features_of(medium: Any, wavelength_nm: float) -> Features:
     """Return what lanes need for a medium."""
-    features = features_for(*scene(medium, wavelength_nm))
+    features = features_for(granular_scene(medium, 0.0, False), optics_at(medium, wavelength_nm))
     if features is None:
         raise RuntimeError("lanes do not serve this medium")
     return features

@@ -20,8 +20,8 @@ from splits.transport.vectors import Vector, combined
 ROULETTE_BELOW = 0.1
 ROULETTE_SURVIVAL = 0.3
 FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
-"""Optical depth from which a ray that carries weights plays Russian roulette: it has become light for
-every wavelength that listens to it.  Opaque grains then end it early, and nothing is lost on
+"""Optical depth from which a ray that carries weights plays Russian roulette: it has become light
+for every wavelength that listens to it.  Opaque grains then end it early, and nothing is lost on
 average."""
 _NEXT = exact(-math.log(ROULETTE_SURVIVAL))
 _SURVIVAL = exact(ROULETTE_SURVIVAL)

@@ -13,7 +13,7 @@ import numpy as np
 
 from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse
 from splits.transport.jit import entry, kernel
-from splits.transport.rng import start_stream
+from splits.transport.rng import start_stream, uniform
 from splits.transport.scalar import Beam, Found, aim_of, candidate_of
 from splits.transport.scene import Optics, Scene
 from splits.transport.spheroid import strike

@@ -18,8 +18,8 @@ ABSORBED = 0
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
-"""No grain that fits was found, or no way on at a surface; never expected, counted so that it cannot
-pass unseen."""
+"""No grain that fits was found, or no way on at a surface; never expected, counted so that it
+cannot pass unseen."""
 TRAVELS = 4
 
 EXIT_SIDE = 0

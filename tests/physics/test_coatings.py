@@ -8,13 +8,15 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
+from events import walked, weight_after
 from numba import njit
+from scenes import optics_of, scene_of
 from scipy import integrate
 
 import splits
-from splits.transport import grain, spheroid
-from splits.transport.absorption import WEIGHT, start_purse
-from splits.transport.scene import Grains, Optics
+from splits.transport.scene import Grains
+from splits.transport.spheroid import Size
+from splits.transport.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 
@@ -25,26 +27,18 @@ OPAQUE = 1e15
 
 
 @njit
-def _walk(state, psi, facetness, saturation, grains, optics, rules, true_absorption, length, purse):
-    """Return cosθ of scattering, paths in core and coatings, the score and the pore of exit."""
-    length[:] = 0.0
-    start_purse(purse)
-    d1, d2, d3 = 0.48, -0.64, 0.6
-    flattening = 1.0 - psi * psi
-    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
-        state, d1, d2, d3, flattening, rules.entry
-    )
-    alive, _, _, _, e1, e2, e3, pore = grain.grain_walk(
-        state, q1, q2, q3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        RADIUS * psi * psi, flattening, facetness, 0, 0, saturation,
-        grains, optics, rules, length, purse,
-    )  # fmt: skip
-    score = 0.0
-    if alive:
-        score = purse[WEIGHT]
-        if not rules.analog:
-            score *= math.exp(-(true_absorption * length).sum())
-    return d1 * e1 + d2 * e2 + d3 * e3, length[2], length[3:].sum(), score, float(pore)
+def _walk(state, psi, facetness, scene, optics, true_absorption, length):
+    """Return cosθ of scattering, paths in core and coatings, the score and the pore of exit.
+
+    Roulette is played where the grain is left.
+    """
+    d = Vector(0.48, -0.64, 0.6)
+    size = Size(RADIUS, 1.0 - psi * psi)
+    walk, _ = walked(state, d, size, facetness, 0, scene, optics, length)
+    score = weight_after(state, walk)
+    if not scene.rules.analog:
+        score *= math.exp(-(true_absorption * length).sum())
+    return dot(d, walk.beam.d), length[2], length[3:].sum(), score, float(walk.beam.pore)
 
 
 def layered(thickness, materials=None):
@@ -65,11 +59,12 @@ def walk(
     """Draw walks; roulette uses the part `heard` of the absorption."""
     index = np.array([1.0, 1.33, *index], dtype=complex)
     absorption = np.array([0.0, 0.0, *absorption], dtype=float)
-    optics = Optics(index.real.copy(), index.imag.copy(), heard * absorption)
+    optics = optics_of(index.real, index.imag, heard * absorption)
     rules = splits.SandReadings(entry=entry).rules(analog)
+    scene = scene_of(grains, saturation=saturation, rules=rules)
     return draw(
-        _walk, COUNT, psi, facetness, saturation, grains, optics, rules, absorption,
-        np.zeros(index.size), np.zeros(3), width=5, ray=ray,
+        _walk, COUNT, psi, facetness, scene, optics, absorption, np.zeros(index.size),
+        width=5, ray=ray,
     )  # fmt: skip
 
 
@@ -135,7 +130,7 @@ def test_two_coatings_of_one_material_are_one(facetness):
         setting = {"index": [1.55, coat], "absorption": [200.0, 3e4], "psi": 0.8}
         setting |= {"facetness": facetness, "saturation": 0.4}
         grains = layered([h1, h2], [COAT, COAT]), layered([h1 + h2])
-        # No roulette where paths are compared: it ends walks between the two coatings.
+        # No roulette where weights are compared: it ends walks.
         two, one = (walk(g, **setting, heard=0.0, ray=2 * number + i) for i, g in enumerate(grains))
         assert one[:, 2].max() > 0.0
         z.append(difference(two, one))

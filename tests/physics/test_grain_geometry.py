@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
+from events import struck
 from numba import njit
 from spheroids import real_point, sphere_point, unit
 
 import splits
 from splits.transport import rng, spheroid
+from splits.transport.spheroid import Entry, Segment, Size, Spheroid
+from splits.transport.vectors import Vector
 
 B = 1.7
 SPHERICITIES = (0.35, 0.7, 0.9, 1.0)
@@ -24,6 +27,12 @@ def random():
 def shape(psi):
     """Return semi-minor axis and flattening as kernels want them."""
     return B * psi * psi, 1.0 - psi * psi
+
+
+def grain_at(q, axis, psi):
+    """Return a grain with the ray at a point of its unit sphere."""
+    c, flattening = shape(psi)
+    return Spheroid(Vector(*q), Vector(*axis), flattening, c)
 
 
 def form(psi, axis):
@@ -49,12 +58,12 @@ def test_points_on_the_unit_sphere_are_points_of_the_surface(random, psi):
         q = sphere_point(p, axis, c, flattening)
         assert q @ q == pytest.approx(1.0, abs=1e-13)
         assert real_point(q, axis, c, flattening) == pytest.approx(p, abs=1e-13)
-        n = np.array(spheroid.normal_at(*q, *axis, flattening))
+        n = np.array(spheroid.normal_at(grain_at(q, axis, psi)))
         assert n == pytest.approx(unit(m @ p), abs=1e-12)
         z = q @ axis
         # The normal before it is scaled to 1, in units of q.
         assert spheroid.slope_squared(z, flattening) == pytest.approx(
-            np.square(spheroid.squeezed(*q, *axis, flattening)).sum(), abs=1e-13
+            np.square(spheroid.squeezed(Vector(*q), Vector(*axis), flattening)).sum(), abs=1e-13
         )
         assert z == pytest.approx(p @ axis / B, abs=1e-13)
 
@@ -70,38 +79,39 @@ def test_chord_against_roots_of_the_quadratic(random, psi):
         d = -d if d @ m @ p > 0.0 else d
         roots = np.roots([d @ m @ d, 2.0 * d @ m @ p, p @ m @ p - 1.0])
         q = sphere_point(p, axis, c, flattening)
-        chord, *other = spheroid.across(*q, *d, *axis, flattening)
-        length = chord * c
+        length, there = spheroid.across(grain_at(q, axis, psi), Vector(*d))
+        other = np.array(there.q)
+        assert there[1:] == grain_at(q, axis, psi)[1:]
         assert length > 0.0
         assert length == pytest.approx(roots.real.max(), rel=1e-7, abs=1e-7)
         end = p + length * d
         assert end @ m @ end == pytest.approx(1.0, abs=1e-12)
         assert np.dot(other, other) == pytest.approx(1.0, abs=1e-15)
         assert real_point(other, axis, c, flattening) == pytest.approx(end, abs=1e-12)
-        n = np.array(spheroid.normal_at(*other, *axis, flattening))
+        n = np.array(spheroid.normal_at(there))
         assert n == pytest.approx(unit(m @ end), abs=1e-12)
         assert n @ d > 0.0
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
 def test_a_ray_that_points_away_has_no_chord(random, psi):
-    _, flattening = shape(psi)
     for _ in range(100):
         axis, q, d = unit(random.normal(size=(3, 3)))
-        n = spheroid.normal_at(*q, *axis, flattening)
+        grain = grain_at(q, axis, psi)
+        n = spheroid.normal_at(grain)
         d = d if d @ n > 0.0 else -d
-        assert spheroid.across(*q, *d, *axis, flattening) == pytest.approx((0.0, *q), abs=1e-15)
+        length, there = spheroid.across(grain, Vector(*d))
+        assert (length, *there.q) == pytest.approx((0.0, *q), abs=1e-15)
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
 def test_a_point_off_the_unit_sphere_is_brought_back(random, psi):
-    _, flattening = shape(psi)
     for _ in range(100):
         axis, q, d = unit(random.normal(size=(3, 3)))
         for off in (-1e-6, 1e-6):
-            _, *other = spheroid.across(*((1.0 + off) * q), *d, *axis, flattening)
+            there = spheroid.across(grain_at((1.0 + off) * q, axis, psi), Vector(*d)).grain
             # Newton's method squares the error: 3/8 (2e-6)².
-            assert np.linalg.norm(other) == pytest.approx(1.0, abs=2e-12)
+            assert np.linalg.norm(there.q) == pytest.approx(1.0, abs=2e-12)
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
@@ -113,30 +123,31 @@ def test_crosses_against_the_highest_and_lowest_point(random, psi):
         m = form(psi, axis)
         p = surface_point(random, psi, axis)
         q = sphere_point(p, axis, c, flattening)
+        normal = Vector(*unit(m @ p))
+        entry = Entry(grain_at(q, axis, psi), normal, float(q @ axis), major)
         # The topmost point has its gradient along z.
         top = np.linalg.solve(m, [0.0, 0.0, 1.0])
         top = (top / np.sqrt(top @ m @ top))[2]
         for hair in (-1e-12, 1e-12):
             for height in (p[2] - top + hair, p[2] + top - depth - hair):
-                crosses = spheroid.crosses(height, q[2], axis[2], q @ axis, c, major, depth)
+                crosses = spheroid.crosses(entry, height, -depth, 0.0)
                 assert crosses == (hair > 0.0)
         # Somewhere at random, and between boundaries that are nearer than the grain is high.
         height = random.uniform(-depth, 0.0)
         outside = height - p[2] + top > 0.0 or height - p[2] - top < -depth
-        args = (q[2], axis[2], q @ axis, c, major)
-        assert spheroid.crosses(height, *args, depth) == outside
-        assert spheroid.crosses(-0.5 * top + p[2], *args, 1.9 * top)
+        assert spheroid.crosses(entry, height, -depth, 0.0) == outside
+        assert spheroid.crosses(entry, -0.5 * top + p[2], -1.9 * top, 0.0)
 
 
-def cuts(start, d, length, p, axis, c, flattening):
+def cuts(start, d, length, p, axis, psi):
     """Return whether a segment, from the grain's centre, cuts a grain known by a point p of it."""
-    q = sphere_point(p, axis, c, flattening)
+    grain = grain_at(sphere_point(p, axis, *shape(psi)), axis, psi)
     end = start + length * d - p
-    return spheroid.cuts_segment(*q, *axis, c, flattening, *end, *d, length)
+    return spheroid.cuts(grain, Segment(Vector(*end), Vector(*d), length))
 
 
 @pytest.mark.parametrize("psi", SPHERICITIES)
-def test_cuts_segment_against_points_along_it(random, psi):
+def test_cuts_against_points_along_the_segment(random, psi):
     c, flattening = shape(psi)
     steps = 2000
     cut = missed = 0
@@ -154,8 +165,7 @@ def test_cuts_segment_against_points_along_it(random, psi):
         slack = (0.5 * length / (steps - 1) / c) ** 2
         # Whichever point of its surface a grain is known by.
         result = [
-            cuts(start, d, length, surface_point(random, psi, axis), axis, c, flattening)
-            for _ in range(3)
+            cuts(start, d, length, surface_point(random, psi, axis), axis, psi) for _ in range(3)
         ]
         if nearest < 1.0:
             assert all(result)
@@ -165,8 +175,8 @@ def test_cuts_segment_against_points_along_it(random, psi):
             missed += 1
         p = surface_point(random, psi, axis)
         # A leg that is not there cuts nothing.
-        q = sphere_point(p, axis, c, flattening)
-        assert not spheroid.cuts_segment(*q, *axis, c, flattening, *-p, *d, NO_LEG)
+        grain = grain_at(sphere_point(p, axis, c, flattening), axis, psi)
+        assert not spheroid.cuts(grain, Segment(Vector(*-p), Vector(*d), NO_LEG))
     assert cut > 50 and missed > 50
 
 
@@ -175,10 +185,8 @@ def _struck_chord(state, grains, entry):
     """Return the straight chord through a struck grain that does not bend the ray."""
     b = 1.0 / rng.from_table(grains.curvature, 0, rng.uniform(state))
     psi = rng.from_table(grains.sphericity, 0, rng.uniform(state))
-    flattening = 1.0 - psi * psi
-    d1, d2, d3 = 0.48, -0.64, 0.6
-    q1, q2, q3, w1, w2, w3, _, _, _ = spheroid.struck_point(state, d1, d2, d3, flattening, entry)
-    return b * psi * psi * spheroid.across(q1, q2, q3, d1, d2, d3, w1, w2, w3, flattening)[0]
+    d = Vector(0.48, -0.64, 0.6)
+    return spheroid.across(struck(state, d, Size(b, 1.0 - psi * psi), entry).grain, d).length
 
 
 MEDIA = {

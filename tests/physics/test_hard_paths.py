@@ -7,17 +7,23 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z, stream
+from events import facet_normal_of, facet_struck, interact, struck, walked
 from numba import njit
+from scenes import medium_scene, optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
-from splits.transport import facets, frames, grain, granular, spheroid
-from splits.transport.fresnel import interface, refracted
-from splits.transport.scene import UNLIMITED, Optics, Slab
+from splits.transport import facets, granular, spheroid, vectors
+from splits.transport.faces import Index
+from splits.transport.fresnel import Passage, interface, refracted
+from splits.transport.spheroid import Entry, Segment, Size, Spheroid
+from splits.transport.surface import Stand, contrast
+from splits.transport.vectors import Vector, along, dot, scaled
 
 MANY = 10_000_000
 DRIFT = 1e-9
-FIRST_LONG_RAY = 165
+EPS = 2.0**-52
+FIRST_LONG_RAY = 189
 RULES = splits.Readings().rules()
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -26,48 +32,48 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 @njit
-def _trapped(state, steps, minor, flattening, facetness, rules):
+def _centred(grain):
+    """Return the point at which a ray is, relative to the grain's centre (m)."""
+    stretch = grain.flattening / (1.0 - grain.flattening)
+    return scaled(grain.minor, along(stretch * dot(grain.q, grain.w), grain.w, grain.q))
+
+
+@njit
+def _trapped(state, steps, size, facetness, rules):
     """Return what drifts while a ray cannot get out of a grain.
 
     The worst |d² − 1| and |q² − 1|, the distance in the end of the sum of all legs from the point
     that q stands for, in semi-minor axes, and the least and the largest leg in diameters.
     """
-    d1, d2, d3 = -0.48, 0.64, -0.6
-    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
-        state, d1, d2, d3, flattening, rules.entry
-    )
-    stretch = flattening / (1.0 - flattening)
-    along = stretch * (q1 * w1 + q2 * w2 + q3 * w3)
-    p1 = minor * (q1 + along * w1)
-    p2 = minor * (q2 + along * w2)
-    p3 = minor * (q3 + along * w3)
+    d = Vector(-0.48, 0.64, -0.6)
+    grain = struck(state, d, size, rules.entry).grain
+    minor, flattening, w = grain.minor, grain.flattening, grain.w
+    p = _centred(grain)
+    # An index of 1e9 inside: every angle that occurs is beyond the critical one.
+    media = contrast(Index(1e9, 0.0), Index(1.0, 0.0))
     norm, sphere, surface, shortest, longest, escaped = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
     for _ in range(steps):
-        leg, q1, q2, q3 = spheroid.across(q1, q2, q3, d1, d2, d3, w1, w2, w3, flattening)
-        leg *= minor
-        p1 += leg * d1
-        p2 += leg * d2
-        p3 += leg * d3
-        n1, n2, n3 = spheroid.normal_at(q1, q2, q3, w1, w2, w3, flattening)
-        # An index of 1e9 inside: every angle that occurs is beyond the critical one.
-        passed, d1, d2, d3 = grain.interact(
-            state, d1, d2, d3, -n1, -n2, -n3, facetness, 1e9, 0.0, 1.0, 0.0, rules
-        )
-        norm = max(norm, abs(d1 * d1 + d2 * d2 + d3 * d3 - 1.0))
-        sphere = max(sphere, abs(q1 * q1 + q2 * q2 + q3 * q3 - 1.0))
-        axial = p1 * w1 + p2 * w2 + p3 * w3
-        r1, r2, r3 = p1 - axial * w1, p2 - axial * w2, p3 - axial * w3
+        leg, grain = spheroid.across(grain, d)
+        p = along(leg, d, p)
+        stand = Stand(1.0, -1.0, False, False)
+        while True:
+            after = granular.trial(state, d, stand, grain, 0.5 * facetness, media, rules)
+            if after.done:
+                break
+            stand = Stand(1.0, -1.0, after.to_lobe, after.passed)
+        d = after.d
+        norm = max(norm, abs(dot(d, d) - 1.0))
+        sphere = max(sphere, abs(dot(grain.q, grain.q) - 1.0))
+        axial = dot(p, w)
+        r = along(-axial, w, p)
         axial *= 1.0 - flattening
-        square = (r1 * r1 + r2 * r2 + r3 * r3 + axial * axial) / (minor * minor)
+        square = (dot(r, r) + axial * axial) / (minor * minor)
         surface = max(surface, abs(square - 1.0))
         leg *= 0.5 * (1.0 - flattening) / minor
         shortest, longest = min(shortest, leg), max(longest, leg)
-        escaped += passed
-    along = stretch * (q1 * w1 + q2 * w2 + q3 * w3)
-    p1 -= minor * (q1 + along * w1)
-    p2 -= minor * (q2 + along * w2)
-    p3 -= minor * (q3 + along * w3)
-    apart = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3) / minor
+        escaped += after.passed
+    gap = along(-1.0, _centred(grain), p)
+    apart = math.sqrt(dot(gap, gap)) / minor
     return norm, sphere, surface, apart, shortest, longest, escaped
 
 
@@ -75,7 +81,7 @@ def _trapped(state, steps, minor, flattening, facetness, rules):
 @pytest.mark.parametrize(("psi", "facetness"), [(1.0, 0.0), (0.8, 0.3), (0.3, 1.0)])
 def test_ten_million_reflections_in_one_grain_do_not_drift(psi, facetness):
     norm, sphere, surface, apart, shortest, longest, escaped = _trapped(
-        stream(), MANY, 1e-4 * psi * psi, 1.0 - psi * psi, facetness, RULES
+        stream(), MANY, Size(1e-4, 1.0 - psi * psi), facetness, RULES
     )
     print(
         f"Ψ {psi}, facetness {facetness}: |d² − 1| {norm:.1e}, |q² − 1| {sphere:.1e}, "
@@ -93,17 +99,15 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     # A straight line through 10 km of snow: where it ends is known to the last digit.
     depth, mu = 9e3, math.cos(math.radians(30.0))
     snow = splits.Snow(saturation=0.0, depth_m=depth)
-    length, purse = np.zeros(3), np.zeros(3)
-    fate, x, y, z, dx, dy, dz, legs, order = granular.trace(
-        stream(), snow.grains(), Slab(depth, 0.0, mu, False), RULES,
-        Optics(np.ones(3), np.zeros(3), np.zeros(3)), length, purse, UNLIMITED,
-    )  # fmt: skip
+    scene = medium_scene(snow, 30.0)
+    ray, length = trace(stream(), scene, optics_of(np.ones(3)))
+    (x, y, z), d, legs = ray.flier.place, ray.flier.d, ray.legs
     assert legs >= MANY
-    assert order == legs - 1
-    assert (fate, z) == (granular.TRANSMITTED, -depth)
+    assert ray.order == legs - 1
+    assert (ray.fate, z) == (granular.TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
-    assert np.abs(np.subtract((dx, dy, dz), (sine, 0.0, -mu))).max() < DRIFT
-    assert abs(math.hypot(dx, dy, dz) - 1.0) < DRIFT
+    assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < DRIFT
+    assert abs(math.hypot(*d) - 1.0) < DRIFT
     assert x == pytest.approx(depth * sine / mu, rel=DRIFT)
     assert abs(y) < DRIFT * depth
     assert length.sum() == pytest.approx(depth / mu, rel=DRIFT)
@@ -116,25 +120,26 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
 def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
     # Bubbles in a liquid of index 60: once inside, light meets a boundary thousands of times.
     snow = splits.Snow(saturation=1.0, facetness=(0.0,) * 4, sphericity=(1.0, 1.0, 1.0, 0.0))
-    slab = Slab(snow.depth_m, 1.0, 1.0, False)
-    optics = Optics(np.array([1.0, 60.0, 1.31]), np.zeros(3), np.zeros(3))
-    length, purse = np.zeros(3), np.zeros(3)
+    scene, optics = medium_scene(snow), optics_of([1.0, 60.0, 1.31])
     # The first of these rays is long enough today; with other random numbers a later one is.
-    for ray in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
-        fate, x, y, z, dx, dy, dz, legs, _ = granular.trace(
-            stream(ray), snow.grains(), slab, RULES, optics, length, purse, UNLIMITED
-        )
-        if legs >= MANY:
+    for number in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
+        ray, length = trace(stream(number), scene, optics)
+        if ray.legs >= MANY:
             break
-    assert legs >= MANY
-    assert fate in (granular.REFLECTED, granular.TRANSMITTED)
-    assert z == (0.0 if fate == granular.REFLECTED else -snow.depth_m)
-    assert (dz > 0.0) == (fate == granular.REFLECTED)
-    assert abs(math.hypot(dx, dy, dz) - 1.0) < DRIFT
-    assert np.isfinite([x, y, *length]).all() and length.min() >= 0.0
+    print(f"ray {number} has {ray.legs} legs")
+    assert ray.legs >= MANY
+    assert ray.fate in (granular.REFLECTED, granular.TRANSMITTED)
+    place, d = ray.flier.place, ray.flier.d
+    assert place.z == (0.0 if ray.fate == granular.REFLECTED else -snow.depth_m)
+    assert (d.z > 0.0) == (ray.fate == granular.REFLECTED)
+    assert abs(math.hypot(*d) - 1.0) < DRIFT
+    assert np.isfinite([*place, *length]).all() and length.min() >= 0.0
 
 
 # --- along an axis, along a tangent -----------------------------------------------------------
+
+
+AIR_TO_ICE = Index(1.0, 0.0), Index(1.31, 0.0)
 
 
 def grain_of(psi):
@@ -150,22 +155,23 @@ def test_rays_along_the_axes_of_a_grain(axis, psi):
     assert a == pytest.approx(1e-4, rel=1e-14)
     for d in AXES:
         semi = a if abs(d @ axis) == 1.0 else c
-        chord, *end = spheroid.across(*-d, *d, *axis, flattening)
-        assert chord * c == pytest.approx(2.0 * semi, rel=2e-12)
-        assert end == pytest.approx(d, abs=2e-14)
-        assert spheroid.normal_at(*-d, *axis, flattening) == pytest.approx(-d, abs=1e-15)
+        grain = Spheroid(Vector(*-d), Vector(*axis), flattening, c)
+        chord, there = spheroid.across(grain, Vector(*d))
+        assert chord == pytest.approx(2.0 * semi, rel=2e-12)
+        assert there.q == pytest.approx(d, abs=2e-14)
+        assert spheroid.normal_at(grain) == pytest.approx(-d, abs=1e-15)
         # Struck at this pole: it reaches over the boundary when it is a hair too near.
         height = a if abs(axis[2]) == 1.0 else c
-        entered = (-d[2], axis[2], float(-d @ axis), c, a)
+        entered = Entry(grain, Vector(*-d), float(-d @ axis), a)
         up = -semi * d[2]
         for hair, over in ((-1e-15, False), (1e-15, True)):
             at_top = up - height * (1.0 - hair)
-            assert spheroid.crosses(at_top, *entered, 1.0) == over
+            assert spheroid.crosses(entered, at_top, -1.0, 0.0) == over
         # Four semi-axes below, heights have fewer digits left.
         depth = 4.0 * a
         for hair, over in ((-1e-12, False), (1e-12, True)):
             at_bottom = up + height * (1.0 - hair) - depth
-            assert spheroid.crosses(at_bottom, *entered, depth) == over
+            assert spheroid.crosses(entered, at_bottom, -depth, 0.0) == over
         # Seen from afar, straight at the centre and past it by a hair more than the semi-axis.
         side = np.roll(d, 1)
         half = a if abs(side @ axis) == 1.0 else c
@@ -174,23 +180,25 @@ def test_rays_along_the_axes_of_a_grain(axis, psi):
             for pole in AXES:
                 p = pole * (a if abs(pole @ axis) == 1.0 else c)
                 end = o + 20.0 * a * d - p
-                cut = spheroid.cuts_segment(*pole, *axis, c, flattening, *end, *d, 20.0 * a)
+                grain = Spheroid(Vector(*pole), Vector(*axis), flattening, c)
+                cut = spheroid.cuts(grain, Segment(Vector(*end), Vector(*d), 20.0 * a))
                 assert cut == hit, (d, away, pole)
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("psi", [1.0, 0.3])
 def test_rays_tangent_to_a_grain(axis, psi):
-    _, flattening, _ = grain_of(psi)
+    c, flattening, _ = grain_of(psi)
     for n in AXES:
         d = np.roll(n, 1)
-        assert spheroid.across(*n, *d, *axis, flattening) == (0.0, *n)
-        assert spheroid.normal_at(*n, *axis, flattening) == pytest.approx(n, abs=1e-15)
+        grain = Spheroid(Vector(*n), Vector(*axis), flattening, c)
+        assert spheroid.across(grain, Vector(*d)) == (0.0, grain)
+        assert spheroid.normal_at(grain) == pytest.approx(n, abs=1e-15)
         for facetness in (0.0, 0.5, 1.0):
             for ray in range(20):
                 for d_on in (d, (d - 1e-17 * n), (d + 1e-17 * n)):
-                    passed, *out = grain.interact(
-                        stream(ray), *d_on, *n, facetness, 1.0, 0.0, 1.31, 0.0, RULES
+                    passed, out = interact(
+                        stream(ray), Vector(*d_on), Vector(*n), facetness, *AIR_TO_ICE, RULES
                     )
                     assert np.isfinite(out).all()
                     assert abs(math.hypot(*out) - 1.0) < 1e-11
@@ -204,31 +212,47 @@ def test_rays_tangent_to_a_grain(axis, psi):
 @pytest.mark.parametrize("facetness", [0.0, 1e-9, 0.5, 1.0])
 @pytest.mark.parametrize("rule", [facets.PROJECTED, facets.UNWEIGHTED, facets.ANY])
 def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
+    rules = splits.Readings().rules()._replace(facets=rule)
+    n, d = Vector(*axis), Vector(*-axis)
     for ray in range(50):
-        *m, cos_i = facets.struck_facet(stream(ray), *-axis, *axis, facetness, rule)
-        assert abs(math.hypot(*m) - 1.0) < 1e-14
-        assert cos_i == pytest.approx(float(axis @ m), rel=1e-14) and 0.0 < cos_i <= 1.0
+        facet = facet_struck(stream(ray), d, n, facetness, rule)
+        assert 0.0 < facet.cos <= 1.0
+        assert facet.cos == pytest.approx(abs(facet.leaned.cos), rel=1e-9)
+        passed, out = interact(stream(ray), d, n, facetness, *AIR_TO_ICE, rules)
+        assert abs(math.hypot(*out) - 1.0) < 1e-14
+        assert (np.dot(out, axis) < 0.0) == passed
 
 
 def tilted(sine):
     """Return a normal and a direction against it, off by this sine."""
     n, t = np.array([0.48, -0.64, 0.6]), np.array([0.8, 0.6, 0.0])
-    return n, -(math.sqrt(1.0 - sine * sine) * n + sine * t)
+    return Vector(*n), Vector(*-(math.sqrt(1.0 - sine * sine) * n + sine * t))
 
 
 def worst_norm(sine):
     n, d = tilted(sine)
-    drawn = (facets.struck_facet(stream(ray), *d, *n, 1.0, facets.PROJECTED) for ray in range(300))
-    return max(abs(math.hypot(*m) - 1.0) for *m, _ in drawn)
+    drawn = (facet_struck(stream(ray), d, n, 1.0, facets.PROJECTED) for ray in range(300))
+    return max(abs(math.hypot(*facet_normal_of(d, facet)) - 1.0) for facet in drawn)
 
 
-@pytest.mark.parametrize("sine", [0.0, 1e-17, 1e-15, 1e-12, 1e-11, 1e-6, 1e-3])
+@pytest.mark.parametrize("sine", [1e-9, 1e-6, 1e-3])
 def test_facet_normals_have_unit_length_near_the_normal(sine):
-    assert worst_norm(sine) < 1e-9
+    # In units of the sine, directions have only so many digits left.
+    assert worst_norm(sine) < 2.0 * EPS / sine
 
 
 def test_facet_normals_have_unit_length_a_hair_off_the_normal():
-    assert max(map(worst_norm, np.logspace(-9.9, -7.0, 30))) < 1e-9
+    for sine in np.logspace(-9.9, -7.0, 30):
+        assert worst_norm(sine) < 2.0 * EPS / sine
+
+
+@pytest.mark.parametrize("sine", [0.0, 1e-17, 1e-15, 1e-12, 1e-11, 1e-10, 1e-9, 1e-6, 1e-3])
+def test_directions_have_unit_length_near_the_normal(sine):
+    n, d = tilted(sine)
+    for ray in range(300):
+        passed, out = interact(stream(ray), d, n, 1.0, *AIR_TO_ICE, RULES)
+        assert abs(math.hypot(*out) - 1.0) < 1e-14
+        assert (np.dot(out, n) < 0.0) == passed
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 3.0)], ids=str)
@@ -259,37 +283,30 @@ def test_an_interface_whose_contrast_underflows():
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 def test_frames_mirrors_and_refraction_along_the_axes(axis):
-    u1, u2, u3, v1, v2, v3 = frames.orthonormal_basis(*axis)
-    basis = np.array([[u1, u2, u3], [v1, v2, v3], axis])
+    n, d = Vector(*axis), Vector(*-axis)
+    basis = np.array([*vectors.tangents(n), n])
     assert basis @ basis.T == pytest.approx(np.eye(3), abs=0.0)
-    assert frames.mirrored(*-axis, *axis) == tuple(axis)
-    assert refracted(*-axis, *axis, 1.0, 1.0 / 1.31, 1.0) == pytest.approx(-axis, abs=1e-15)
+    assert vectors.mirrored(d, n) == n
+    assert refracted(d, n, 1.0, Passage(0.0, 1.0 / 1.31, 1.0)) == pytest.approx(d, abs=1e-15)
 
 
 # --- total reflection outside -----------------------------------------------------------------
 
 
 @njit
-def _bubble(state, optics, grains, rules, length, purse):
-    d1, d2, d3 = 0.0, 0.0, -1.0
-    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(state, d1, d2, d3, 0.0, rules.entry)
-    length[:] = 0.0
-    _, _, _, _, _, _, e3, _ = grain.grain_walk(
-        state, q1, q2, q3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        1e-4, 0.0, 0.0, 0, 1, 1.0, grains, optics, rules, length, purse,
-    )  # fmt: skip
-    return -e3, length[2]
+def _bubble(state, scene, optics, length):
+    d = Vector(0.0, 0.0, -1.0)
+    walk, _ = walked(state, d, Size(1e-4, 0.0), 0.0, 1, scene, optics, length)
+    return -walk.beam.d.z, length[2]
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("pore", [1.33, 2.0])
 def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
     # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
-    optics = Optics(np.array([1.0, pore, 1.0]), np.zeros(3), np.zeros(3))
     rules = splits.Readings(entry="projected").rules()
-    out = draw(
-        _bubble, 300_000, optics, splits.Snow().grains(), rules, np.zeros(3), np.zeros(3), width=2
-    )
+    scene = scene_of(splits.Snow().grains(), saturation=1.0, rules=rules)
+    out = draw(_bubble, 300_000, scene, optics_of([1.0, pore, 1.0]), np.zeros(3), width=2)
 
     def orders(i):
         r, _, cos_t = interface(pore, 1.0, 0.0, math.cos(i))

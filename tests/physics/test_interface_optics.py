@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from splits.transport.fresnel import between, interface, refracted
+from splits.transport.fresnel import Passage, between, interface, refracted
+from splits.transport.vectors import Vector
 
 COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
 INDICES = [
@@ -92,10 +93,10 @@ def test_an_absorbing_far_side_frustrates_total_reflection():
 
 @pytest.mark.parametrize("n", [1.0, 1.31, 2.4])
 def test_equal_media_do_not_show(n):
-    d = (0.48, -0.64, -0.6)
+    d = Vector(0.48, -0.64, -0.6)
     for cos_i in COSINES:
         assert interface(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
-    straight = refracted(*d, 0.0, 0.0, 1.0, 0.6, 1.0, 0.6)
+    straight = refracted(d, Vector(0.0, 0.0, 1.0), 0.6, Passage(0.0, 1.0, 0.6))
     assert straight == pytest.approx(d, abs=1e-15)
 
 
@@ -120,10 +121,10 @@ def test_refracted_direction_obeys_snell(indices):
         d /= np.linalg.norm(d)
         d = -d if d @ n > 0.0 else d
         cos_i = float(-d @ n)
-        reflectance, ratio, cos_t = interface(*indices, cos_i)
-        if reflectance == 1.0:
+        passage = interface(*indices, cos_i)
+        if passage.reflectance == 1.0:
             continue
-        t = np.array(refracted(*d, *n, cos_i, ratio, cos_t))
+        t = np.array(refracted(Vector(*d), Vector(*n), cos_i, passage))
         _, _, q = polarised(*indices, cos_i)
         real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
         assert abs(t @ t - 1.0) < 1e-12

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z, pooled_z
+from scenes import alone, medium_scene, passing
 
 import splits
 from splits.instruments.ensemble import Ensemble
@@ -15,6 +16,7 @@ from splits.instruments.fixed import EVERY_RAY
 from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import lanes
+from splits.transport.features import Features
 from splits.transport.lanes import rows
 from splits.transport.lanes.rows import LANES
 from splits.transport.lanes.surface import surface
@@ -90,11 +92,6 @@ def test_lanes_agree_with_the_scalar_kernel():
     judge_z(pooled, "signed means, lanes against scalar", independent=1)
 
 
-def alone(optics):
-    """Return the optics of work of a single item."""
-    return Optics(*(values[np.newaxis] for values in optics))
-
-
 def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
     work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.attenuation)
@@ -104,7 +101,7 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 
     def exits(items, optics):
         rows = exit_rows(sum(rays for *_, rays, _ in items), 3)
-        legs, lost = lanes.batch(3, np.array(items), *scene, optics, rows, features)
+        legs, lost = lanes.batch(3, np.array(items), scene, optics, rows, features)
         assert not lost and legs.min() > 0
         return rows, legs
 
@@ -131,8 +128,7 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     def exits(first, rays):
         rows = exit_rows(rays, 3)
         work = np.array([[0, first, rays, UNLIMITED]])
-        scene = (*runner.tracer.scene, alone(optics), rows, features)
-        _, lost = lanes.batch(3, work, *scene)
+        _, lost = lanes.batch(3, work, runner.tracer.scene, alone(optics), rows, features)
         assert not lost
         return rows
 
@@ -188,8 +184,8 @@ def test_light_is_neither_lost_nor_made(positions):
         positions=True if positions else None
     )
     rows = exit_rows(3000, 3)
-    scene = (*runner.tracer.scene, alone(optics), rows, features)
-    _, lost = lanes.batch(5, np.array([[0, 0, 3000, UNLIMITED]]), *scene)
+    work = np.array([[0, 0, 3000, UNLIMITED]])
+    _, lost = lanes.batch(5, work, runner.tracer.scene, alone(optics), rows, features)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
     directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]
@@ -219,9 +215,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
     put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
     put(LAYER=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
     put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
-    scene = rows.Scene(
-        np.float32(1e-3), np.float32(1.0), np.float32(0.0), 0, 0, False, True, True, False, False
-    )
+    scene = passing(medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():
         q, d = (table[np.array(which) // LANES].astype(float) for which in (AT, ALONG))
@@ -229,7 +223,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
 
     before = cosines()
     for _ in range(passes):
-        surface(state, words, LANES, rows.Features(*[None] * 7), scene)
+        surface(state, words, LANES, Features(*[None] * 7), scene)
     assert (table[rows.LAYER // LANES] == 1.0).all()
     creep = (cosines() - before) / passes
     error = creep.std(ddof=1) / np.sqrt(LANES)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z, stream
+from scenes import optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
 from splits.transport import granular
-from splits.transport.absorption import WEIGHT
 from splits.transport.fresnel import interface
-from splits.transport.scene import UNLIMITED, Optics, Slab
+from splits.transport.scene import UNLIMITED
 from splits.transport.tally import exit_rows, tally
 
 pytestmark = NEEDS_JIT
@@ -74,16 +74,15 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     readings = {"entry": entry, "grain_across_boundary": "keep"}
     snow = splits.Snow(saturation=0.0, readings=readings)
     absorption = np.array([0.0, 0.0, 1e15])
-    optics = Optics(np.ones(3), np.zeros(3), absorption)
+    optics = optics_of(np.ones(3), absorption=absorption)
     seed, rays = (51, 52)[entry == "uniform"], 100_000
     z = []
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
             exits = exit_rows(rays, 3)
-            _, lost = granular.batch(
-                seed + 10 * analog, np.array([ensemble, 0, rays, UNLIMITED]), snow.grains(),
-                Slab(depth, 0.0, mu, False), snow.readings.rules(analog), optics, exits,
-            )  # fmt: skip
+            scene = scene_of(snow.grains(), depth, 0.0, snow.readings.rules(analog), mu)
+            work = np.array([ensemble, 0, rays, UNLIMITED])
+            _, lost = granular.batch(seed + 10 * analog, work, scene, optics, exits)
             assert not lost
             moments, least, _ = tally(exits, absorption[np.newaxis], not analog)
             assert least[0] == 0.0
@@ -119,19 +118,14 @@ def test_hardly_any_grains_let_everything_through(incidence):
 @pytest.mark.parametrize("mu", [1.0, 0.5, 0.1])
 def test_a_ray_that_meets_no_grain_goes_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
-    slab = Slab(0.12, 0.0, mu, False)
-    optics = Optics(np.array([1.0, 1.0, 1.31]), np.zeros(3), np.zeros(3))
-    length = np.ones(3)
-    rules = snow.readings.rules()
-    purse = np.zeros(3)
-    fate, x, y, z, dx, dy, dz, legs, order = granular.trace(
-        stream(), snow.grains(), slab, rules, optics, length, purse, UNLIMITED
-    )
+    scene = scene_of(snow.grains(), 0.12, rules=snow.readings.rules(), cos=mu)
+    ray, length = trace(stream(), scene, optics_of([1.0, 1.0, 1.31]))
+    place, d = ray.flier.place, ray.flier.d
     sine = math.sqrt(1.0 - mu * mu)
-    assert (fate, purse[WEIGHT], y, dy) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
-    assert (dx, dz, z) == (sine, -mu, -0.12)
-    assert (legs, order) == (1, 0)
-    assert x == pytest.approx(0.12 * sine / mu, rel=1e-14)
+    assert (ray.fate, ray.purse.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
+    assert (ray.legs, ray.order) == (1, 0)
+    assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)
     assert length == pytest.approx([0.12 / mu, 0.0, 0.0], rel=1e-14)
 
 

@@ -7,14 +7,15 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
+from events import walked
 from numba import njit
+from scenes import optics_of, scene_of
 from scipy import integrate
 from spheroids import gradient, quadratic, real_point
 
 import splits
-from splits.transport import grain, spheroid
-from splits.transport.absorption import start_purse
-from splits.transport.scene import Optics
+from splits.transport.spheroid import Size
+from splits.transport.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 
@@ -22,40 +23,26 @@ RADIUS = 2.5e-4
 COUNT = 400_000
 
 
-def optics(n, k=0.0, absorption=0.0):
-    return Optics(np.array([1.0, 1.33, n]), np.array([0.0, 0.0, k]), np.array([0, 0, absorption]))
-
-
-DIRECTION = (0.48, -0.64, 0.6)
+DIRECTION = Vector(0.48, -0.64, 0.6)
 
 
 @njit
-def _scatter(state, psi, facetness, grains, optics, rules, length, purse):
+def _scatter(state, psi, facetness, scene, optics, length):
     """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
-    length[:] = 0.0
-    start_purse(purse)
-    d1, d2, d3 = DIRECTION
-    flattening = 1.0 - psi * psi
-    q1, q2, q3, w1, w2, w3, n1, n2, n3 = spheroid.struck_point(
-        state, d1, d2, d3, flattening, rules.entry
-    )
-    alive, g1, g2, g3, e1, e2, e3, _ = grain.grain_walk(
-        state, q1, q2, q3, d1, d2, d3, w1, w2, w3, n1, n2, n3,
-        RADIUS * psi * psi, flattening, facetness, 0, 0, 0.0,
-        grains, optics, rules, length, purse,
-    )  # fmt: skip
+    size = Size(RADIUS, 1.0 - psi * psi)
+    walk, entry = walked(state, DIRECTION, size, facetness, 0, scene, optics, length)
+    q, w, g, e = entry.grain.q, entry.grain.w, walk.way, walk.beam.d
     return (
-        d1 * e1 + d2 * e2 + d3 * e3, length[2], 1.0 if alive else 0.0,
-        q1, q2, q3, w1, w2, w3, g1, g2, g3, e1, e2, e3,
+        dot(DIRECTION, e), length[2], 1.0 if walk.alive else 0.0,
+        q.x, q.y, q.z, w.x, w.y, w.z, g.x, g.y, g.z, e.x, e.y, e.z,
     )  # fmt: skip
 
 
 def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0):
     rules = splits.Readings(entry=entry).rules(analog)
-    out = draw(
-        _scatter, COUNT, psi, facetness, splits.Snow().grains(), optics(n, 0.0, absorption),
-        rules, np.zeros(3), np.zeros(3), width=15, ray=ray,
-    )  # fmt: skip
+    scene = scene_of(splits.Snow().grains(), rules=rules)
+    optics = optics_of([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
+    out = draw(_scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray)
     alive = out[:, 2] == 1.0
     # Rays leave at a point of the surface, outwards.
     q, w, way, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))

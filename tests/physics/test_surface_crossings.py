@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values
 from chi2 import scaled as sample_size
+from events import unit_sphere
 from numba import njit
 from scipy import stats
 
@@ -70,7 +71,7 @@ def test_rays_do_not_depend_on_how_they_are_shared_out():
 def _there_and_back(state, fields, room, side):
     """Return the way to a crossing, and the way from there back past where it came from."""
     surface = draw_waves(state, fields, room)
-    dx, dy, dz = rng.unit_sphere(state)
+    dx, dy, dz = unit_sphere(state)
     d = Vector(dx, dy, -side * abs(dz))
     place = Vector(0.0, 0.0, side * surface.reach * (1.0 - 2.0 * rng.uniform(state)))
     if side * (place.z - relief_at(surface.waves, 0.0, 0.0).height) <= 0.0:

@@ -6,20 +6,34 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import draw, judge_p, judge_z, p_of_values, scaled, tabulated_cdf
+from chi2 import NEEDS_JIT, draw, judge_p, judge_z, p_of_values, scaled, tabulated_cdf
+from events import (
+    facet_struck,
+    facet_struck_by_lane,
+    interact,
+    interact_by_lane,
+    lane_words,
+    singly,
+)
 from numba import njit
+from scenes import coming, medium_scene, space_of
 from spheroids import dot, gradient, nearest, real_point
 
 import splits
 from splits.media import grain_statistics
-from splits.transport import facets, fresnel, grain, granular
-from splits.transport.scene import DRY_PORE, WET_PORE, Slab
+from splits.transport import faces, fresnel, granular, rng
+from splits.transport.faces import Index
+from splits.transport.light import Light, launched
+from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.vectors import ORIGIN, UP, Vector
 
 COUNT = scaled(200_000)
-NO_LEG = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+# Way from the end of the last leg, its direction, its length.
+NO_LEG = (ORIGIN, granular.NO_LEG.d, granular.NO_LEG.length)
 # Semi-major axes of SPLITSnow Table 1 (m).
 LOW, HIGH = 1.5e-4, 3.75e-4
-DEEP = Slab(1e4, 0.0, 1.0, False)
+single = np.float32
+DEEP = {"depth": 1e4, "saturation": 0.0}
 
 
 def binomial_z(hits, p):
@@ -35,21 +49,26 @@ def binomial_z(hits, p):
 
 
 @njit
-def _next_grain(state, z, dx, dy, dz, to_boundary, grains, slab, rules, last_leg):
+def _next_grain(state, z, d, scene, way, back, length):
     """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
-    leg, _, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = granular.next_grain(
-        state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
-    )
-    return leg, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
-
-
-def next_grains(count, z, d, snow, slab=DEEP, last_leg=NO_LEG, ahead=5e3):
-    """Draw next grains, the boundary ahead at a distance (m); vectors as (count, 3)."""
-    out = draw(
-        _next_grain, count, z, *d, ahead, snow.grains(), slab, snow.readings.rules(), last_leg,
-        width=12,
+    flier = coming(z, way, d, back, length)
+    found = granular.find(state, flier, scene, space_of(scene))
+    met = found.meeting
+    grain, n = met.entry.grain, met.entry.normal
+    q, w = grain.q, grain.w
+    outside = 1.0 if met.outside else 0.0
+    return (
+        met.leg, grain.minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z,
+        outside,
     )  # fmt: skip
-    return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:]
+
+
+def next_grains(count, z, d, snow, slab=None, last_leg=NO_LEG):
+    """Draw next grains; vectors as (count, 3).  Rays that reach a boundary first are left out."""
+    scene = medium_scene(snow, **(slab or DEEP))
+    out = draw(_next_grain, count, z, Vector(*d), scene, *last_leg, width=13)
+    out = out[out[:, 12] == 0.0]
+    return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:12]
 
 
 def test_free_path_and_grain_in_a_deep_medium():
@@ -79,30 +98,35 @@ def test_free_path_and_grain_in_a_deep_medium():
 
 
 def test_grain_is_forgotten_when_the_boundary_comes_first():
-    snow = splits.Snow(depth_m=1e4)
-    legs = draw(
-        _next_leg, scaled(50_000), snow.mean_grain_distance_m, snow.grains(), DEEP,
-        snow.readings.rules(), NO_LEG,
-    )  # fmt: skip
+    snow = splits.Snow(depth_m=1e4, readings={"grain_across_boundary": "keep"})
+    ahead = snow.mean_grain_distance_m
+    out = draw(_next_leg, scaled(50_000), -ahead, medium_scene(snow, **DEEP), width=4)
+    legs, heights, reached, lost = out.T
     # The boundary lies one mean distance ahead: e^-1 of all rays get there.
-    reached = legs == snow.mean_grain_distance_m
-    assert legs.max() == snow.mean_grain_distance_m
+    reached = reached == 1.0
+    assert not lost.any()
+    assert (legs[reached] == ahead).all() and (heights[reached] == 0.0).all()
+    assert legs.max() == ahead and heights[~reached].max() < 0.0
     judge_z(binomial_z(reached, math.exp(-1.0)), "boundary first")
 
 
 @njit
-def _next_leg(state, to_boundary, grains, slab, rules, no_leg):
-    return granular.next_grain(
-        state, -5e3, 0.0, 0.0, 1.0, to_boundary, no_leg, grains, slab, rules
-    )[0]
+def _next_leg(state, z, scene):
+    """Return where the leg of a ray straight up ends, and whether at the boundary."""
+    space = space_of(scene)
+    flier = coming(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
+    found = granular.find(state, flier, scene, space)
+    there = granular.arrived(flier, found.meeting, space)
+    outside = 1.0 if found.meeting.outside else 0.0
+    return there.last.length, there.place.z, outside, 1.0 if found.lost else 0.0
 
 
 @njit
 def _crossed(state, mu, n1, n2):
-    passed, dx, dy, dz = granular.cross_boundary(
-        state, math.sqrt(1.0 - mu * mu), 0.0, mu, n1, n2, 0.0
-    )
-    return 1.0 if passed else 0.0, dx, dy, dz
+    d = Vector(math.sqrt(1.0 - mu * mu), 0.0, mu)
+    near, far = Index(n1, 0.0), Index(n2, 0.0)
+    passed, d = faces.meet(d, faces.facing(d), near, far, rng.uniform(state))
+    return 1.0 if passed else 0.0, d.x, d.y, d.z
 
 
 def test_share_reflected_at_an_extended_boundary():
@@ -112,7 +136,7 @@ def test_share_reflected_at_an_extended_boundary():
             out = draw(_crossed, COUNT // 4, mu, n1, n2, width=4)
             passed, dx, dy, dz = out.T
             sine_t = n1 / n2 * math.sqrt(1.0 - mu * mu)
-            reflectance, _, _ = fresnel.interface(n1, n2, 0.0, abs(mu))
+            reflectance = fresnel.interface(n1, n2, 0.0, abs(mu)).reflectance
             z += binomial_z(passed, 1.0 - reflectance)
             went = passed == 1.0
             assert (dz[~went] == -mu).all() and (dy == 0.0).all()
@@ -122,59 +146,97 @@ def test_share_reflected_at_an_extended_boundary():
 
 
 @njit
-def _interacted(state, cos_i, n1, n2, k2, rules):
-    sin_i = math.sqrt(1.0 - cos_i * cos_i)
-    passed, dx, dy, dz = grain.interact(
-        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.0, n1, 0.0, n2, k2, rules
-    )
-    return 1.0 if passed else 0.0, dx, dy, dz
+def _interacted(state, cos_i, near, far, facetness, rules):
+    d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
+    passed, d = interact(state, d, UP, facetness, near, far, rules)
+    return 1.0 if passed else 0.0, d.x, d.y, d.z
 
 
-def test_share_reflected_at_a_smooth_grain():
+@njit
+def _interacted_by_lane(state, words, cos_i, near, far, sigma, rules):
+    d = singly(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
+    passed, d = interact_by_lane(words, d, singly(UP), sigma, near, far, rules)
+    return 1.0 if passed else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
+
+
+def interacted(precision, count, cos_i, n1, n2, k2, facetness, rules, ray=0):
+    """Draw what becomes of rays at a surface: whether they passed, and their directions."""
+    if precision == "double":
+        near, far = Index(n1, 0.0), Index(n2, k2)
+        return draw(_interacted, count, cos_i, near, far, facetness, rules, width=4, ray=ray)
+    near, far = Index(single(n1), single(0.0)), Index(single(n2), single(k2))
+    return draw(
+        _interacted_by_lane, count, lane_words(ray), cos_i, near, far, single(0.5 * facetness),
+        rules, width=4,
+    )  # fmt: skip
+
+
+PRECISIONS = ["double", pytest.param("single", marks=NEEDS_JIT)]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_share_reflected_at_a_smooth_grain(precision):
     rules = splits.Readings().rules()
     z = []
     for n1, n2, k2 in ((1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.31, 1.33, 1e-3), (1.0, 1.3, 0.5)):
         for cos_i in (1.0, 0.8, 0.5, 0.1):
-            passed, _, _, dz = draw(_interacted, COUNT // 4, cos_i, n1, n2, k2, rules, width=4).T
-            z += binomial_z(passed, 1.0 - fresnel.interface(n1, n2, k2, cos_i)[0])
+            out = interacted(precision, COUNT // 4, cos_i, n1, n2, k2, 0.0, rules)
+            passed, _, _, dz = out.T
+            z += binomial_z(passed, 1.0 - fresnel.interface(n1, n2, k2, cos_i).reflectance)
             assert ((dz < 0.0) == (passed == 1.0)).all()
     judge_z(z, "grain")
 
 
 @njit
-def _rough(state, cos_i, n1, n2, rules):
-    """Return the reflectance expected at the facet drawn, and whether the ray was reflected."""
-    sin_i = math.sqrt(1.0 - cos_i * cos_i)
-    _, _, _, cosine = facets.struck_facet(
-        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.8, rules.facets
-    )
-    expected = fresnel.interface(n1, n2, 0.0, cosine)[0]
-    passed, _, _, dz = grain.interact(
-        state, sin_i, 0.0, -cos_i, 0.0, 0.0, 1.0, 0.8, n1, 0.0, n2, 0.0, rules
-    )
-    return expected, 0.0 if passed else 1.0, 1.0 if (dz < 0.0) == passed else 0.0
+def _expected(state, cos_i, n1, n2, facetness, rules):
+    """Return the reflectance at a facet that a ray strikes."""
+    d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
+    facet = facet_struck(state, d, UP, facetness, rules.facets)
+    return fresnel.interface(n1, n2, 0.0, facet.cos).reflectance
 
 
-def test_share_reflected_at_a_rough_grain():
+@njit
+def _expected_by_lane(state, words, cos_i, n1, n2, sigma, rules):
+    d = singly(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
+    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rules.facets)
+    return fresnel.interface(n1, n2, 0.0, min(np.float64(facet.cos), 1.0)).reflectance
+
+
+def expected_share(precision, count, cos_i, n1, n2, facetness, rules, ray):
+    """Draw reflectances at facets."""
+    if precision == "double":
+        return draw(_expected, count, cos_i, n1, n2, facetness, rules, ray=ray)
+    words, sigma = lane_words(ray), single(0.5 * facetness)
+    return draw(_expected_by_lane, count, words, cos_i, n1, n2, sigma, rules)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_share_reflected_at_a_rough_grain(precision):
     # Reflectance averaged over facets against the share of rays reflected; whatever facet is
     # met, a ray ends up on the side of the macroscopic surface that it was sent to.
     z = []
+    ray = 0
     for wrong_side in ("lobe", "mirrored"):
         for rule in ("projected", "unweighted", "any"):
             rules = splits.Readings(facets=rule, wrong_side=wrong_side).rules()
             for n1, n2 in ((1.0, 1.31), (1.31, 1.0)):
                 for cos_i in (0.9, 0.3):
-                    out = draw(_rough, COUNT // 8, cos_i, n1, n2, rules, width=3)
-                    expected, reflected, right_side = out.T
-                    assert right_side.all()
+                    how = cos_i, n1, n2
+                    expected = expected_share(precision, COUNT // 8, *how, 0.8, rules, ray)
+                    out = interacted(precision, COUNT // 8, *how, 0.0, 0.8, rules, ray + 1)
+                    passed, dz = out[:, 0], out[:, 3]
+                    reflected = 1.0 - passed
+                    assert ((dz < 0.0) == (passed == 1.0)).all()
+                    assert np.abs((out[:, 1:] ** 2).sum(axis=1) - 1.0).max() < 1e-6
                     error = math.sqrt((expected.var() + reflected.var()) / len(out))
                     z.append((expected.mean() - reflected.mean()) / error)
+                    ray += 2
     judge_z(z, "rough grain")
 
 
 @njit
 def _pore(state, saturation):
-    return float(grain.draw_pore(state, saturation))
+    return float(granular.draw_pore(state, saturation))
 
 
 def test_pore_medium_follows_saturation():
@@ -186,17 +248,37 @@ def test_pore_medium_follows_saturation():
     judge_z(z, "pore")
 
 
+@njit
+def _launched(state, light):
+    return launched(light, rng.uniform(state))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_light_comes_as_a_beam_or_by_lamberts_law_or_both(share):
+    beam = 0.8
+    d = draw(_launched, COUNT, Light(beam, share), width=3)
+    assert np.abs((d * d).sum(axis=1) - 1.0).max() < 1e-14
+    assert d[:, 2].max() < 0.0 and d[:, 0].min() >= 0.0 and (d[:, 1] == 0.0).all()
+    from_beam = d[:, 2] == -beam
+    z = binomial_z(from_beam, 1.0 - share)
+    if z:
+        judge_z(z, "beam")
+    if share > 0.0:
+        # Of equal radiance, flux through a horizontal face has density 2μ.
+        judge_p({share: p_of_values(-d[~from_beam, 2], lambda mu: mu * mu, 101)})
+
+
 LAST_LEGS = {
     # Straight on from where the last leg ended, and some way through a grain from there.
-    "reversal": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 2e-3),
-    "beyond a grain": (1e-4, -5e-5, 2e-4, -0.28, 0.0, -0.96, 3e-3),
+    "reversal": (Vector(0.0, 0.0, 0.0), Vector(0.0, 0.0, -1.0), 2e-3),
+    "beyond a grain": (Vector(1e-4, -5e-5, 2e-4), Vector(-0.28, 0.0, -0.96), 3e-3),
 }
 
 
 @pytest.mark.parametrize("name", LAST_LEGS)
 def test_no_grain_lies_on_the_last_leg_unless_kept(name):
     last_leg = LAST_LEGS[name]
-    g, back, length = np.array(last_leg[:3]), np.array(last_leg[3:6]), last_leg[6]
+    g, back, length = np.array(last_leg[0]), np.array(last_leg[1]), last_leg[2]
     d = np.array([0.1, 0.0, math.sqrt(0.99)])
     least = {}
     for fate in ("reject", "keep", "skip"):
@@ -213,15 +295,13 @@ def test_no_grain_lies_on_the_last_leg_unless_kept(name):
 
 @pytest.mark.parametrize("z", [-1e-4, -9e-4])
 def test_no_grain_crosses_a_boundary_unless_kept(z):
-    slab = Slab(1e-3, 0.0, 1.0, False)
+    slab = {"depth": 1e-3, "saturation": 0.0}
     d = np.array([0.8, 0.0, 0.6])
     share = {}
     for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e-3, readings={"grain_across_boundary": fate})
-        # Refused grains are drawn again for ever, unless the ray may reach the boundary.
-        ahead = -z / d[2] if fate == "skip" else 5e3
-        drawn = next_grains(scaled(20_000), z, d, snow, slab, ahead=ahead)
-        leg, minor, flattening, q, w, _ = (values[drawn[0] < ahead] for values in drawn)
+        leg, minor, flattening, q, w, _ = next_grains(scaled(20_000), z, d, snow, slab)
+        assert leg.size > 100 and leg.max() <= -z / d[2]
         centre = z + leg * d[2] - real_point(q, w, minor, flattening)[:, 2]
         # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.
         major = minor / (1.0 - flattening)

@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import EDGES, NEEDS_JIT, evenly, judge_p, judge_z, p_of_counts, p_of_values, stream
+from chi2 import EDGES, NEEDS_JIT, evenly, judge_p, judge_z, p_of_counts, p_of_values
+from events import lane_words
 from numba import njit
+from scenes import boundless, medium_scene, passing
 from scipy import stats
 
 import splits
 from splits.media import grain_statistics
+from splits.transport.features import Features
 from splits.transport.lanes import flight, rows
 
 pytestmark = NEEDS_JIT
@@ -27,19 +30,16 @@ DEPTH = 1e4
 
 def deep_scene(medium, variant):
     """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
-    grains, rules = medium.grains(), medium.readings.rules()
-    scene = rows.Scene(
-        single(1.0 / grains.attenuation), single(DEPTH), single(0.0), rules.entry, rules.facets,
-        False, False, False, False, False,
-    )  # fmt: skip
+    scene = boundless(medium_scene(medium, depth=DEPTH, saturation=0.0))
+    grains = scene.grains
     tables = (
         grains.curvature.astype(single),
         (1.0 - grains.sphericity**2).astype(single),
         (0.5 * grains.facetness).astype(single),
     )
     mixed = True if grains.share.size > 1 else None
-    features = rows.Features(None, True, None, mixed, True if variant else None, True, None)
-    return scene, features, tables, grains.share
+    features = Features(None, True, None, mixed, True if variant else None, True, None)
+    return passing(scene), features, tables, grains.share
 
 
 @njit
@@ -65,12 +65,8 @@ def met(medium, variant=False, count=COUNT):
     """Return the rows of the state of lanes that have just met a grain, by row."""
     scene, features, tables, share = deep_scene(medium, variant)
     state = np.zeros(rows.STATE, dtype=single)
-    words = np.zeros(rows.WORDS, dtype=np.uint32)
+    words = lane_words()
     for lane in range(LANES):
-        start = int(stream(lane)[0])
-        words[rows.KEY_HIGH + lane] = start >> 32
-        words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
-        words[rows.COUNT + lane] = 1
         for row, value in (
             (rows.Z, -0.5 * DEPTH), (rows.DX, 0.48), (rows.DY, -0.64), (rows.DZ, 0.6),
             (rows.LAST, -1.0), (rows.LIMIT, np.inf), (rows.WEIGHT, 1.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,14 +19,17 @@ from chi2 import (
     p_of_values,
     stream,
 )
+from events import facet_struck_by_lane, lane_words, singly
 from numba import njit
 from scipy import stats
 
 from splits.media import grain_statistics
 from splits.transport import facets, rng
 from splits.transport.elementary import circle, logarithm
-from splits.transport.lanes import flight, numbers, rows, surface
+from splits.transport.lanes import flight, numbers, rows
+from splits.transport.lanes.surface import numbers_at
 from splits.transport.lanes.vectors import look_up
+from splits.transport.vectors import UP, Vector
 
 pytestmark = NEEDS_JIT
 
@@ -192,19 +196,46 @@ def test_azimuths_are_uniform():
 
 
 @njit
-def _leaning(state, sigma):
-    while True:
-        u1, u2, _ = numbers.three(bits(state))
-        x = surface.leaning(sigma, u1, u2)
-        if x < single(1.0):
-            return float(x)
+def _half_normal(state, words):
+    return float(numbers_at(words, 0, True, True).normal)
+
+
+@njit
+def _half_circle(state, words):
+    azimuth = numbers_at(words, 0, True, True).azimuth
+    return float(azimuth.cos), float(azimuth.sin)
+
+
+def test_numbers_of_a_trial():
+    far = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
+    normal = draw(_half_normal, COUNT, lane_words())
+    cos, sin = draw(_half_circle, COUNT, lane_words(), width=2).T
+    assert np.abs(cos * cos + sin * sin - 1.0).max() < 1e-6 and cos.min() > -1e-6
+    p = {
+        "normal": p_of_values(normal, stats.halfnorm.cdf, far),
+        "azimuth": p_of_values(np.arctan2(sin, cos) / np.pi + 0.5, evenly, 101),
+    }
+    cells = np.histogram2d(
+        stats.halfnorm.cdf(normal), np.arctan2(sin, cos) / np.pi + 0.5, bins=12,
+        range=((0, 1), (0, 1)),
+    )[0]  # fmt: skip
+    p["both"] = p_of_counts(cells, np.full(144, 1 / 144))
+    judge_p(p)
+
+
+@njit
+def _leaning(state, words, sigma):
+    """Return 1 − n·n' of any facet, whether it faces the ray or not."""
+    d = singly(Vector(0.6, 0.0, -0.8))
+    facet = facet_struck_by_lane(words, d, singly(UP), sigma, facets.ANY)
+    return float(single(1.0) - facet.leaned.cos)
 
 
 def test_leaning_is_half_normal():
     p = {}
     for facetness in (0.1, 0.3, 1.0):
         sigma = 0.5 * facetness
-        x = draw(_leaning, COUNT, single(sigma), ray=int(100 * facetness))
+        x = draw(_leaning, COUNT, lane_words(int(100 * facetness)), single(sigma))
         assert x.min() >= 0.0 and x.max() < 1.0
         law = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
         p[facetness] = p_of_values(x, law.cdf, EDGES)
@@ -213,25 +244,23 @@ def test_leaning_is_half_normal():
 
 
 def test_a_smooth_facet_does_not_lean():
-    assert (draw(_leaning, 1000, single(0.0)) == 0.0).all()
+    assert (draw(_leaning, 1000, lane_words(), single(0.0)) == 0.0).all()
+
+
+NORMAL = single(1e-4)
+"""Least sine of incidence for which facets are turned exactly (`arithmetic.Precision`)."""
 
 
 @njit
-def _choice(state, sigma, cos_i, sin_i, rule):
-    """Return lean and azimuth of a facet accepted as `surface` does it."""
-    while True:
-        u1, u2, u3 = numbers.three(bits(state))
-        u, _, _ = numbers.three(bits(state))
-        x = surface.leaning(sigma, u1, u2)
-        c = single(1.0) - x
-        s = math.sqrt(max(x * (single(2.0) - x), single(0.0)))
-        sine, cosine = surface.half_circle(u3)
-        if rule == facets.PROJECTED:
-            accepted, cosine, cos_facet = facets.projected_choice(c, s, cosine, cos_i, sin_i, u)
-        else:
-            accepted, cosine, cos_facet = surface.any_choice(c, s, cosine, cos_i, sin_i, u, rule)
-        if accepted and x < single(1.0):
-            return float(x), float(sine), float(cosine), float(cos_facet)
+def _facet(state, words, sigma, cos_i, sin_i, rule):
+    """Return lean and azimuth of a facet, and of incidence the cosine on it."""
+    zero = single(0.0)
+    d = Vector(sin_i, zero, -cos_i)
+    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rule)
+    cos_facet = -facet.cos if facet.turned else facet.cos
+    lean = single(1.0) - facet.leaned.cos
+    sine = facet.leaned.sin * max(sin_i, NORMAL)
+    return float(lean), float(sine), float(facet.azimuth.sin), float(facet.azimuth.cos), cos_facet
 
 
 @pytest.mark.parametrize("rule", ["projected", "unweighted", "any"])
@@ -239,24 +268,25 @@ def test_facets_are_chosen_as_the_density_says(rule):
     from test_facets import AZIMUTH_CELLS, RULES, TILT_CELLS, cell_probabilities, tilt
 
     p = {}
-    for facetness in (0.3, 1.0):
-        for cos_i in (0.05, 0.5, 1.0):
-            sin_i = math.sqrt(1.0 - cos_i**2)
-            out = draw(
-                _choice, COUNT, single(0.5 * facetness), single(cos_i), single(sin_i), RULES[rule],
-                width=4,
-            )  # fmt: skip
-            x, sine, cosine, cos_facet = out.T
-            expected = (1.0 - x) * cos_i + np.sqrt(x * (2.0 - x)) * sin_i * cosine
-            assert np.abs(cos_facet - expected).max() < 1e-6
-            assert rule == "any" or cos_facet.min() >= 0.0
-            turn = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
-            counts = np.histogram2d(
-                tilt(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
-                range=((0, 1), (0, 1)),
-            )[0]  # fmt: skip
-            assert counts.sum() == COUNT
-            p[facetness, cos_i] = p_of_counts(counts, cell_probabilities(facetness, cos_i, rule))
+    for number, (facetness, cos_i) in enumerate(product((0.3, 1.0), (0.05, 0.5, 1.0))):
+        sin_i = math.sqrt(1.0 - cos_i**2)
+        out = draw(
+            _facet, COUNT, lane_words(100 * number), single(0.5 * facetness), single(cos_i),
+            single(sin_i), RULES[rule], width=5,
+        )  # fmt: skip
+        x, tilt_sine, sine, cosine, cos_facet = out.T
+        # Of the lean itself, 1 − cos has lost the last digits.
+        assert np.abs(tilt_sine**2 - x * (2.0 - x)).max() < 1e-6
+        expected = (1.0 - x) * cos_i + tilt_sine * max(sin_i, NORMAL) * cosine
+        assert np.abs(cos_facet - expected).max() < 1e-6
+        assert rule == "any" or cos_facet.min() >= 0.0
+        turn = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
+        counts = np.histogram2d(
+            tilt(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
+            range=((0, 1), (0, 1)),
+        )[0]  # fmt: skip
+        assert counts.sum() == COUNT
+        p[facetness, cos_i] = p_of_counts(counts, cell_probabilities(facetness, cos_i, rule))
     judge_p(p)
 
 

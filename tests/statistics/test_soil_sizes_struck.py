@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from chi2 import draw, judge_p, judge_z, p_of_counts, p_of_values, scaled
 from numba import njit
+from scenes import medium_scene, space_of, starting
 from scipy import stats
 
 import splits
 from splits.transport import granular, rng
-from splits.transport.scene import Slab
+from splits.transport.vectors import Vector
 
 COUNT = scaled(200_000)
 # Cells of equal probability that do not fall on the table's own knots, and both tails.
@@ -39,14 +40,13 @@ def quantile(state, table):
 
 
 @njit
-def struck(state, grains, slab, rules):
+def struck(state, scene):
     """Return distance, type and size of the next grain, far from all boundaries."""
-    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
-    leg, kind, minor, flattening, _, _, _, _, _, _, _, _, _ = granular.next_grain(
-        state, -0.5, 0.6, 0.0, 0.8, math.inf, nothing, grains, slab, rules
-    )
-    ratio = 1.0 - flattening
-    return leg, float(kind), 2.0 * minor / ratio, math.sqrt(ratio)
+    flier = starting(-0.5 * scene.slab.depth, Vector(0.6, 0.0, 0.8))
+    found = granular.find(state, flier, scene, space_of(scene))
+    kind, size, _ = found.candidate
+    leg = math.nan if found.meeting.outside else found.meeting.leg
+    return leg, float(kind), 2.0 * size.major, math.sqrt(1.0 - size.flattening)
 
 
 def pieces(texture):
@@ -138,9 +138,8 @@ def test_next_grains_are_of_every_type_by_volume_and_alike_in_size():
     sand = splits.Sand(**MANY_TYPES, readings={"grain_across_boundary": "keep"})
     shares = np.array(sand.composition.volume_fractions)
     assert shares.size == 8
-    leg, kind, size, sphericity = draw(
-        struck, COUNT, sand.grains(), Slab(1.0, 0.0, 1.0, False), sand.readings.rules(), width=4
-    ).T
+    leg, kind, size, sphericity = draw(struck, COUNT, medium_scene(sand, depth=1.0), width=4).T
+    assert np.isfinite(leg).all()
     u = struck_cdf(sand.texture)(size)
     p = {
         "types": p_of_counts(np.bincount(kind.astype(int), minlength=8), shares),

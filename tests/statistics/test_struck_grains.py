@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import draw, judge_p, p_of_counts, p_of_values, scaled, tabulated_cdf
+from events import struck as strike
 from numba import njit
 from scipy import integrate, stats
 from spheroids import dot, gradient, quadratic, real_point
 
 from splits.media import grain_statistics
-from splits.transport import rng, spheroid
+from splits.transport import granular, rng, spheroid
 from splits.transport.rng import table_probabilities
+from splits.transport.spheroid import Size
+from splits.transport.vectors import Vector
 
 COUNT = scaled(200_000)
 SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)
@@ -109,10 +112,15 @@ def area_below(z, sphericity):
     return 0.5 * (1.0 + (e * z * np.sqrt(1.0 - (e * z) ** 2) + np.arcsin(e * z)) / top)
 
 
+@njit
+def _axial(state, flattening):
+    return 2.0 * granular.aim_of(state, flattening).axial - 1.0
+
+
 def test_axial_position():
     p = {}
     for psi in SPHERICITIES:
-        z = draw(spheroid.axial_position, COUNT, 1.0 - psi * psi)
+        z = draw(_axial, COUNT, 1.0 - psi * psi, ray=1)
         p[psi] = p_of_values(z, lambda z, psi=psi: area_below(z, psi))
     judge_p(p)
 
@@ -122,11 +130,21 @@ B = 2.5
 ENTRIES = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 
 
+@njit
+def _struck(state, x, y, z, size, rule):
+    entry = strike(state, Vector(x, y, z), size, rule)
+    q, w, n = entry.grain.q, entry.grain.w, entry.normal
+    return q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z, entry.axial, entry.major, entry.grain.minor
+
+
 def struck(psi, entry):
     """Return entry points from the centre, major axes and normals of grains of semi-axis B."""
     flattening = 1.0 - psi * psi
-    out = draw(spheroid.struck_point, COUNT, *RAY, flattening, ENTRIES[entry], width=9)
-    q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:]
+    out = draw(_struck, COUNT, *RAY, Size(B, flattening), ENTRIES[entry], width=12, ray=1)
+    q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:9]
+    # What the kernel needs later, to see whether the grain fits.
+    assert np.abs((q * axis).sum(axis=1) - out[:, 9]).max() < 1e-13
+    assert (out[:, 10] == B).all() and np.abs(out[:, 11] - B * psi * psi).max() < 1e-15 * B
     assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-13
     return real_point(q, axis, B * psi * psi, flattening), axis, normal
 

@@ -161,17 +161,17 @@ UNITS = {
 def test_half_circle(arguments):
     u = np.asarray(UNITS[arguments](), dtype=single)
     angle = np.pi * (u.astype(float) - 0.5)
-    error = np.abs(evaluated(_half_circles, u, 2) - np.column_stack([np.sin(angle), np.cos(angle)]))
+    error = np.abs(evaluated(_half_circles, u, 2) - np.column_stack([np.cos(angle), np.sin(angle)]))
     print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 3e-7
 
 
 def test_half_circle_at_the_ends_and_in_the_middle():
     for u in (0.0, 2.0**-22, 0.5, 1.0 - 2.0**-22, 1.0):
-        sine, cosine = evaluated(_half_circles, [u], 2)[0]
+        cosine, sine = evaluated(_half_circles, [u], 2)[0]
         assert abs(sine - float(mp.sin(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
         assert abs(cosine - float(mp.cos(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
-    assert evaluated(_half_circles, [0.5], 2).tolist() == [[0.0, 1.0]]
+    assert evaluated(_half_circles, [0.5], 2).tolist() == [[1.0, 0.0]]
 
 
 @pytest.mark.parametrize("arguments", UNITS)
@@ -184,6 +184,19 @@ def test_circle(arguments):
     print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 1e-6
     assert np.abs((points**2).sum(axis=1) - 1.0).max() <= 2e-6
+
+
+def test_logarithm_and_circles_in_double_precision_are_those_of_the_library():
+    u = np.concatenate([np.linspace(1e-9, 1.0 - 1e-9, 1001), np.logspace(-15, -1, 101)])
+    out, points = np.empty_like(u), np.empty((u.size, 2))
+    _logarithms(u, out)
+    assert np.abs(out / np.log(u) - 1.0).max() < 1e-15
+    angle = np.pi * (u - 0.5)
+    _half_circles(u, points)
+    assert np.abs(points - np.column_stack([np.cos(angle), np.sin(angle)])).max() < 1e-15
+    _circles(u, points)
+    both = np.column_stack([np.cos(2.0 * angle), np.sin(2.0 * angle)])
+    assert np.abs(points - both).max() < 1e-15 * 2
 
 
 def test_roots_over_their_range():

@@ -7,13 +7,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
+from scenes import medium_scene, optics_of, scene_of
 from scipy import integrate
 
 import splits
+from splits.transport.features import Features
 from splits.transport.fresnel import interface
-from splits.transport.lanes.choice import DEEPEST, FAINT, extinction_shows, features_for
-from splits.transport.lanes.rows import Features
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Optics, Slab
+from splits.transport.lanes.choice import DEEPEST, FAINT, GRAZING, extinction_shows, features_for
+from splits.transport.scene import DRY_PORE, WET_PORE, Grains
 
 
 def features(medium, k=0.0, analog=False, positions=False, depth=None, **changes):
@@ -24,9 +25,9 @@ def features(medium, k=0.0, analog=False, positions=False, depth=None, **changes
     n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
     extinction = np.full(materials, k)
     extinction[[DRY_PORE, WET_PORE]] = 0.0
-    optics = Optics(n, extinction, np.zeros(materials))
-    slab = Slab(depth or float(medium.depth_m), float(medium.saturation), 1.0, False)
-    return features_for(grains, slab, medium.readings.rules(analog), optics, positions)
+    scene = medium_scene(medium, analog=analog, depth=depth or float(medium.depth_m))
+    scene = scene._replace(grains=grains)
+    return features_for(scene, optics_of(n, extinction), positions)
 
 
 def having(**present):
@@ -79,6 +80,18 @@ def test_readings_other_than_the_default_are_variants(reading, value, variant):
     assert features(snow) == having(wet=True, faceted=True, variant=variant)
 
 
+def test_grazing_beams_are_left_to_the_scalar_kernel_unless_there_is_none():
+    grains, optics = splits.Snow().grains(), optics_of([1.0, 1.33, 1.31])
+    for cos, diffuse, served in (
+        (0.99 * GRAZING, 0.0, False),
+        (1.01 * GRAZING, 0.0, True),
+        (0.99 * GRAZING, 0.5, False),
+        (0.99 * GRAZING, 1.0, True),
+    ):
+        found = features_for(scene_of(grains, 0.1, cos=cos, diffuse=diffuse), optics)
+        assert (found is not None) == served
+
+
 def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
     assert features(splits.Snow(), analog=True) is None
     deep = 1.001 * DEEPEST * splits.Snow().mean_grain_distance_m
@@ -96,9 +109,7 @@ def table(coats):
 
 @pytest.mark.parametrize("coats", [0, 1, 2, 3])
 def test_at_most_one_coating(coats):
-    optics = Optics(np.full(6, 1.5), np.zeros(6), np.zeros(6))
-    rules = splits.Readings().rules()
-    found = features_for(table(coats), Slab(0.1, 0.0, 1.0, False), rules, optics)
+    found = features_for(scene_of(table(coats), 0.1), optics_of(np.full(6, 1.5)))
     assert found == (having(mixed=coats == 1) if coats < 2 else None)
 
 
@@ -122,9 +133,8 @@ GRAINS = {
 
 def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
     """Return whether extinction coefficients of wet pores and of grains are left out."""
-    optics = Optics(np.array([1.0, n_pore, n_core]), np.array([0.0, k_pore, k_core]), np.zeros(3))
-    slab = Slab(0.1, saturation, 1.0, False)
-    found = features_for(splits.Snow().grains(), slab, splits.Readings().rules(), optics)
+    optics = optics_of([1.0, n_pore, n_core], [0.0, k_pore, k_core])
+    found = features_for(scene_of(splits.Snow().grains(), 0.1, saturation), optics)
     return found.absorbing is None
 
 
@@ -196,7 +206,7 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
     ratios = []
     for m in INDICES:
         n1, n2 = (1.0, m) if inwards else (m, 1.0)
-        optics = Optics(np.array([n1, n2]), np.array([0.0, k]), np.zeros(2))
+        optics = optics_of([n1, n2], [0.0, k])
         estimate, exact = extinction_shows(optics, 0, 1), shift(n1, n2, k)
         ratios.append(estimate / max(exact, 1e-8))
         assert estimate > exact / QUADRATURE - 1e-8, (n1, n2)
@@ -206,5 +216,5 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
 
 
 def test_nothing_shows_without_extinction():
-    optics = Optics(np.array([1.31, 1.0]), np.zeros(2), np.zeros(2))
+    optics = optics_of([1.31, 1.0])
     assert extinction_shows(optics, 0, 1) == 0.0

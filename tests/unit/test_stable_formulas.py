@@ -18,9 +18,13 @@ from splits.materials import ice_density
 from splits.materials.mixing import maxwell_garnett
 from splits.media import grain_statistics as statistics
 from splits.media.soil_sizes import LIMITS_M, soil_sizes
-from splits.transport import facets, spheroid
+from splits.transport import facets, rng, spheroid, surface
+from splits.transport.elementary import Angle
 from splits.transport.fresnel import interface
-from splits.transport.rng import half_normal, table_probabilities
+from splits.transport.rng import table_probabilities
+from splits.transport.spheroid import Spheroid
+from splits.transport.surface import Numbers
+from splits.transport.vectors import UP, Vector
 
 M = mp.mpf
 RELATIVE = 1e-12
@@ -300,15 +304,16 @@ def test_chord_down_to_a_grazing_ray(psi, grazing):
     flattening = 1.0 - psi * psi
     for w, s, t in units(np.random.default_rng(7)):
         # A point of the unit sphere, and a direction along the surface there.
-        n = np.array(spheroid.normal_at(*s, *w, flattening))
+        grain = Spheroid(Vector(*s), Vector(*w), flattening, 1.0)
+        n = np.array(spheroid.normal_at(grain))
         tangent = np.cross(n, t)
         d = -grazing * n + math.sqrt(1.0 - grazing**2) * tangent / np.linalg.norm(tangent)
         exact, end, spread = exact_chord(s, d, w, flattening)
-        value, *other = spheroid.across(*s, *d, *w, flattening)
+        value, there = spheroid.across(grain, Vector(*d))
         assert off(value, exact) < RELATIVE + 4.0 * EPS * spread
         # In lengths of the grain this is always nothing.
         assert abs(value - float(exact)) < 1e-11 / (psi * psi)
-        assert np.abs(np.array(other) - np.array(end, dtype=float)).max() < 1e-11
+        assert np.abs(np.array(there.q) - np.array(end, dtype=float)).max() < 1e-11
 
 
 def test_tilt_of_a_rough_facet():
@@ -322,12 +327,16 @@ def test_tilt_of_a_nearly_smooth_facet(facetness):
 
 
 def check_tilt(facetness):
-    # Along the normal no draw is refused: the first |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
+    # |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
+    d = Vector(0.6, 0.0, -0.8)
+    smooth = surface.facing(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
     for ray in range(40):
-        state = stream(ray)
-        tilt = 0.5 * facetness * half_normal(state)
+        normal = rng.half_normal(stream(ray))
+        tilt = 0.5 * facetness * normal
         if tilt >= 1.0:
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
-        _, sine, _, _, _ = facets.facet_angles(stream(ray), facetness, 1.0, facets.UNWEIGHTED)
-        assert off(sine, exact) < RELATIVE
+        numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
+        facet = surface.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED, True)
+        assert facet.leaned.cos == 1.0 - tilt
+        assert off(0.6 * facet.leaned.sin, exact) < RELATIVE

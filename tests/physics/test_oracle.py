@@ -1,0 +1,147 @@
+"""The kernels against an oracle: the scalar kernel of before, which shares no code with them.
+
+Both trace at the same refractive indices, a node for each wavelength, so that nothing but the paths
+decides.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from chi2 import NEEDS_JIT, judge_z, largest_z, pooled_z
+from oracle import granular as oracle_granular
+from oracle import scene as oracle_scene
+from scenes import medium_scene, optics_at
+
+import splits
+from splits.transport import granular, lanes
+from splits.transport.lanes.choice import features_for
+from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.tally import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows
+
+pytestmark = NEEDS_JIT
+
+SNOW = np.linspace(400.0, 2500.0, 20)
+SAND = np.linspace(400.0, 1000.0, 20)
+SMOOTH = (0.0, 0.0, 0.0, 0.0)
+OTHER = {
+    "entry": "projected",
+    "facets": "any",
+    "wrong_side": "mirrored",
+    "boundary_fresnel": "no",
+    "grain_on_last_leg": "keep",
+    "grain_across_boundary": "skip",
+}
+# Medium, incidence, rays per wavelength: the deeper and clearer, the more a ray costs.
+MEDIA = {
+    "snow": (splits.Snow(depth_m=0.03), 0.0, 2000),
+    "dry snow": (splits.Snow(depth_m=0.02, saturation=0.0), 0.0, 2000),
+    "smooth snow": (splits.Snow(depth_m=0.02, facetness=SMOOTH), 0.0, 2000),
+    "thin wet snow": (splits.Snow(depth_m=0.002, saturation=0.5), 0.0, 8000),
+    "coarse wet snow": (
+        splits.Snow(depth_m=0.03, grain_size_um=(900, 1000), saturation=0.3), 0.0, 2000,
+    ),
+    "fine snow": (splits.Snow(depth_m=0.005, grain_size_um=(100, 200)), 0.0, 2000),
+    "packed snow": (splits.Snow(depth_m=0.01, density_kg_m3=600.0), 0.0, 2000),
+    "snow at 60 degrees": (splits.Snow(depth_m=0.01), 60.0, 3000),
+    "snow by other readings": (
+        splits.Snow(depth_m=0.01, saturation=0.3, readings=OTHER), 30.0, 3000,
+    ),
+    "sand": (splits.Sand(depth_m=0.003), 0.0, 4000),
+    "wet sand of eight types": (
+        splits.Sand(
+            depth_m=0.003, hematite_ratio=0.5, magnetite=0.05, saturation=0.4,
+            partition=(0.3, 0.3, 0.4),
+        ),
+        30.0, 4000,
+    ),
+    "sand of coated grains only": (
+        splits.Sand(depth_m=0.003, partition=(0.0, 0.0, 1.0), hematite_ratio=1.0), "diffuse", 4000,
+    ),
+}  # fmt: skip
+KERNELS = ("lanes", "scalar")
+
+
+def wavelengths_of(medium):
+    return SNOW if isinstance(medium, splits.Snow) else SAND
+
+
+def shares(exits, absorption):
+    """Return mean and standard error of what rays bring out on both sides, each shape (2,)."""
+    side, weight = exits[:, EXIT_SIDE], exits[:, EXIT_WEIGHT]
+    left = side >= 0.0
+    score = np.zeros(len(exits))
+    score[left] = weight[left] * np.exp(-exits[left, EXIT_LENGTH:] @ absorption)
+    both = np.stack([np.where(side == row, score, 0.0) for row in (0.0, 1.0)])
+    return both.mean(axis=1), both.std(axis=1) / np.sqrt(len(exits))
+
+
+def by_oracle(medium, incidence, optics, seed, rays):
+    """Return what comes out of a medium at each wavelength, and its error, by the oracle."""
+    scene = medium_scene(medium, incidence)
+    diffuse = incidence == "diffuse"
+    slab = oracle_scene.Slab(medium.depth_m, medium.saturation, scene.light.cos, diffuse)
+    found = []
+    for number, one in enumerate(optics):
+        exits = exit_rows(rays, one.n.size)
+        work = np.array([number, 0, rays, UNLIMITED])
+        _, lost = oracle_granular.batch(seed, work, scene.grains, slab, scene.rules, one, exits)
+        assert not lost
+        found.append(shares(exits, one.absorption))
+    return np.array(found)
+
+
+def by_kernel(kernel, medium, incidence, optics, seed, rays):
+    """Return what comes out of a medium at each wavelength, and its error, by the package."""
+    scene = medium_scene(medium, incidence)
+    work = np.array([[number, 0, rays, UNLIMITED] for number in range(len(optics))])
+    exits = [exit_rows(rays, one.n.size) for one in optics]
+    if kernel == "scalar":
+        for item, one, rows in zip(work, optics, exits, strict=True):
+            assert not granular.batch(seed, item, scene, one, rows).lost
+    else:
+        features = [features_for(scene, one) for one in optics]
+        assert None not in features
+        # What one wavelength asks for serves all of them.
+        absorbing = any(one.absorbing for one in features) and not features[0].mixed
+        shared = features[0]._replace(absorbing=True if absorbing else None)
+        together, rows = Optics(*map(np.stack, zip(*optics, strict=True))), np.concatenate(exits)
+        assert not lanes.batch(seed, work, scene, together, rows, shared).lost
+        exits = np.split(rows, len(optics))
+    pairs = zip(exits, optics, strict=True)
+    return np.array([shares(rows, one.absorption) for rows, one in pairs])
+
+
+def test_kernels_agree_with_the_oracle():
+    found = {kernel: [] for kernel in KERNELS}
+    for number, (name, (medium, incidence, rays)) in enumerate(MEDIA.items()):
+        optics = [optics_at(medium, wavelength) for wavelength in wavelengths_of(medium)]
+        begun = [time.perf_counter()]
+        truth = by_oracle(medium, incidence, optics, 500 + number, rays)
+        begun.append(time.perf_counter())
+        for kernel in KERNELS:
+            values = by_kernel(kernel, medium, incidence, optics, 600 + number, rays)
+            begun.append(time.perf_counter())
+            # Where hardly any ray gets through, its number is not normally distributed.  Both have
+            # the same say in that, which leaves no preference in the sign of what they differ by.
+            seen = 0.5 * (values + truth)[:, 0] > 20.0 / rays
+            error = np.hypot(values[:, 1], truth[:, 1])[seen]
+            away, value = (values - truth)[:, 0][seen], truth[:, 0][seen]
+            found[kernel].append((away, error, value))
+            z = (away / error).round(1).tolist()
+            print(f"{name}, {kernel}: {begun[-1] - begun[-2]:.1f} s, {z}")
+        print(f"{name}, oracle: {begun[1] - begun[0]:.1f} s", flush=True)
+    for kernel, parts in found.items():
+        away, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
+        z = away / error
+        rms = np.sqrt((z**2).mean())
+        pooled = [pooled_z(away, error), pooled_z(away, error, value)]
+        known = 1.0 / np.sqrt(((value / error) ** 2).sum())
+        print(
+            f"{kernel}: {z.size} comparisons, rms z {rms:.2f}, pooled {pooled[0]:+.2f}, relative "
+            f"{pooled[1]:+.2f}, 1 {pooled[1] * known:+.1e} ± {known:.0e}"
+        )
+        assert np.abs(z).max() <= largest_z(z.size)
+        assert 0.85 <= rms <= 1.15
+        judge_z(pooled, f"signed means, {kernel}", independent=1)

@@ -1,0 +1,176 @@
+"""Single events in a ray's life, drawn as the kernels draw them: for tests to look at.
+
+Each comes in double precision, as the scalar kernel has it, and where its name ends in `_by_lane`
+in single precision, with the random numbers of a lane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from chi2 import stream
+from numba import njit
+
+from splits.transport import granular, rng, spheroid, surface
+from splits.transport.elementary import Angle
+from splits.transport.faces import Crossing
+from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse, roulette
+from splits.transport.granular import Beam, Candidate, Found
+from splits.transport.lanes import rows
+from splits.transport.lanes.surface import numbers_at
+from splits.transport.scene import LOBE
+from splits.transport.spheroid import Spheroid
+from splits.transport.surface import Numbers, Stand
+from splits.transport.vectors import UP, Vector
+
+single = np.float32
+
+
+@njit
+def unit_sphere(state):
+    """Return a direction uniform on the sphere (Marsaglia 1972)."""
+    z = 2.0 * rng.uniform(state) - 1.0
+    turn = rng.unit_circle(state)
+    r = np.sqrt((1.0 - z) * (1.0 + z))
+    return Vector(r * turn.cos, r * turn.sin, z)
+
+
+@njit
+def singly(v):
+    """Return a vector in single precision."""
+    return Vector(single(v.x), single(v.y), single(v.z))
+
+
+def lane_words(ray=0):
+    """Return the whole numbers of lanes whose rays have drawn nothing yet."""
+    words = np.zeros(rows.WORDS, dtype=np.uint32)
+    for lane in range(rows.LANES):
+        start = int(stream(ray + lane)[0])
+        words[rows.KEY_HIGH + lane] = start >> 32
+        words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
+        words[rows.COUNT + lane] = 1
+    return words
+
+
+# --- grains -----------------------------------------------------------------------------------
+
+
+@njit
+def struck(state, d, size, entry):
+    """Return where a ray along d strikes a grain."""
+    aim = granular.aim_of(state, size.flattening)
+    return spheroid.strike(d, size, aim, entry, True)
+
+
+@njit
+def walked(state, d, size, facetness, pore, scene, optics, length):
+    """Return a ray after a grain of the first type, as the kernel has it, and the point of entry.
+
+    Lengths are set.
+    """
+    length[:] = 0.0
+    entry = struck(state, d, size, scene.rules.entry)
+    limit = np.inf if scene.rules.analog else FIRST_ROULETTE
+    found = Found(
+        Candidate(0, size, 0.5 * facetness), Meeting(0.0, 0.0, entry, False, True, 0.0), False
+    )
+    beam = Beam(d, pore, Purse(0.0, limit, 1.0))
+    return granular.walk(state, beam, found, scene, optics, length), entry
+
+
+@njit
+def weight_after(state, walk):
+    """Return the weight of a ray after a grain and the roulette that follows it, 0 for none."""
+    purse, alive = walk.beam.purse, walk.alive
+    while alive and purse.depth > purse.limit:
+        played = roulette(purse, rng.uniform(state), True)
+        purse = played.purse
+        alive = not played.ended
+    return purse.weight if alive else 0.0
+
+
+# --- surfaces ---------------------------------------------------------------------------------
+
+
+@njit
+def flat(normal):
+    """Return a grain, and where on it its outward normal is `normal`."""
+    return Spheroid(normal, UP, 0.0, 1.0)
+
+
+@njit
+def flat_by_lane(normal):
+    return Spheroid(normal, singly(UP), single(0.0), single(1.0))
+
+
+@njit
+def facet_struck(state, d, normal, facetness, rule):
+    """Return the facet that a ray strikes on a surface, drawn as `granular.trial` does."""
+    smooth = surface.facing(d, flat(normal), 1.0)
+    while True:
+        azimuth = rng.unit_circle(state)
+        azimuth = Angle(abs(azimuth.cos), azimuth.sin)
+        numbers = Numbers(rng.uniform(state), 0.5, 0.0, rng.half_normal(state), azimuth)
+        facet = surface.rough(d, smooth, 0.5 * facetness, numbers, False, rule, True)
+        if facet.accepted:
+            return facet
+
+
+@njit
+def facet_struck_by_lane(words, d, normal, sigma, rule):
+    """Return the facet that a ray strikes on a surface, drawn as the lanes' `trial` does."""
+    smooth = surface.facing(d, flat_by_lane(normal), single(1.0))
+    while True:
+        numbers = numbers_at(words, 0, True, True)
+        facet = surface.rough(d, smooth, sigma, numbers, False, rule, True)
+        if facet.accepted:
+            return facet
+
+
+@njit
+def facet_normal_of(d, facet):
+    """Return a facet's normal on the side of the ray, as `surface.outcome` takes it."""
+    normal = surface.facet_normal(d, facet.normal, facet.cos_i, facet.leaned, facet.azimuth)
+    sign = -1.0 if facet.turned else 1.0
+    return Vector(sign * normal.x, sign * normal.y, sign * normal.z)
+
+
+@njit
+def tried(state, d, stand, normal, facetness, media, rules):
+    """Return what a trial at a surface leads to."""
+    return granular.trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
+
+
+@njit
+def tried_by_lane(words, d, stand, normal, sigma, media, rules):
+    """Return what a trial at a surface leads to, drawn as the lanes' `trial` does."""
+    numbers = numbers_at(words, 0, True, True)
+    facet = surface.facing(d, flat_by_lane(normal), stand.side)
+    if sigma > single(0.0):
+        facet = surface.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
+    mirrored = rules.wrong_side != LOBE
+    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, granular.EVERYTHING)
+
+
+@njit
+def interact(state, d, normal, facetness, near, far, rules):
+    """Return what becomes of a ray at a surface whose normal is against it."""
+    stand = Stand(0.0, 1.0, False, False)
+    media = surface.contrast(near, far)
+    while True:
+        after = tried(state, d, stand, normal, facetness, media, rules)
+        if after.done:
+            return Crossing(after.passed, after.d)
+        stand = Stand(0.0, 1.0, after.to_lobe, after.passed)
+
+
+@njit
+def interact_by_lane(words, d, normal, sigma, near, far, rules):
+    """Return what becomes of a ray at a surface, by the numbers of a lane."""
+    zero, one = single(0.0), single(1.0)
+    stand = Stand(zero, one, False, False)
+    media = surface.contrast(near, far)
+    while True:
+        after = tried_by_lane(words, d, stand, normal, sigma, media, rules)
+        if after.done:
+            return Crossing(after.passed, after.d)
+        stand = Stand(zero, one, after.to_lobe, after.passed)

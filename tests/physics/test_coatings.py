@@ -14,7 +14,8 @@ from scenes import optics_of, scene_of
 from scipy import integrate
 
 import splits
-from splits.transport.scene import Grains
+from splits.transport import scalar
+from splits.transport.scene import Grains, Types
 from splits.transport.spheroid import Size
 from splits.transport.vectors import Vector, dot
 
@@ -38,7 +39,13 @@ def _walk(state, psi, facetness, scene, optics, true_absorption, length):
     score = weight_after(state, walk)
     if not scene.rules.analog:
         score *= math.exp(-(true_absorption * length).sum())
-    return dot(d, walk.beam.d), length[2], length[3:].sum(), score, float(walk.beam.pore)
+    return (
+        dot(d, walk.beam.d),
+        length[2],
+        length[3:].sum(),
+        score,
+        float(scalar.pore_of(scene.layers, 0, walk.beam.u)),
+    )
 
 
 def layered(thickness, materials=None):
@@ -46,10 +53,11 @@ def layered(thickness, materials=None):
     coats = len(thickness)
     materials = list(materials or range(COAT, COAT + coats))
     one = np.ones((1, 2))
-    return Grains(
-        1.0, np.ones(1), np.array([coats + 1]), np.array([[*materials, CORE]]),
-        np.array([[*thickness, 0.0]]), one, one, one,
+    types = Types(
+        np.array([coats + 1]), np.array([[*materials, CORE]]), np.array([[*thickness, 0.0]]),
+        one, one, one,
     )  # fmt: skip
+    return Grains(1.0, np.ones(1), types)
 
 
 def walk(

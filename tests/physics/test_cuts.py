@@ -23,7 +23,9 @@ MEDIA = {"dry": (DRY, (500.0, 900.0)), "wet": (WET, (500.0, 900.0)), "sand": (SA
 def cut(medium, pieces):
     """Return a medium in so many unequal pieces, the thinnest below the size of a grain."""
     shares = np.geomspace(1.0, 40.0, pieces)
-    return splits.Stack([replace(medium, depth_m=medium.depth_m * s / shares.sum()) for s in shares])
+    return splits.Stack(
+        [replace(medium, depth_m=medium.depth_m * s / shares.sum()) for s in shares]
+    )
 
 
 def differences(one, other, quantities=("reflectance", "transmittance")):

@@ -183,8 +183,8 @@ def test_cuts_against_points_along_the_segment(random, psi):
 @njit
 def _struck_chord(state, grains, entry):
     """Return the straight chord through a struck grain that does not bend the ray."""
-    b = 1.0 / rng.from_table(grains.curvature, 0, rng.uniform(state))
-    psi = rng.from_table(grains.sphericity, 0, rng.uniform(state))
+    b = 1.0 / rng.from_table(grains.types.curvature, 0, rng.uniform(state))
+    psi = rng.from_table(grains.types.sphericity, 0, rng.uniform(state))
     d = Vector(0.48, -0.64, 0.6)
     return spheroid.across(struck(state, d, Size(b, 1.0 - psi * psi), entry).grain, d).length
 

@@ -213,7 +213,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
             table[getattr(rows, name) // LANES] = value
 
     put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
-    put(LAYER=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
+    put(SHELL=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
     put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
     scene = passing(medium_scene(splits.Snow(saturation=0.0)))
 
@@ -224,7 +224,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
     before = cosines()
     for _ in range(passes):
         surface(state, words, LANES, Features(*[None] * 7), scene)
-    assert (table[rows.LAYER // LANES] == 1.0).all()
+    assert (table[rows.SHELL // LANES] == 1.0).all()
     creep = (cosines() - before) / passes
     error = creep.std(ddof=1) / np.sqrt(LANES)
     print(f"creep of the cosine per reflection {creep.mean():.1e} ± {error:.0e}")

@@ -82,11 +82,15 @@ def by_oracle(medium, incidence, optics, seed, rays):
     scene = medium_scene(medium, incidence)
     diffuse = incidence == "diffuse"
     slab = oracle_scene.Slab(medium.depth_m, medium.saturation, scene.light.cos, diffuse)
+    media = medium.grains()
+    grains = oracle_scene.Grains(media.attenuation, media.share, *media.types)
     found = []
     for number, one in enumerate(optics):
         exits = exit_rows(rays, one.n.size)
         work = np.array([number, 0, rays, UNLIMITED])
-        _, lost = oracle_granular.batch(seed, work, scene.grains, slab, scene.rules, one, exits)
+        _, lost = oracle_granular.batch(
+            seed, work, grains, slab, scene.rules, oracle_scene.Optics(*one[:3]), exits
+        )
         assert not lost
         found.append(shares(exits, one.absorption))
     return np.array(found)

@@ -122,7 +122,7 @@ def test_a_ray_that_meets_no_grain_goes_straight(mu):
     ray, length = trace(stream(), scene, optics_of([1.0, 1.0, 1.31]))
     place, d = ray.flier.place, ray.flier.d
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.fate, ray.purse.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (ray.fate, ray.beam.purse.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
     assert (ray.legs, ray.order) == (1, 0)
     assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)

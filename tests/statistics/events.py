@@ -14,10 +14,10 @@ from splits.transport import granular, rng, spheroid, surface
 from splits.transport.elementary import Angle
 from splits.transport.faces import Crossing
 from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse, roulette
-from splits.transport.granular import Beam, Candidate, Found
 from splits.transport.lanes import rows
 from splits.transport.lanes.surface import numbers_at
-from splits.transport.scene import LOBE
+from splits.transport.scalar import Beam, Candidate, Found
+from splits.transport.scene import LOBE, WET_PORE
 from splits.transport.spheroid import Spheroid
 from splits.transport.surface import Numbers, Stand
 from splits.transport.vectors import UP, Vector
@@ -71,9 +71,10 @@ def walked(state, d, size, facetness, pore, scene, optics, length):
     entry = struck(state, d, size, scene.rules.entry)
     limit = np.inf if scene.rules.analog else FIRST_ROULETTE
     found = Found(
-        Candidate(0, size, 0.5 * facetness), Meeting(0.0, 0.0, entry, False, True, 0.0), False
+        Candidate(0, size, 0.5 * facetness), Meeting(0.0, 0.0, entry, False, True, 0.0), 0, False
     )
-    beam = Beam(d, pore, Purse(0.0, limit, 1.0))
+    # Below any saturation but none, or above it.
+    beam = Beam(d, 0, 0.0 if pore == WET_PORE else 1.0, Purse(0.0, limit, 1.0))
     return granular.walk(state, beam, found, scene, optics, length), entry
 
 

@@ -9,7 +9,7 @@ import splits
 from splits.instruments.scenes import granular_scene
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, scalar, tally
-from splits.transport.flight import Flier
+from splits.transport.flight import Flier, Purse
 from splits.transport.lanes.batch import passing_of
 from splits.transport.light import Light
 from splits.transport.scene import KEPT, UNLIMITED, Layers, Optics, Scene
@@ -88,6 +88,18 @@ def coming(z, way, d, back, length):
     """Return a ray at a height, some way from the end of the leg that it travelled last."""
     place = Vector(-way.x, -way.y, z - way.z)
     return Flier(place, way, d, Segment(ORIGIN, back, length), 0.0)
+
+
+_DRY = 1.0
+"""A number that decides for a dry pore, whatever the saturation."""
+_NOTHING = optics_of(np.ones(2))
+
+
+@njit
+def found_by(state, flier, scene):
+    """Return what a ray in the only layer of a scene meets next."""
+    beam = scalar.Beam(flier.d, 0, _DRY, Purse(0.0, np.inf, 1.0))
+    return granular.find(state, flier, beam, scene, _NOTHING)
 
 
 @njit

@@ -16,12 +16,12 @@ from events import (
     singly,
 )
 from numba import njit
-from scenes import coming, medium_scene, space_of
+from scenes import coming, found_by, medium_scene, space_of
 from spheroids import dot, gradient, nearest, real_point
 
 import splits
 from splits.media import grain_statistics
-from splits.transport import faces, fresnel, granular, rng
+from splits.transport import faces, fresnel, granular, rng, scalar
 from splits.transport.faces import Index
 from splits.transport.light import Light, launched
 from splits.transport.scene import DRY_PORE, WET_PORE
@@ -52,7 +52,7 @@ def binomial_z(hits, p):
 def _next_grain(state, z, d, scene, way, back, length):
     """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
     flier = coming(z, way, d, back, length)
-    found = granular.find(state, flier, scene, space_of(scene))
+    found = found_by(state, flier, scene)
     met = found.meeting
     grain, n = met.entry.grain, met.entry.normal
     q, w = grain.q, grain.w
@@ -115,8 +115,8 @@ def _next_leg(state, z, scene):
     """Return where the leg of a ray straight up ends, and whether at the boundary."""
     space = space_of(scene)
     flier = coming(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
-    found = granular.find(state, flier, scene, space)
-    there = granular.arrived(flier, found.meeting, space)
+    found = found_by(state, flier, scene)
+    there = granular.arrived(flier, found, space)
     outside = 1.0 if found.meeting.outside else 0.0
     return there.last.length, there.place.z, outside, 1.0 if found.lost else 0.0
 
@@ -235,14 +235,14 @@ def test_share_reflected_at_a_rough_grain(precision):
 
 
 @njit
-def _pore(state, saturation):
-    return float(granular.draw_pore(state, saturation))
+def _pore(state, layers):
+    return float(scalar.pore_of(layers, 0, rng.uniform(state)))
 
 
 def test_pore_medium_follows_saturation():
     z = []
     for saturation in (0.0, 0.05, 0.3, 1.0):
-        pore = draw(_pore, COUNT, saturation)
+        pore = draw(_pore, COUNT, medium_scene(splits.Snow(), saturation=saturation).layers)
         assert set(np.unique(pore)) <= {float(DRY_PORE), float(WET_PORE)}
         z += binomial_z(pore == WET_PORE, saturation)
     judge_z(z, "pore")

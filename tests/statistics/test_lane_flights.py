@@ -26,20 +26,25 @@ single = np.float32
 LANES = rows.LANES
 COLUMNS = rows.KIND // LANES + 1
 DEPTH = 1e4
+NOTHING = Features(*[None] * len(Features._fields))
 
 
 def deep_scene(medium, variant):
     """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
     scene = boundless(medium_scene(medium, depth=DEPTH, saturation=0.0))
-    grains = scene.grains
+    types, share = scene.types, scene.layers.share
     tables = (
-        grains.curvature.astype(single),
-        (1.0 - grains.sphericity**2).astype(single),
-        (0.5 * grains.facetness).astype(single),
+        types.curvature.astype(single),
+        (1.0 - types.sphericity**2).astype(single),
+        (0.5 * types.facetness).astype(single),
     )
-    mixed = True if grains.share.size > 1 else None
-    features = Features(None, True, None, mixed, True if variant else None, True, None)
-    return passing(scene), features, tables, grains.share
+    features = NOTHING._replace(
+        faceted=True,
+        mixed=True if share.size > 1 else None,
+        variant=True if variant else None,
+        positions=True,
+    )
+    return passing(scene), features, tables, share
 
 
 @njit

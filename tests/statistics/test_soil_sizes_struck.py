@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from chi2 import draw, judge_p, judge_z, p_of_counts, p_of_values, scaled
 from numba import njit
-from scenes import medium_scene, space_of, starting
+from scenes import found_by, medium_scene, starting
 from scipy import stats
 
 import splits
-from splits.transport import granular, rng
+from splits.transport import rng
 from splits.transport.vectors import Vector
 
 COUNT = scaled(200_000)
@@ -42,8 +42,8 @@ def quantile(state, table):
 @njit
 def struck(state, scene):
     """Return distance, type and size of the next grain, far from all boundaries."""
-    flier = starting(-0.5 * scene.slab.depth, Vector(0.6, 0.0, 0.8))
-    found = granular.find(state, flier, scene, space_of(scene))
+    flier = starting(0.5 * scene.layers.face[1], Vector(0.6, 0.0, 0.8))
+    found = found_by(state, flier, scene)
     kind, size, _ = found.candidate
     leg = math.nan if found.meeting.outside else found.meeting.leg
     return leg, float(kind), 2.0 * size.major, math.sqrt(1.0 - size.flattening)
@@ -85,7 +85,7 @@ def struck_cdf(texture):
 def test_struck_sizes():
     p = {}
     for name, texture in TEXTURES.items():
-        curvature = splits.Sand(texture=texture).grains().curvature
+        curvature = splits.Sand(texture=texture).grains().types.curvature
         sizes = 2.0 / draw(quantile, COUNT, curvature)
         cumulative = struck_cdf(texture)
         p[name, "cells"] = p_of_values(sizes, cumulative, EDGES)
@@ -97,7 +97,9 @@ def test_shares_of_the_separates():
     """Cut at the limits of the separates, where the density jumps."""
     p = {}
     for name, texture in TEXTURES.items():
-        sizes = 2.0 / draw(quantile, COUNT, splits.Sand(texture=texture).grains().curvature, ray=1)
+        sizes = 2.0 / draw(
+            quantile, COUNT, splits.Sand(texture=texture).grains().types.curvature, ray=1
+        )
         counts, _ = np.histogram(np.log(sizes), [-np.inf, *LIMITS[1:3], np.inf])
         shares = np.diff([0.0, *struck_cdf(texture)(np.exp(LIMITS[1:3])), 1.0])
         if np.count_nonzero(shares) > 1:
@@ -117,7 +119,7 @@ def test_mean_of_struck_sizes_belongs_to_the_attenuation():
 
 def test_sizes_that_no_separate_has_are_hardly_drawn():
     """Without silt nothing lies between 2 and 50 µm but what one cell of the table joins."""
-    curvature = splits.Sand(texture=(0.1, 0.0, 0.9)).grains().curvature
+    curvature = splits.Sand(texture=(0.1, 0.0, 0.9)).grains().types.curvature
     x = np.log(2.0 / draw(quantile, COUNT, curvature, ray=2))
     inside = (x > LIMITS[1] + 1e-9) & (x < LIMITS[2] - 1e-9)
     assert inside.mean() < 2.0 / curvature.shape[1]
@@ -126,7 +128,7 @@ def test_sizes_that_no_separate_has_are_hardly_drawn():
 def test_facetness_is_one_less_roundness():
     p = {}
     for mean, sd in ((0.482, 0.072), (0.05, 0.3), (1.0, 0.1), (0.5, 1.0)):
-        facetness = splits.Sand(roundness=(mean, sd)).grains().facetness
+        facetness = splits.Sand(roundness=(mean, sd)).grains().types.facetness
         roundness = stats.truncnorm((0.0 - mean) / sd, (1.0 - mean) / sd, loc=mean, scale=sd)
         p[mean, sd] = p_of_values(
             draw(quantile, COUNT, facetness), lambda f, r=roundness: r.sf(1.0 - f), EDGES

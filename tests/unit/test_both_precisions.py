@@ -109,7 +109,7 @@ def _outcomes(x, lobe, through, features, rule, turn, out):
         after = surface.outcome(d, stand, facet, media, row[9], turn, features)
         goes = surface.goings(stand, after, one, features.mixed)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = after.d.x, after.d.y, after.d.z, after.out
-        out[i, 4], out[i, 5], out[i, 6] = facet.cos, goes.stand.layer, goes.stand.side
+        out[i, 4], out[i, 5], out[i, 6] = facet.cos, goes.stand.shell, goes.stand.side
         out[i, 7], out[i, 8], out[i, 9] = after.passed, after.done, after.to_lobe
         out[i, 10], out[i, 11], out[i, 12] = goes.out, goes.coating, goes.core
 

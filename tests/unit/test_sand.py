@@ -139,7 +139,9 @@ def test_materials_are_listed_once_in_the_order_of_their_types():
     assert layers == [("quartz",), ("magnetite",), *iron[0], *iron[1]]
     coated = grains.types.shells == 2
     assert (grains.types.thickness[coated, 0] == 5.0 / 1200.0).all()
-    assert (grains.types.thickness[~coated] == 0.0).all() and (grains.types.thickness[:, 1] == 0.0).all()
+    assert (grains.types.thickness[~coated] == 0.0).all() and (
+        grains.types.thickness[:, 1] == 0.0
+    ).all()
 
 
 def test_indices_by_hand():

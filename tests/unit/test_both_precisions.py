@@ -29,7 +29,7 @@ COUNT = 200_000
 MEDIAN, MOST, WORST = 1e-7, 2e-6, 1e-4
 OTHERWISE = 2e-5
 """Share of decisions that may fall the other way."""
-BARE = Features(*[None] * 7)
+BARE = Features(*[None] * len(Features._fields))
 FEATURES = {
     "smooth": BARE,
     "rough": BARE._replace(faceted=True),

@@ -43,7 +43,7 @@ def test_what_is_no_stack_is_refused_by_its_layer(layers, message):
     ],
 )
 def test_a_sample_is_thicker_than_its_largest_grain(medium):
-    with pytest.raises(ValueError, match="depth_m = .*more than the largest grain"):
+    with pytest.raises(ValueError, match=r"depth_m = .*more than the largest grain"):
         check_medium(medium)
 
 

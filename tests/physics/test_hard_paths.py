@@ -13,7 +13,7 @@ from scenes import medium_scene, optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
-from splits.transport import facets, granular, spheroid, vectors
+from splits.transport import facets, granular, spheroid, vectors, walk
 from splits.transport.faces import Index
 from splits.transport.fresnel import Passage, interface, refracted
 from splits.transport.spheroid import Entry, Segment, Size, Spheroid
@@ -57,7 +57,7 @@ def _trapped(state, steps, size, facetness, rules):
         p = along(leg, d, p)
         stand = Stand(1.0, -1.0, False, False)
         while True:
-            after = granular.trial(state, d, stand, grain, 0.5 * facetness, media, rules)
+            after = walk.trial(state, d, stand, grain, 0.5 * facetness, media, rules)
             if after.done:
                 break
             stand = Stand(1.0, -1.0, after.to_lobe, after.passed)

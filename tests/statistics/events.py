@@ -10,7 +10,7 @@ import numpy as np
 from chi2 import stream
 from numba import njit
 
-from splits.transport import granular, rng, spheroid, surface
+from splits.transport import features, rng, scalar, spheroid, surface, walk
 from splits.transport.elementary import Angle
 from splits.transport.faces import Crossing
 from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse, roulette
@@ -57,7 +57,7 @@ def lane_words(ray=0):
 @njit
 def struck(state, d, size, entry):
     """Return where a ray along d strikes a grain."""
-    aim = granular.aim_of(state, size.flattening)
+    aim = scalar.aim_of(state, size.flattening)
     return spheroid.strike(d, size, aim, entry, True)
 
 
@@ -75,7 +75,7 @@ def walked(state, d, size, facetness, pore, scene, optics, length):
     )
     # Below any saturation but none, or above it.
     beam = Beam(d, 0, 0.0 if pore == WET_PORE else 1.0, Purse(0.0, limit, 1.0))
-    return granular.walk(state, beam, found, scene, optics, length), entry
+    return walk.walk(state, beam, found, scene, optics, length), entry
 
 
 @njit
@@ -105,7 +105,7 @@ def flat_by_lane(normal):
 
 @njit
 def facet_struck(state, d, normal, facetness, rule):
-    """Return the facet that a ray strikes on a surface, drawn as `granular.trial` does."""
+    """Return the facet that a ray strikes on a surface, drawn as `walk.trial` does."""
     smooth = surface.facing(d, flat(normal), 1.0)
     while True:
         azimuth = rng.unit_circle(state)
@@ -138,7 +138,7 @@ def facet_normal_of(d, facet):
 @njit
 def tried(state, d, stand, normal, facetness, media, rules):
     """Return what a trial at a surface leads to."""
-    return granular.trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
+    return walk.trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
 
 
 @njit
@@ -149,7 +149,7 @@ def tried_by_lane(words, d, stand, normal, sigma, media, rules):
     if sigma > single(0.0):
         facet = surface.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
     mirrored = rules.wrong_side != LOBE
-    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, granular.EVERYTHING)
+    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, features.EVERYTHING)
 
 
 @njit

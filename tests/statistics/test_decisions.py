@@ -29,7 +29,7 @@ from splits.transport.vectors import ORIGIN, UP, Vector
 
 COUNT = scaled(200_000)
 # Way from the end of the last leg, its direction, its length.
-NO_LEG = (ORIGIN, granular.NO_LEG.d, granular.NO_LEG.length)
+NO_LEG = (ORIGIN, scalar.NO_LEG.d, granular.NO_LEG.length)
 # Semi-major axes of SPLITSnow Table 1 (m).
 LOW, HIGH = 1.5e-4, 3.75e-4
 single = np.float32

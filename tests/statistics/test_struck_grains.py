@@ -11,7 +11,7 @@ from scipy import integrate, stats
 from spheroids import dot, gradient, quadratic, real_point
 
 from splits.media import grain_statistics
-from splits.transport import granular, rng, spheroid
+from splits.transport import rng, scalar, spheroid
 from splits.transport.rng import table_probabilities
 from splits.transport.spheroid import Size
 from splits.transport.vectors import Vector
@@ -114,7 +114,7 @@ def area_below(z, sphericity):
 
 @njit
 def _axial(state, flattening):
-    return 2.0 * granular.aim_of(state, flattening).axial - 1.0
+    return 2.0 * scalar.aim_of(state, flattening).axial - 1.0
 
 
 def test_axial_position():

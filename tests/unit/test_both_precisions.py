@@ -270,7 +270,7 @@ def test_overlaps_with_boundaries_and_legs(random):
 
 
 @njit
-def _next(x, fates, variant, out):
+def _next(x, fates, features, out):
     for i in range(len(x)):
         row = x[i]
         d, size = Vector(row[0], row[1], row[2]), Size(row[3], row[4])
@@ -279,8 +279,8 @@ def _next(x, fates, variant, out):
         place, way = Vector(zero, zero, row[13]), Vector(row[14], row[15], row[16])
         last = Segment(way, Vector(row[17], row[18], row[19]), row[20])
         ray = Flier(place, way, d, last, row[21])
-        space = Space(row[22], row[23], zero)
-        met = flight.next_grain(ray, size, aim, row[24], space, fates, variant)
+        space = Space(row[22], row[23], zero, row[23], zero)
+        met = flight.next_grain(ray, size, aim, row[24], space, fates, features)
         there = flight.to_boundary(ray, space)
         n = met.entry.normal
         out[i, 0], out[i, 1], out[i, 2] = met.leg, met.height, there.leg
@@ -308,7 +308,8 @@ def test_next_grains(random, name):
         np.where(random.uniform(size=COUNT) < 0.1, -1.0, SCALE * random.exponential(5.0, COUNT)),
         skipped, 5.0 * SCALE * ones, -DEPTH * ones, random.uniform(1e-6, 1.0, COUNT),
     ]  # fmt: skip
-    one, other = both(_next, columns, 12, *FATES[name])
+    fates, variant = FATES[name]
+    one, other = both(_next, columns, 12, fates, BARE._replace(variant=variant))
     same = judge_decisions(one[:, 9:], other[:, 9:], name)
     judge(one[:, :2], other[:, :2], "leg and height", DEPTH)
     # Ways to a boundary are as long as rays are level.

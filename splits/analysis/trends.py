@@ -7,15 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from splits.analysis.errors import band_error
+from splits.analysis.errors import band, band_error
 
 SIGNIFICANT = 3.0
 """A trend counts as shown when its smallest step exceeds this many standard errors."""
 
 
 def band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
-    """Return the mean of a quantity over a band (nm)."""
-    return dataset[quantity].sel(wavelength=slice(low, high)).mean("wavelength")
+    """Return the mean of a quantity over a band (nm), NaN if a value there is."""
+    inside = band(dataset, low, high).values > 0.0
+    return dataset[quantity].isel(wavelength=inside).mean("wavelength", skipna=False)
 
 
 def steps(
@@ -124,7 +125,7 @@ def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> d
     worst = int(np.argmin(value / error))
     v, e = float(value[worst]), float(error[worst])
     row = _row(quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors")
-    if abs(v) <= SIGNIFICANT * e:
+    if not abs(v) > SIGNIFICANT * e:
         row["verdict"] = "not resolved at this accuracy"
     return row
 

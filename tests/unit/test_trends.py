@@ -78,13 +78,18 @@ def test_the_row_holds_the_least_sure_step():
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(3.01, "agrees"), (2.99, "not resolved at this accuracy"), (-3.01, "outside")],
+    [
+        (3.01, "agrees"),
+        (2.99, "not resolved at this accuracy"),
+        (-3.01, "outside"),
+        (np.nan, "not resolved at this accuracy"),
+    ],
 )
 def test_the_bar_is_three_standard_errors(value, expected):
     assert SIGNIFICANT == 3.0
     row = beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
     assert row["verdict"] == expected
-    assert row["ours"] == value
+    np.testing.assert_equal(row["ours"], value)
     assert "3 standard errors" in row["bar"]
 
 

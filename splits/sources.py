@@ -17,7 +17,12 @@ PHYSICS = (
     "experiments/coordinates.py", "experiments/run.py",
 )  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""
-FITTING = ("experiments/fit.py", "experiments/parameters.py", "experiments/run_fit.py")
+FITTING = (
+    "experiments/fit.py",
+    "experiments/fit_errors.py",
+    "experiments/parameters.py",
+    "experiments/run_fit.py",
+)
 """Files behind a fit besides."""
 
 

@@ -49,6 +49,11 @@ def deviations(
     return {f"{name}_groups": (("group", *dims), groups.astype(np.float32), about)}
 
 
+def stderr_of(groups: np.ndarray) -> np.ndarray:
+    """Return the standard error of the mean of groups of rays."""
+    return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))
+
+
 def without_one(groups: np.ndarray) -> np.ndarray:
     """Return the means over all groups but one, the groups along the first axis."""
     return (groups.sum(axis=0) - groups) / (len(groups) - 1)

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import xarray as xr
 
+from splits.checks import refuse
+
 _ROUNDING = 1e-6
 """Part of a variance that deviations in single precision may miss."""
 
@@ -54,22 +56,37 @@ def error_parts(
     -------
     scatter, missed : xarray.DataArray
         Over all other dimensions: one standard deviation between runs with other seeds, and a
-        bound on what interpolation between refractive indices misses.
+        bound on what interpolation between refractive indices misses.  NaN where an error that
+        counts is unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
     if f"{quantity}_groups" not in dataset:
-        most = (abs(weights) * stderr).sum("wavelength")
+        most = _sum(abs(weights), stderr)
         return most, xr.zeros_like(most)
     groups = dataset[f"{quantity}_groups"].astype(float)
-    rest = stderr**2 - (groups**2).sum("group")
-    bound = rest.where(rest > _ROUNDING * stderr**2, 0.0) ** 0.5
-    scatter = ((weights * groups).sum("wavelength") ** 2).sum("group") ** 0.5
-    return scatter, (abs(weights) * bound).sum("wavelength")
+    rest = stderr**2 - (groups**2).sum("group", skipna=False)
+    bound = rest.where(~(rest <= _ROUNDING * stderr**2), 0.0) ** 0.5
+    scatter = (_sum(weights, groups) ** 2).sum("group", skipna=False) ** 0.5
+    return scatter, _sum(abs(weights), bound)
+
+
+def _sum(weights: xr.DataArray, values: xr.DataArray) -> xr.DataArray:
+    """Return a weighted sum over wavelength, unknown if a value is that counts."""
+    return (weights * values).where(weights != 0.0, 0.0).sum("wavelength", skipna=False)
 
 
 def band(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
-    """Return the weights over wavelength that make a sum the mean over a band (nm)."""
+    """Return the weights over wavelength that make a sum the mean over a band (nm).
+
+    Raises
+    ------
+    ValueError
+        If the dataset has no wavelength there.
+    """
     inside = (dataset.wavelength >= low) & (dataset.wavelength <= high)
+    if not inside.any():
+        ends = " to ".join(f"{end:g}" for end in dataset.wavelength.values[[0, -1]])
+        raise refuse("wavelength", f"{ends} nm", f"some in {low:g} to {high:g} nm")
     return inside / inside.sum()
 
 

@@ -47,15 +47,29 @@ def left_out(theory: Theory, optics: xr.Dataset) -> np.ndarray | None:
 
 
 def missed(theory: Theory, optics: xr.Dataset) -> np.ndarray:
-    """Return the bound on what interpolation of the optics may miss of a theory's results."""
-    names = [name for name in _with(optics, MISSED) if name in optics]
+    """Return the bound on what interpolation of the optics may miss of a theory's results.
+
+    Every number of the optics may be off by itself, either way: what each does to the results is
+    added up in size, which is a bound as far as results respond in proportion.
+    """
     whole = theory(optics)
-    moved = [
-        theory(optics.assign({name: optics[name] - optics[name + MISSED]})) - whole
-        for name in names
-        if optics[name + MISSED].values.any()
-    ]
-    return np.sqrt(sum((np.square(one) for one in moved), start=np.zeros_like(whole)))
+    bound = np.zeros_like(whole)
+    for name in _with(optics, MISSED):
+        if name in optics:
+            for off in _one_by_one(optics[name + MISSED]):
+                bound += np.abs(theory(optics.assign({name: optics[name] - off})) - whole)
+    return bound
+
+
+def _one_by_one(missed: xr.DataArray) -> Iterator[xr.DataArray]:
+    """Yield it with one order after the other, all others 0; results know one wavelength each."""
+    along = [dim for dim in missed.dims if dim != "wavelength"]
+    for place in np.ndindex(*(missed.sizes[dim] for dim in along)):
+        one = dict(zip(along, place, strict=True))
+        if missed[one].values.any():
+            off = xr.zeros_like(missed)
+            off[one] = missed[one]
+            yield off
 
 
 def _without_parts(optics: xr.Dataset) -> Iterator[xr.Dataset]:

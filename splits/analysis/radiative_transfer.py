@@ -81,6 +81,7 @@ def discrete_ordinates(
     truncation = np.abs(fine - coarse)
     few = min(streams, FEW_STREAMS)
     used = optics[[name for name in optics.data_vars if str(name).startswith(INPUTS)]]
+    used = used.isel(order=slice(few + 1))
     stderr = np.hypot(truncation, response(lambda part: _slabs(part, cosine, few), used))
     variables: dict[str, Variable] = {}
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):

@@ -25,7 +25,8 @@ class Sensitivity:
         and counts as 0, as two zeros of a coin-tossing run would.
     stderr : float
         Upper bound of its standard error: those of all wavelengths are added linearly, as if all
-        went together.
+        went together.  A wavelength near the noise counts in one run and not in another: its
+        ratio, or the most it could have at the limit, times the chance of that belongs to them.
     index_resolved : float
         MSI over the wavelengths above the noise only.
     resolved : float
@@ -60,5 +61,12 @@ def mean_sensitivity_index(
     # d ratio = (smaller/larger) · (relative errors in quadrature).
     error_of_smaller = np.where(y >= z, z_stderr, y_stderr)
     error = np.where(seen, np.hypot(error_of_smaller, smaller * error_of_larger / safe) / safe, 0.0)
+    # With p the chance to be seen, √(p (1 − p)) is at most exp(−d²/4)/2 at d errors from the limit.
+    limit = NOISE * error_of_larger
+    tiny = np.finfo(float).tiny
+    away = np.abs(larger - limit) / np.maximum(error_of_larger, tiny)
+    most = 1.0 - smaller / np.maximum(np.maximum(larger, limit), tiny)
+    flip = np.where(limit > 0.0, 0.5 * most * np.exp(-0.25 * np.minimum(away, 50.0) ** 2), 0.0)
+    error = np.hypot(error, flip)
     resolved = float(ratio[seen].mean()) if seen.any() else 0.0
     return Sensitivity(float(ratio.mean()), float(error.mean()), resolved, float(seen.mean()))

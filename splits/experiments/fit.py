@@ -16,13 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.checks import in_range, refuse
-from splits.experiments.parameters import (
-    Cube,
-    FitResult,
-    covariance_of,
-    misfit_variance,
-    parameter_errors,
-)
+from splits.experiments.fit_errors import covariance_of, draws_of, parameter_errors
+from splits.experiments.parameters import Cube, FitResult
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
@@ -130,12 +125,11 @@ def fit(
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
     value, value_stderr = _misfit(modelled, wanted), float(np.sqrt(np.mean(stderr**2)))
-    covariance = _covariance(problem, best, effort, streams, modelled)
-    sd = np.sqrt(np.diag(covariance))
+    draws = draws_of(best, _covariance(problem, best, effort, streams, modelled))
     seconds = time.perf_counter() - begun
     say(f"{problem.count} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
     return FitResult(
-        parameters=parameter_errors(cube, best, covariance),
+        parameters=parameter_errors(cube, best, draws),
         settings=cube.settings(best),
         rmse=value,
         rmse_stderr=value_stderr,
@@ -146,8 +140,8 @@ def fit(
         spectrum=spectrum,
         names=cube.names,
         coordinates=best,
-        coordinates_stderr=sd,
-        correlation=covariance / np.outer(sd, sd),
+        coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
+        correlation=np.corrcoef(draws, rowvar=False),
         others=[(end.misfit, cube.natural(end.place)) for end in ends[0]],
         evaluations=problem.count,
         seconds=seconds,
@@ -226,7 +220,7 @@ def _covariance(
     noise = problem.simulate(best, effort.rays[-1], streams[last])[1]
     rays = max(effort.rays[-1] // _RAYS_PER_DERIVATIVE, 1)
     jacobians = [central(problem.model(rays, s), best) for s in streams[last + 1 : -1]]
-    return covariance_of(jacobians, misfit_variance(fresh - problem.wanted, len(best)), noise)
+    return covariance_of(jacobians, fresh - problem.wanted, noise)
 
 
 def _misfit(spectrum: np.ndarray, wanted: np.ndarray) -> float:

@@ -1,15 +1,14 @@
-"""The parameters of a sand that a fit varies and reports: unit cube, keywords, errors.
+"""The parameters of a sand that a fit varies and reports: unit cube, keywords.
 
 Every point of the cube is a sand that SPLITS Table 2 allows.  The simplex of partitions and the
 triangle of textures each take two coordinates; where light responds to the logarithm of a
-parameter rather than to the parameter, so does the coordinate.  Errors of a fit are found in the
-cube, with the ranges as a weak prior, and carried over to the keywords.
+parameter rather than to the parameter, so does the coordinate.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,10 +46,6 @@ _FROM_ZERO = 100.0
 
 FITTED = ("iron_oxide", "hematite_ratio", "magnetite", "partition", "texture")
 """Keywords of `splits.Sand` that a fit decides."""
-
-PRIOR_SD = 1.0 / np.sqrt(12.0)
-"""Standard deviation of a coordinate that the spectrum does not touch: of its range."""
-_DRAWS = 4096
 
 
 class Cube:
@@ -228,73 +223,3 @@ class FitResult:
     others: list[tuple[float, dict[str, float]]]
     evaluations: int
     seconds: float
-
-
-def misfit_variance(misfit: np.ndarray, coordinates: int) -> float:
-    """Return the variance of a misfit that as many independent wavelengths would stand for.
-
-    What a model cannot follow is smooth: neighbouring wavelengths miss alike and tell the same
-    thing.  The variance is multiplied by (1 + r)/(1 − r), with r the misfit's correlation between
-    neighbours, at least 0: the number by which a first-order autoregressive series holds fewer
-    independent values (Bayley & Hammersley 1946, J. R. Stat. Soc. Suppl. 8, 184-197).
-
-    Parameters
-    ----------
-    misfit : float, shape (wavelengths,)
-        Model minus measurement, not all 0.
-    coordinates : int
-        Number that was fitted, below that of wavelengths.
-    """
-    total = float(misfit @ misfit)
-    alike = max(float(misfit[1:] @ misfit[:-1]) / total, 0.0)
-    return total / (len(misfit) - coordinates) * (1.0 + alike) / (1.0 - alike)
-
-
-def covariance_of(
-    jacobians: Sequence[np.ndarray], residual: float, noise: np.ndarray
-) -> np.ndarray:
-    """Return the covariance of the coordinates at the best fit.
-
-    Noise in a Jacobian would pass for information about coordinates that do nothing.  Products
-    of different, independent Jacobians are free of that on average.
-
-    Parameters
-    ----------
-    jacobians : sequence of float, shape (wavelengths, coordinates)
-        Independent ones, at least two.
-    residual : float
-        Variance of the measurement about the model per independent wavelength, see
-        `misfit_variance`.
-    noise : float, shape (groups, wavelengths)
-        Deviations of the spectra that were fitted, by group of rays: sums over groups of products
-        are covariances.  Every simulation of a fit shares its random numbers, so that it ends
-        where they move the whole.
-    """
-    total = np.sum(jacobians, axis=0)
-    squares = np.sum([j.T @ j for j in jacobians], axis=0)
-    count = len(jacobians)
-    values, vectors = np.linalg.eigh((total.T @ total - squares) / (count * (count - 1)))
-    known = np.maximum(values, 0.0) / residual
-    covariance = vectors @ np.diag(1.0 / (known + PRIOR_SD**-2)) @ vectors.T
-    shift = covariance @ (total / count).T @ noise.T / residual
-    return covariance + shift @ shift.T
-
-
-def parameter_errors(cube: Cube, best: np.ndarray, covariance: np.ndarray) -> dict[str, Fitted]:
-    """Return the parameters with errors, from draws around the best fit clipped to the cube.
-
-    What a parameter may be off by is also counted in ranks among sands drawn from the whole cube,
-    which treat a logarithmic coordinate and a mass fraction alike.
-    """
-    random = np.random.default_rng(1)
-    draws = np.clip(random.multivariate_normal(best, covariance, _DRAWS), 0.0, 1.0)
-    around = [cube.natural(x) for x in draws]
-    anywhere = [cube.natural(x) for x in random.random((_DRAWS, len(best)))]
-    found = {}
-    for name, value in cube.natural(best).items():
-        near = np.array([a[name] for a in around])
-        order = np.sort([a[name] for a in anywhere])
-        ranks = (np.searchsorted(order, near) - np.searchsorted(order, value)) / _DRAWS
-        stderr, off = (float(np.sqrt(np.mean(d**2))) for d in (near - value, ranks))
-        found[name] = Fitted(value, stderr, bool(off < 0.5 * PRIOR_SD))
-    return found

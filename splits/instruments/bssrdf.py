@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of
-from splits.instruments.angular import missed_of_totals, stderr_of
+from splits.instruments.angular import missed_of_totals
 from splits.instruments.arguments import (
     HALF_WIDTH_M,
     check_beam,
@@ -30,7 +30,7 @@ from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
 from splits.transport.scene import shared_optics
-from splits.uncertainty import Variable, jackknife, quantity, without_one
+from splits.uncertainty import Variable, jackknife, quantity, stderr_of, without_one
 
 QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Parts of the light that leave within the quantile radii."""

@@ -13,7 +13,6 @@ from splits.checks import in_range, increasing, one_of, refuse, row_of
 from splits.instruments.angular import (
     BIAS,
     Estimate,
-    angles_of,
     estimate,
     largest_error,
     rays_wanted,
@@ -34,6 +33,7 @@ from splits.instruments.cells import (
     estimate_cells,
     stokes_of_cells,
 )
+from splits.instruments.detail import angles_of
 from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
 from splits.instruments.labels import run_facts, wavelength_axis

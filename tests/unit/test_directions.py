@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from splits.analysis.directions import merged_cells, principal_plane
-from splits.instruments.angular import PENALTY, SLOWEST, angles_of, finer, supported
 from splits.instruments.cells import centres
+from splits.instruments.detail import PENALTY, SLOWEST, angles_of, finer, supported
 from splits.transport.directions import basis_of, count_cells, evaluate_all, expand
 from splits.transport.tally import (
     EXIT_DIRECTION,

@@ -9,7 +9,7 @@ import xarray as xr
 import splits
 from splits.analysis.colour import colours, gradient, lab, tristimulus
 from splits.analysis.errors import band, band_error, error_parts, weighted_error
-from splits.analysis.trends import steps
+from splits.analysis.trends import band_mean, steps
 from splits.experiments.model import Experiment
 from splits.experiments.run import run
 from splits.experiments.settings import Accuracy
@@ -70,6 +70,26 @@ def test_without_groups_errors_are_upper_bounds():
     scatter, missed = error_parts(ds, "reflectance", weights)
     assert float(scatter) == pytest.approx(2.0 * ERROR)
     assert float(missed) == 0.0
+
+
+@pytest.mark.parametrize("groups", [None, two_nodes()])
+def test_an_unknown_value_is_not_taken_for_an_exact_one(groups):
+    ds = dataset(groups).astype(float)
+    for values in ds.data_vars.values():
+        values[..., RED] = np.nan
+    for low, high, known in ((400, 590, True), (400, 780, False), (600, 780, False)):
+        assert bool(band_error(ds, "reflectance", low, high).notnull()) == known
+        assert bool(band_mean(ds, "reflectance", low, high).notnull()) == known
+    if groups is not None:
+        ds = dataset(groups)
+        ds.reflectance_stderr[5] = np.nan
+        assert band_error(ds, "reflectance", 400, 590).isnull()
+
+
+def test_a_band_without_wavelengths_is_refused():
+    for function in (band_mean, band_error):
+        with pytest.raises(ValueError, match=r"wavelength = .*some in 1200 to 1300 nm"):
+            function(dataset(two_nodes()), "reflectance", 1200, 1300)
 
 
 def test_a_colour_scatters_as_its_nodes_do():

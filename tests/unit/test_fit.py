@@ -7,16 +7,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
-from splits.experiments.fit import Effort, central, check_measured, descend, fit
-from splits.experiments.parameters import (
-    PRIOR_SD,
-    RANGES,
-    Cube,
-    checked_ranges,
-    covariance_of,
-    misfit_variance,
-    parameter_errors,
-)
+from splits.experiments.fit import Effort, check_measured, descend, fit
+from splits.experiments.parameters import RANGES, Cube, checked_ranges
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 LITTLE = Effort(
@@ -129,71 +121,6 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
     assert misfit < 1e-3
     assert len(calls) < 70
     np.testing.assert_allclose(place[:2], truth, atol=0.02)
-
-
-def test_errors_are_those_of_least_squares_and_the_prior():
-    place = np.array([0.6, 0.5, 0.5])
-    jacobian = central(smooth, place)
-    covariance = covariance_of([jacobian, jacobian], 1e-4, np.zeros((1, 12)))
-    exact = np.linalg.inv(jacobian[:, :2].T @ jacobian[:, :2] / 1e-4 + 12.0 * np.eye(2))
-    np.testing.assert_allclose(covariance[:2, :2], exact, rtol=1e-6)
-    assert covariance[2, 2] == pytest.approx(PRIOR_SD**2)
-    noisier = covariance_of([jacobian, jacobian], 1e-4, np.full((1, 12), 0.01))
-    assert (np.linalg.eigvalsh(noisier - covariance) > -1e-12).all()
-    assert np.trace(noisier) > np.trace(covariance)
-
-
-def test_noise_counts_by_group_of_rays():
-    place = np.array([0.6, 0.5, 0.5])
-    jacobian = central(smooth, place)
-    plain, one, two = (
-        covariance_of([jacobian, jacobian], 1e-4, noise)
-        for noise in (
-            np.zeros((1, 12)),
-            np.full((1, 12), 0.01),
-            0.01 * np.repeat(np.eye(2), 6, axis=1),
-        )
-    )
-    halves = [
-        covariance_of([jacobian, jacobian], 1e-4, 0.01 * np.repeat(half, 6)[np.newaxis]) - plain
-        for half in np.eye(2)
-    ]
-    # Halves of the spectrum that err by themselves add their variances; one error does not.
-    np.testing.assert_allclose(two - plain, halves[0] + halves[1], rtol=1e-9, atol=1e-15)
-    assert abs((one - two)[:2, :2]).max() > 0.1 * abs((two - plain)[:2, :2]).max()
-
-
-def test_a_smooth_misfit_counts_as_few_wavelengths():
-    random = np.random.default_rng(5)
-    rough = random.normal(size=4000)
-    assert misfit_variance(rough, 10) == pytest.approx(1.0, rel=0.1)
-    # An average over a series of first order has (1 + r)/(1 - r) times its variance over n.
-    smooth_series = np.empty(4000)
-    smooth_series[0] = rough[0]
-    for i in range(1, 4000):
-        smooth_series[i] = 0.75 * smooth_series[i - 1] + np.sqrt(1.0 - 0.75**2) * rough[i]
-    assert misfit_variance(smooth_series, 10) == pytest.approx(7.0, rel=0.2)
-    alternating = np.where(np.arange(20) % 2, 1.0, -1.0)
-    assert misfit_variance(alternating, 0) == pytest.approx(1.0)
-
-
-def test_noise_of_derivatives_does_not_pass_for_knowledge():
-    random = np.random.default_rng(3)
-    noisy = [random.normal(0.0, 0.02, (25, 7)) for _ in range(4)]
-    sd = np.sqrt(np.diag(covariance_of(noisy, 1e-4, np.zeros((1, 25)))))
-    one_sample = np.sqrt(np.diag(covariance_of([noisy[0]] * 2, 1e-4, np.zeros((1, 25)))))
-    assert sd.mean() > 2.0 * one_sample.mean()
-    assert sd.max() <= PRIOR_SD * (1.0 + 1e-9)
-
-
-def test_what_is_known_is_told_from_what_is_not():
-    cube = Cube({})
-    sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, PRIOR_SD)
-    found = parameter_errors(cube, np.full(7, 0.5), np.diag(sd**2))
-    assert [name for name, p in found.items() if p.determined] == ["iron_oxide"]
-    # A coordinate's 0.02 times ln 100, the logarithm of the range.
-    assert found["iron_oxide"].stderr == pytest.approx(0.005 * 0.02 * np.log(100.0), rel=0.1)
-    assert found["hematite_ratio"].value == 0.5
 
 
 @NEEDS_JIT

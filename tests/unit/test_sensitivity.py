@@ -56,7 +56,9 @@ def test_where_both_are_below_the_noise_the_ratio_counts_as_nothing():
 
 def test_all_below_the_noise():
     s = mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
-    assert (s.index, s.stderr, s.index_resolved, s.resolved) == (0.0, 0.0, 0.0, 0.0)
+    assert (s.index, s.index_resolved, s.resolved) == (0.0, 0.0, 0.0)
+    nothing = mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    assert nothing.stderr == 0.0
 
 
 def test_a_spectrum_that_vanishes_is_fully_sensitive():
@@ -79,6 +81,23 @@ def test_the_error_is_that_of_many_noisy_pairs():
     stderr = mean_sensitivity_index([y], [e], [z], [f]).stderr
     # 4000 values know their scatter to 1/√8000.
     assert np.std(ratios) == pytest.approx(stderr, rel=largest_z(1) / 8000**0.5)
+
+
+@pytest.mark.parametrize("other", [0.0, 0.5])
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
+def test_the_error_covers_wavelengths_that_are_seen_in_some_runs_only(level, other):
+    rng = np.random.default_rng(9)
+    draws = np.maximum(rng.normal((level, other * level), 1.0, (2000, 2)), 0.0)
+    found = [mean_sensitivity_index([y], [1.0], [z], [1.0]) for y, z in draws]
+    stated = np.sqrt(np.mean([s.stderr**2 for s in found]))
+    # 2000 values know their scatter to 1/√4000.
+    assert np.std([s.index for s in found]) < stated * (1.0 + largest_z(18) / 4000**0.5)
+
+
+def test_what_is_clearly_seen_has_the_error_of_its_ratio_alone():
+    y, e, z, f = 0.8, 0.1, 0.4, 0.05
+    exact = np.hypot(f / y, z * e / y**2)
+    assert mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(exact, rel=1e-4)
 
 
 def test_pairs_are_taken_at_the_published_depth_and_wavelengths():

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.trends import SIGNIFICANT, band_mean, beyond, monotone, steps
+from splits.analysis.trends import (
+    SIGNIFICANT,
+    _halving,
+    _steepest_band,
+    band_mean,
+    beyond,
+    monotone,
+    steps,
+)
 
 WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
 
@@ -70,11 +78,52 @@ def test_the_row_holds_the_least_sure_step():
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(3.01, "agrees"), (2.99, "not resolved at this accuracy"), (-3.01, "outside")],
+    [
+        (3.01, "agrees"),
+        (2.99, "not resolved at this accuracy"),
+        (-3.01, "outside"),
+        (np.nan, "not resolved at this accuracy"),
+    ],
 )
 def test_the_bar_is_three_standard_errors(value, expected):
     assert SIGNIFICANT == 3.0
     row = beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
     assert row["verdict"] == expected
-    assert row["ours"] == value
+    np.testing.assert_equal(row["ours"], value)
     assert "3 standard errors" in row["bar"]
+
+
+def test_the_steepest_band_errs_as_its_ends_do():
+    groups = np.zeros((5, 2, 4))
+    # One set of paths in the visible, another beyond.
+    groups[:, 0, :2], groups[:, 1, 2:] = 0.01, 0.01
+    over = ("grain_size_um", "wavelength")
+    dataset = xr.Dataset(
+        {
+            "reflectance": (over, np.full((5, 4), 0.5)),
+            "reflectance_stderr": (over, np.full((5, 4), 0.01)),
+            "reflectance_groups": (("grain_size_um", "group", "wavelength"), groups),
+        },
+        {"grain_size_um": np.arange(5.0), "wavelength": [400.0, 600.0, 900.0, 1300.0]},
+    )
+    visible, near = np.random.default_rng(1).normal(0.0, 0.01, (2, 5, 20_000))
+    fall = (visible[-1] - visible[0]) - (near[-1] - near[0])
+    # 20 000 draws know a standard deviation to 0.5 %: four of these.
+    assert _steepest_band(dataset)["stderr"] == pytest.approx(fall.std(), rel=0.02)
+
+
+@pytest.mark.parametrize(("shallow", "deep"), [(0.2, 0.06), (0.04, 0.03)])
+def test_doubling_the_depth_errs_at_both_depths(shallow, deep):
+    dataset = xr.Dataset(
+        {
+            "transmittance": (
+                ("depth_m", "wavelength"), [[0.5, 0.5, shallow], [0.25, 0.25, deep]],
+            ),
+            "transmittance_stderr": (("depth_m", "wavelength"), [[0.0, 0.0, 0.002]] * 2),
+        },
+        {"depth_m": [0.01, 0.02], "wavelength": [400.0, 700.0, 1030.0]},
+    )  # fmt: skip
+    draws = np.random.default_rng(2).normal((shallow, deep), 0.002, (20_000, 2))
+    stated = _halving(dataset)[-1]["stderr"]
+    # As above; the ratio bends a little.
+    assert stated == pytest.approx((draws[:, 1] / draws[:, 0]).std(), rel=0.03)

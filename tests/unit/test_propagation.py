@@ -1,0 +1,62 @@
+"""What errors of single-scattering properties make of a theory: bounds that are bounds."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.analysis.propagation import missed, response
+
+MOMENTS = np.array([[1.0, 0.5, 0.3, 0.2, 0.1]] * 2)
+
+
+def optics(albedo=0.01, moment=0.02):
+    """Return optics at two wavelengths, of which only the second may miss anything."""
+    off = np.array([0.0, 1.0])
+    return xr.Dataset(
+        {
+            "single_scattering_albedo": ("wavelength", [0.9, 0.9]),
+            "single_scattering_albedo_missed": ("wavelength", albedo * off),
+            "legendre_moment": (("wavelength", "order"), MOMENTS),
+            "legendre_moment_missed": (
+                ("wavelength", "order"), np.outer(moment * off, [0.0, 1.0, 1.0, 1.0, 1.0]),
+            ),
+        },
+        {"wavelength": [500.0, 600.0]},
+    )  # fmt: skip
+
+
+def backwards(part):
+    """Return the phase function straight back, in which orders alternate."""
+    return (part.legendre_moment * (-1.0) ** np.arange(5)).sum("order").values
+
+
+def product(part):
+    """Return something not linear, of two names and an order."""
+    return (part.single_scattering_albedo * (1.0 + part.legendre_moment.isel(order=1))).values
+
+
+@pytest.mark.parametrize("theory", [backwards, product])
+def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
+    exact = optics()
+    worst = 0.0
+    for signs in itertools.product((-1.0, 1.0), repeat=5):
+        moments = exact.legendre_moment_missed * xr.DataArray([0.0, *signs[1:]], dims="order")
+        other = exact.assign(
+            single_scattering_albedo=exact.single_scattering_albedo
+            + signs[0] * exact.single_scattering_albedo_missed,
+            legendre_moment=exact.legendre_moment + moments,
+        )
+        worst = np.maximum(worst, np.abs(theory(other) - theory(exact)))
+    bound = missed(theory, exact)
+    assert bound[0] == worst[0] == 0.0
+    # Two deviations multiply: 0.01 · 0.02 of some 0.04.
+    assert bound[1] == pytest.approx(worst[1], rel=0.02)
+
+
+def test_without_rays_left_out_the_response_is_that_bound():
+    np.testing.assert_array_equal(response(product, optics()), missed(product, optics()))
+    assert (response(product, optics(0.0, 0.0)) == 0.0).all()

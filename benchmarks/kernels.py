@@ -45,7 +45,7 @@ from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, lanes
 from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
-from splits.transport.scene import UNLIMITED, Optics
+from splits.transport.scene import UNLIMITED, Optics, shared_optics
 from splits.transport.tally import exit_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -178,8 +178,7 @@ class Bench:
 def optics_at(medium: Any, wavelength_nm: float) -> Optics:
     """Return the optics of a medium at a wavelength."""
     index = medium.indices(np.array([wavelength_nm]))[0]
-    absorption = absorption_coefficient(index, wavelength_nm)
-    return Optics(index.real.copy(), index.imag.copy(), absorption)
+    return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
 def features_of(medium: Any, wavelength_nm: float) -> Features:

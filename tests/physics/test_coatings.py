@@ -10,12 +10,10 @@ import pytest
 from chi2 import NEEDS_JIT, draw, judge_z
 from events import walked, weight_after
 from numba import njit
-from scenes import optics_of, scene_of
+from scenes import coated, optics_of, pore_drawn, scene_of
 from scipy import integrate
 
 import splits
-from splits.transport import scalar
-from splits.transport.scene import Grains, Types
 from splits.transport.spheroid import Size
 from splits.transport.vectors import Vector, dot
 
@@ -35,29 +33,17 @@ def _walk(state, psi, facetness, scene, optics, true_absorption, length):
     """
     d = Vector(0.48, -0.64, 0.6)
     size = Size(RADIUS, 1.0 - psi * psi)
-    walk, _ = walked(state, d, size, facetness, 0, scene, optics, length)
+    walk, _ = walked(state, d, size, facetness, False, scene, optics, length)
     score = weight_after(state, walk)
     if not scene.rules.analog:
         score *= math.exp(-(true_absorption * length).sum())
-    return (
-        dot(d, walk.beam.d),
-        length[2],
-        length[3:].sum(),
-        score,
-        float(scalar.pore_of(scene.layers, 0, walk.beam.u)),
-    )
+    pore = float(pore_drawn(walk.beam.u, scene))
+    return dot(d, walk.beam.d), length[2], length[3:].sum(), score, pore
 
 
 def layered(thickness, materials=None):
     """Return a table of one type with coatings of given relative thickness, from the outside."""
-    coats = len(thickness)
-    materials = list(materials or range(COAT, COAT + coats))
-    one = np.ones((1, 2))
-    types = Types(
-        np.array([coats + 1]), np.array([[*materials, CORE]]), np.array([[*thickness, 0.0]]),
-        one, one, one,
-    )  # fmt: skip
-    return Grains(1.0, np.ones(1), types)
+    return coated(thickness, [*(materials or range(COAT, COAT + len(thickness))), CORE])
 
 
 def walk(

@@ -181,10 +181,10 @@ def test_cuts_against_points_along_the_segment(random, psi):
 
 
 @njit
-def _struck_chord(state, grains, entry):
+def _struck_chord(state, types, entry):
     """Return the straight chord through a struck grain that does not bend the ray."""
-    b = 1.0 / rng.from_table(grains.types.curvature, 0, rng.uniform(state))
-    psi = rng.from_table(grains.types.sphericity, 0, rng.uniform(state))
+    b = 1.0 / rng.from_table(types.curvature, 0, rng.uniform(state))
+    psi = rng.from_table(types.sphericity, 0, rng.uniform(state))
     d = Vector(0.48, -0.64, 0.6)
     return spheroid.across(struck(state, d, Size(b, 1.0 - psi * psi), entry).grain, d).length
 
@@ -202,7 +202,7 @@ def test_mean_chord_is_the_inverse_attenuation():
     z = []
     for settings in MEDIA.values():
         snow = splits.Snow(**settings)
-        chords = draw(_struck_chord, 400_000, snow.grains(), spheroid.PROJECTED)
+        chords = draw(_struck_chord, 400_000, snow.grains().types, spheroid.PROJECTED)
         error = chords.std() / np.sqrt(chords.size)
         z.append((chords.mean() - 1.0 / snow.attenuation_per_m) / error)
     judge_z(z, "mean chord")
@@ -213,6 +213,6 @@ def test_mean_chord_is_the_inverse_attenuation():
 def test_uniform_entry_shortens_the_chord_of_a_sphere():
     # Entry even over the facing half: cos even, chord s cos, so s/2 instead of 2s/3.
     snow = splits.Snow(**MEDIA["one sphere"])
-    chords = draw(_struck_chord, 400_000, snow.grains(), spheroid.UNIFORM)
+    chords = draw(_struck_chord, 400_000, snow.grains().types, spheroid.UNIFORM)
     error = chords.std() / np.sqrt(chords.size)
     judge_z([(chords.mean() - 250e-6) / error], "uniform entry")

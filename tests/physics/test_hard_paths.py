@@ -13,12 +13,13 @@ from scenes import medium_scene, optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
-from splits.transport import facets, granular, spheroid, vectors, walk
+from splits.transport import facets, granular, spheroid, vectors
 from splits.transport.faces import Index
 from splits.transport.fresnel import Passage, interface, refracted
 from splits.transport.spheroid import Entry, Segment, Size, Spheroid
 from splits.transport.surface import Stand, contrast
 from splits.transport.vectors import Vector, along, dot, scaled
+from splits.transport.walk import trial
 
 MANY = 10_000_000
 DRIFT = 1e-9
@@ -57,7 +58,7 @@ def _trapped(state, steps, size, facetness, rules):
         p = along(leg, d, p)
         stand = Stand(1.0, -1.0, False, False)
         while True:
-            after = walk.trial(state, d, stand, grain, 0.5 * facetness, media, rules)
+            after = trial(state, d, stand, grain, 0.5 * facetness, media, rules)
             if after.done:
                 break
             stand = Stand(1.0, -1.0, after.to_lobe, after.passed)
@@ -101,7 +102,7 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     snow = splits.Snow(saturation=0.0, depth_m=depth)
     scene = medium_scene(snow, 30.0)
     ray, length = trace(stream(), scene, optics_of(np.ones(3)))
-    (x, y, z), d, legs = ray.flier.place, ray.flier.d, ray.legs
+    (x, y, z), d, legs = ray.flier.place, ray.beam.d, ray.legs
     assert legs >= MANY
     assert ray.order == legs - 1
     assert (ray.fate, z) == (granular.TRANSMITTED, -depth)
@@ -129,7 +130,7 @@ def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
     print(f"ray {number} has {ray.legs} legs")
     assert ray.legs >= MANY
     assert ray.fate in (granular.REFLECTED, granular.TRANSMITTED)
-    place, d = ray.flier.place, ray.flier.d
+    place, d = ray.flier.place, ray.beam.d
     assert place.z == (0.0 if ray.fate == granular.REFLECTED else -snow.depth_m)
     assert (d.z > 0.0) == (ray.fate == granular.REFLECTED)
     assert abs(math.hypot(*d) - 1.0) < DRIFT
@@ -296,7 +297,7 @@ def test_frames_mirrors_and_refraction_along_the_axes(axis):
 @njit
 def _bubble(state, scene, optics, length):
     d = Vector(0.0, 0.0, -1.0)
-    walk, _ = walked(state, d, Size(1e-4, 0.0), 0.0, 1, scene, optics, length)
+    walk, _ = walked(state, d, Size(1e-4, 0.0), 0.0, True, scene, optics, length)
     return -walk.beam.d.z, length[2]
 
 

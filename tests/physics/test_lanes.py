@@ -223,7 +223,7 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
 
     before = cosines()
     for _ in range(passes):
-        surface(state, words, LANES, Features(*[None] * 7), scene)
+        surface(state, words, LANES, Features(*[None] * len(Features._fields)), scene)
     assert (table[rows.SHELL // LANES] == 1.0).all()
     creep = (cosines() - before) / passes
     error = creep.std(ddof=1) / np.sqrt(LANES)

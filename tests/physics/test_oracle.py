@@ -11,8 +11,7 @@ import time
 import numpy as np
 from chi2 import NEEDS_JIT, judge_z, largest_z, pooled_z
 from oracle import granular as oracle_granular
-from oracle import scene as oracle_scene
-from scenes import medium_scene, optics_at
+from scenes import medium_scene, optics_at, oracle_slab
 
 import splits
 from splits.transport import granular, lanes
@@ -79,18 +78,12 @@ def shares(exits, absorption):
 
 def by_oracle(medium, incidence, optics, seed, rays):
     """Return what comes out of a medium at each wavelength, and its error, by the oracle."""
-    scene = medium_scene(medium, incidence)
-    diffuse = incidence == "diffuse"
-    slab = oracle_scene.Slab(medium.depth_m, medium.saturation, scene.light.cos, diffuse)
-    media = medium.grains()
-    grains = oracle_scene.Grains(media.attenuation, media.share, *media.types)
+    slab = oracle_slab(medium, incidence)
     found = []
     for number, one in enumerate(optics):
         exits = exit_rows(rays, one.n.size)
         work = np.array([number, 0, rays, UNLIMITED])
-        _, lost = oracle_granular.batch(
-            seed, work, grains, slab, scene.rules, oracle_scene.Optics(*one[:3]), exits
-        )
+        _, lost = oracle_granular.batch(seed, work, *slab, one, exits)
         assert not lost
         found.append(shares(exits, one.absorption))
     return np.array(found)

@@ -120,7 +120,7 @@ def test_a_ray_that_meets_no_grain_goes_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
     scene = scene_of(snow.grains(), 0.12, rules=snow.readings.rules(), cos=mu)
     ray, length = trace(stream(), scene, optics_of([1.0, 1.0, 1.31]))
-    place, d = ray.flier.place, ray.flier.d
+    place, d = ray.flier.place, ray.beam.d
     sine = math.sqrt(1.0 - mu * mu)
     assert (ray.fate, ray.beam.purse.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)

@@ -30,7 +30,7 @@ DIRECTION = Vector(0.48, -0.64, 0.6)
 def _scatter(state, psi, facetness, scene, optics, length):
     """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
     size = Size(RADIUS, 1.0 - psi * psi)
-    walk, entry = walked(state, DIRECTION, size, facetness, 0, scene, optics, length)
+    walk, entry = walked(state, DIRECTION, size, facetness, False, scene, optics, length)
     q, w, g, e = entry.grain.q, entry.grain.w, walk.way, walk.beam.d
     return (
         dot(DIRECTION, e), length[2], 1.0 if walk.alive else 0.0,

@@ -6,21 +6,26 @@ in single precision, with the random numbers of a lane.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from chi2 import stream
 from numba import njit
+from scenes import carried
 
-from splits.transport import features, rng, scalar, spheroid, surface, walk
+from splits.transport import granular, rng, scalar, spheroid, surface
 from splits.transport.elementary import Angle
 from splits.transport.faces import Crossing
-from splits.transport.flight import FIRST_ROULETTE, Meeting, Purse, roulette
+from splits.transport.features import EVERYTHING
+from splits.transport.flight import FIRST_ROULETTE, Meeting
 from splits.transport.lanes import rows
 from splits.transport.lanes.surface import numbers_at
-from splits.transport.scalar import Beam, Candidate, Found
-from splits.transport.scene import LOBE, WET_PORE
+from splits.transport.scalar import Candidate, Found
+from splits.transport.scene import LOBE
 from splits.transport.spheroid import Spheroid
 from splits.transport.surface import Numbers, Stand
 from splits.transport.vectors import UP, Vector
+from splits.transport.walk import trial, walk
 
 single = np.float32
 
@@ -62,31 +67,24 @@ def struck(state, d, size, entry):
 
 
 @njit
-def walked(state, d, size, facetness, pore, scene, optics, length):
+def walked(state, d, size, facetness, wet, scene, optics, length):
     """Return a ray after a grain of the first type, as the kernel has it, and the point of entry.
 
     Lengths are set.
     """
     length[:] = 0.0
     entry = struck(state, d, size, scene.rules.entry)
-    limit = np.inf if scene.rules.analog else FIRST_ROULETTE
-    found = Found(
-        Candidate(0, size, 0.5 * facetness), Meeting(0.0, 0.0, entry, False, True, 0.0), 0, False
-    )
-    # Below any saturation but none, or above it.
-    beam = Beam(d, 0, 0.0 if pore == WET_PORE else 1.0, Purse(0.0, limit, 1.0))
-    return walk.walk(state, beam, found, scene, optics, length), entry
+    limit = math.inf if scene.rules.analog else FIRST_ROULETTE
+    candidate = Candidate(0, size, 0.5 * facetness)
+    found = Found(candidate, Meeting(0.0, 0.0, entry, False, True, 0.0), 0, False)
+    return walk(state, carried(d, wet, limit), found, scene, optics, length), entry
 
 
 @njit
-def weight_after(state, walk):
+def weight_after(state, left):
     """Return the weight of a ray after a grain and the roulette that follows it, 0 for none."""
-    purse, alive = walk.beam.purse, walk.alive
-    while alive and purse.depth > purse.limit:
-        played = roulette(purse, rng.uniform(state), True)
-        purse = played.purse
-        alive = not played.ended
-    return purse.weight if alive else 0.0
+    payment = granular.played(state, left.beam.purse)
+    return payment.purse.weight if left.alive and payment.alive else 0.0
 
 
 # --- surfaces ---------------------------------------------------------------------------------
@@ -138,7 +136,7 @@ def facet_normal_of(d, facet):
 @njit
 def tried(state, d, stand, normal, facetness, media, rules):
     """Return what a trial at a surface leads to."""
-    return walk.trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
+    return trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
 
 
 @njit
@@ -149,7 +147,7 @@ def tried_by_lane(words, d, stand, normal, sigma, media, rules):
     if sigma > single(0.0):
         facet = surface.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
     mirrored = rules.wrong_side != LOBE
-    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, features.EVERYTHING)
+    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, EVERYTHING)
 
 
 @njit

@@ -2,37 +2,64 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
+from oracle import scene as oracle_scene
 
 import splits
 from splits.instruments.scenes import granular_scene
 from splits.materials.refractive_index import absorption_coefficient
-from splits.transport import granular, scalar, tally
+from splits.transport import granular, scalar
 from splits.transport.flight import Flier, Purse
 from splits.transport.lanes.batch import passing_of
 from splits.transport.light import Light
-from splits.transport.scene import KEPT, UNLIMITED, Layers, Optics, Scene
+from splits.transport.scalar import Beam
+from splits.transport.scene import (
+    KEPT,
+    UNLIMITED,
+    Grains,
+    Layers,
+    Optics,
+    Scene,
+    Types,
+    shared_optics,
+)
 from splits.transport.spheroid import Segment
 from splits.transport.vectors import ORIGIN, Vector
+
+
+def coated(thickness, materials, facetness=0.0):
+    """Return grains of one type, one size and one shape, coated from the outside inwards.
+
+    Parameters
+    ----------
+    thickness : sequence of float
+        Of the coatings, as a fraction of the major axis.
+    materials : sequence of int
+        Of the coatings and of the core.
+    """
+    one = np.ones((1, 2))
+    types = Types(
+        np.array([len(materials)]), np.array([materials]), np.array([[*thickness, 0.0]]),
+        one, one, facetness * one,
+    )  # fmt: skip
+    return Grains(1e3, np.ones(1), types)
 
 
 def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0):
     """Return a slab of grains under a beam, or diffuse light, and how the papers are read."""
     rules = splits.Readings().rules() if rules is None else rules
     layers = Layers(
-        face=np.array([0.0, -float(depth)]),
-        attenuation=np.array([float(grains.attenuation)]),
-        saturation=np.array([float(saturation)]),
-        share=grains.share[np.newaxis],
-        first=np.zeros(1, dtype=np.int64),
-        pore=np.zeros(1, dtype=np.int64),
-    )
+        np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
+        grains.share[np.newaxis], np.array([0]), np.array([0]),
+    )  # fmt: skip
     return Scene(Light(float(cos), float(diffuse)), layers, grains.types, rules)
 
 
 def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):
-    """Return the scene that instruments make of a medium, of another depth or saturation."""
+    """Return the scene that instruments make of a medium, or one of other depth or saturation."""
     scene = granular_scene(medium, incidence, analog)
     layers = scene.layers
     if depth is not None:
@@ -40,6 +67,14 @@ def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=Non
     if saturation is not None:
         layers = layers._replace(saturation=np.array([float(saturation)]))
     return scene._replace(layers=layers)
+
+
+def oracle_slab(medium, incidence):
+    """Return grains, slab and rules of a medium as the oracle wants them."""
+    grains, rules = medium.grains(), medium.readings.rules(False)
+    cos = medium_scene(medium, incidence).light.cos
+    slab = oracle_scene.Slab(medium.depth_m, medium.saturation, cos, incidence == "diffuse")
+    return oracle_scene.Grains(grains.attenuation, grains.share, *grains.types), slab, rules
 
 
 def optics_of(n, k=None, absorption=None):
@@ -53,18 +88,12 @@ def optics_of(n, k=None, absorption=None):
 def optics_at(medium, wavelength_nm):
     """Return the optics of a medium at one wavelength."""
     index = medium.indices(np.array([wavelength_nm]))[0]
-    return optics_of(index.real, index.imag, absorption_coefficient(index, wavelength_nm))
+    return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
 def alone(optics):
     """Return the optics of work on lanes of a single item."""
     return Optics(*(values[np.newaxis] for values in optics))
-
-
-@njit
-def space_of(scene):
-    """Return the pore space between the boundaries of a scene."""
-    return scalar.space_of(scene.layers, 0)
 
 
 def passing(scene):
@@ -75,6 +104,24 @@ def passing(scene):
 def boundless(scene):
     """Return a scene in which every grain fits."""
     return scene._replace(rules=scene.rules._replace(on_last_leg=KEPT, across_boundary=KEPT))
+
+
+@njit
+def space_of(scene):
+    """Return the pore space between the boundaries of a scene."""
+    return scalar.space_of(scene.layers, 0)
+
+
+@njit
+def pore_drawn(u, scene):
+    """Return the material of the pores that a number stands for."""
+    return scalar.pore_of(scene.layers, 0, u)
+
+
+@njit
+def carried(d, wet=False, limit=math.inf):
+    """Return what a ray carries, through wet pores where there are any, or through dry ones."""
+    return Beam(d, 0, 0.0 if wet else 1.0, Purse(0.0, limit, 1.0))
 
 
 @njit
@@ -90,23 +137,17 @@ def coming(z, way, d, back, length):
     return Flier(place, way, d, Segment(ORIGIN, back, length), 0.0)
 
 
-_DRY = 1.0
-"""A number that decides for a dry pore, whatever the saturation."""
-_NOTHING = optics_of(np.ones(2))
-
-
 @njit
-def found_by(state, flier, scene):
-    """Return what a ray in the only layer of a scene meets next."""
-    beam = scalar.Beam(flier.d, 0, _DRY, Purse(0.0, np.inf, 1.0))
-    return granular.find(state, flier, beam, scene, _NOTHING)
+def next_of(state, flier, scene, optics):
+    """Return what a ray meets next."""
+    return granular.find(state, flier, carried(flier.d), scene, optics)
 
 
 @njit
 def _traced(state, scene, optics, length, most):
     length[:] = 0.0
     ray = granular.launch(state, scene, optics)
-    if ray.fate == tally.TRAVELS:
+    if ray.fate == granular.TRAVELS:
         ray = granular.follow(state, ray, scene, optics, length, None, most)
     return ray
 

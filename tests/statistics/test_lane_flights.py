@@ -26,25 +26,22 @@ single = np.float32
 LANES = rows.LANES
 COLUMNS = rows.KIND // LANES + 1
 DEPTH = 1e4
-NOTHING = Features(*[None] * len(Features._fields))
 
 
 def deep_scene(medium, variant):
     """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
     scene = boundless(medium_scene(medium, depth=DEPTH, saturation=0.0))
-    types, share = scene.types, scene.layers.share
+    types = scene.types
     tables = (
         types.curvature.astype(single),
         (1.0 - types.sphericity**2).astype(single),
         (0.5 * types.facetness).astype(single),
     )
-    features = NOTHING._replace(
-        faceted=True,
-        mixed=True if share.size > 1 else None,
-        variant=True if variant else None,
-        positions=True,
-    )
-    return passing(scene), features, tables, share
+    features = Features(*[None] * len(Features._fields))._replace(
+        faceted=True, mixed=True if types.shells.size > 1 else None,
+        variant=True if variant else None, positions=True,
+    )  # fmt: skip
+    return passing(scene), features, tables, scene.layers.share
 
 
 @njit

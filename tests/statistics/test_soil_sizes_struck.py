@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from chi2 import draw, judge_p, judge_z, p_of_counts, p_of_values, scaled
 from numba import njit
-from scenes import found_by, medium_scene, starting
+from scenes import medium_scene, next_of, optics_of, starting
 from scipy import stats
 
 import splits
@@ -40,10 +40,9 @@ def quantile(state, table):
 
 
 @njit
-def struck(state, scene):
+def struck(state, z, scene, optics):
     """Return distance, type and size of the next grain, far from all boundaries."""
-    flier = starting(0.5 * scene.layers.face[1], Vector(0.6, 0.0, 0.8))
-    found = found_by(state, flier, scene)
+    found = next_of(state, starting(z, Vector(0.6, 0.0, 0.8)), scene, optics)
     kind, size, _ = found.candidate
     leg = math.nan if found.meeting.outside else found.meeting.leg
     return leg, float(kind), 2.0 * size.major, math.sqrt(1.0 - size.flattening)
@@ -140,7 +139,8 @@ def test_next_grains_are_of_every_type_by_volume_and_alike_in_size():
     sand = splits.Sand(**MANY_TYPES, readings={"grain_across_boundary": "keep"})
     shares = np.array(sand.composition.volume_fractions)
     assert shares.size == 8
-    leg, kind, size, sphericity = draw(struck, COUNT, medium_scene(sand, depth=1.0), width=4).T
+    scene, empty = medium_scene(sand, depth=1.0), optics_of(np.ones(12))
+    leg, kind, size, sphericity = draw(struck, COUNT, -0.5, scene, empty, width=4).T
     assert np.isfinite(leg).all()
     u = struck_cdf(sand.texture)(size)
     p = {

@@ -16,9 +16,8 @@ from numba import njit
 from splits.transport import facets, flight, spheroid, surface
 from splits.transport.elementary import Angle
 from splits.transport.faces import Index
-from splits.transport.features import Features
+from splits.transport.features import EVERYTHING, Features
 from splits.transport.flight import Fates, Flier, Space
-from splits.transport.granular import EVERYTHING
 from splits.transport.spheroid import Aim, Entry, Segment, Size, Spheroid
 from splits.transport.surface import Numbers, Stand
 from splits.transport.vectors import Vector
@@ -279,7 +278,7 @@ def _next(x, fates, features, out):
         place, way = Vector(zero, zero, row[13]), Vector(row[14], row[15], row[16])
         last = Segment(way, Vector(row[17], row[18], row[19]), row[20])
         ray = Flier(place, way, d, last, row[21])
-        space = Space(row[22], row[23], zero, row[23], zero)
+        space = Space(row[22], row[23], row[25], row[26], zero)
         met = flight.next_grain(ray, size, aim, row[24], space, fates, features)
         there = flight.to_boundary(ray, space)
         n = met.entry.normal
@@ -291,9 +290,9 @@ def _next(x, fates, features, out):
 
 DEPTH = 30.0 * SCALE
 FATES = {
-    "redrawn": (Fates(spheroid.UNIFORM, True, True, False, False), None),
-    "kept": (Fates(spheroid.PROJECTED, False, False, False, False), True),
-    "skipped": (Fates(spheroid.UNIFORM, True, True, True, True), True),
+    "redrawn": (Fates(spheroid.UNIFORM, True, True, False, False), BARE),
+    "kept": (Fates(spheroid.PROJECTED, False, False, False, False), EVERYTHING),
+    "skipped": (Fates(spheroid.UNIFORM, True, True, True, True), EVERYTHING),
 }
 
 
@@ -303,13 +302,13 @@ def test_next_grains(random, name):
     d = units(random)
     skipped = SCALE * random.uniform(0.0, 3.0, COUNT) * random.integers(0, 2, COUNT)
     columns = [
-        d, sizes(random), *aims(random), 0.0 * ones, -DEPTH * random.uniform(0.0, 1.0, COUNT),
+        d, sizes(random), *aims(random), 0.0 * ones, -DEPTH * random.uniform(0.15, 0.85, COUNT),
         0.5 * SCALE * random.normal(size=(COUNT, 3)), units(random),
         np.where(random.uniform(size=COUNT) < 0.1, -1.0, SCALE * random.exponential(5.0, COUNT)),
-        skipped, 5.0 * SCALE * ones, -DEPTH * ones, random.uniform(1e-6, 1.0, COUNT),
+        skipped, 5.0 * SCALE * ones, -0.9 * DEPTH * ones, random.uniform(1e-6, 1.0, COUNT),
+        -0.1 * DEPTH * ones, -DEPTH * ones,
     ]  # fmt: skip
-    fates, variant = FATES[name]
-    one, other = both(_next, columns, 12, fates, BARE._replace(variant=variant))
+    one, other = both(_next, columns, 12, *FATES[name])
     same = judge_decisions(one[:, 9:], other[:, 9:], name)
     judge(one[:, :2], other[:, :2], "leg and height", DEPTH)
     # Ways to a boundary are as long as rays are level.

@@ -7,26 +7,24 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
-from scenes import medium_scene, optics_of, scene_of
+from scenes import coated, medium_scene, optics_of, scene_of
 from scipy import integrate
 
 import splits
 from splits.transport.features import Features
 from splits.transport.fresnel import interface
 from splits.transport.lanes.choice import DEEPEST, FAINT, GRAZING, extinction_shows, features_for
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
+from splits.transport.scene import DRY_PORE, WET_PORE
 
 
-def features(medium, k=0.0, analog=False, positions=False, depth=None, **changes):
+def features(medium, k=0.0, analog=False, positions=False, depth=None):
     """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
-    types = medium.grains().types._replace(**changes)
-    materials = int(types.material.max()) + 1
+    materials = int(medium.grains().types.material.max()) + 1
     n = np.full(materials, 1.5)
     n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
     extinction = np.full(materials, k)
     extinction[[DRY_PORE, WET_PORE]] = 0.0
     scene = medium_scene(medium, analog=analog, depth=depth or float(medium.depth_m))
-    scene = scene._replace(types=types)
     return features_for(scene, optics_of(n, extinction), positions)
 
 
@@ -98,19 +96,10 @@ def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
     assert features(splits.Snow(), depth=deep) is None
 
 
-def table(coats):
-    """Return grains of one type with so many coatings."""
-    one = np.ones((1, 2))
-    types = Types(
-        np.array([coats + 1]), np.array([[*range(3, 3 + coats), 2]]),
-        np.full((1, coats + 1), 0.01), one, one, 0.0 * one,
-    )  # fmt: skip
-    return Grains(1e3, np.ones(1), types)
-
-
 @pytest.mark.parametrize("coats", [0, 1, 2, 3])
 def test_at_most_one_coating(coats):
-    found = features_for(scene_of(table(coats), 0.1), optics_of(np.full(6, 1.5)))
+    grains = coated([0.01] * coats, [*range(3, 3 + coats), 2])
+    found = features_for(scene_of(grains, 0.1), optics_of(np.full(6, 1.5)))
     assert found == (having(mixed=coats == 1) if coats < 2 else None)
 
 

@@ -12,7 +12,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others campaign resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -28,7 +28,13 @@ resume: $(VENV)/ready
 	$(MAKE) run
 
 test: $(VENV)/ready
-	$(BIN)/python -m pytest
+	$(MAKE) -j2 test-physics test-others
+
+test-physics: $(VENV)/ready
+	$(BIN)/python -m pytest tests/physics
+
+test-others: $(VENV)/ready
+	$(BIN)/python -m pytest tests/unit tests/statistics tests/workflow tests/campaigns
 
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \

@@ -13,7 +13,7 @@ import numpy as np
 from splits.checks import refuse
 from splits.instruments.ensemble import Level
 from splits.instruments.scenes import granular_scene, light_of
-from splits.media.granular import GranularMedium
+from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
 from splits.transport.features import Features
@@ -89,7 +89,7 @@ class GrainTracer:
 
     Parameters
     ----------
-    medium : GranularMedium
+    medium : GranularMedium or LayeredMedium
     incidence_deg : float or "diffuse"
     seed : int
     analog : bool
@@ -106,7 +106,7 @@ class GrainTracer:
 
     def __init__(
         self,
-        medium: GranularMedium,
+        medium: GranularMedium | LayeredMedium,
         incidence_deg: float | str,
         seed: int,
         analog: bool,

@@ -6,7 +6,7 @@ Plain functions for Python; compiled, the type of the numbers decides what stand
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -93,10 +93,10 @@ class Precision(NamedTuple):
         1e-8 of all trials.
     """
 
-    one: float
-    zero: float
-    grazing: float
-    normal: float
+    one: Any
+    zero: Any
+    grazing: Any
+    normal: Any
 
 
 _SINGLE = Precision(np.float32(1.0), np.float32(0.0), np.float32(1e-6), np.float32(1e-8))

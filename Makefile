@@ -34,7 +34,7 @@ test-physics: $(VENV)/ready
 	$(BIN)/python -m pytest tests/physics
 
 test-others: $(VENV)/ready
-	$(BIN)/python -m pytest tests/unit tests/statistics tests/workflow tests/campaigns
+	$(BIN)/python -m pytest tests/unit tests/statistics tests/kernels tests/workflow tests/campaigns
 
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \

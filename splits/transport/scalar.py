@@ -16,7 +16,7 @@ from splits.transport.vectors import ORIGIN, Vector
 
 _FORWARD = Angle(1.0, 0.0)
 
-NO_LEG = Segment(ORIGIN, ORIGIN, -1.0)
+NO_LEG = Segment(ORIGIN, Vector(0.0, 0.0, -1.0), -1.0)
 """In place of the leg travelled last, for a ray that has not travelled yet."""
 
 

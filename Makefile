@@ -1,5 +1,6 @@
 # make run     set up .venv, run every experiment of config/ and write the report
-# make test    set up .venv and run the tests
+# make test    set up .venv and run the tests, but for comparisons that take minutes each
+# make test-long  those
 # make campaign  10 000 generated experiment files, 300 of them run, 60 kills, 30 damages of each sort
 #                (an hour or two)
 # make setup   set up .venv and nothing else
@@ -12,7 +13,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -31,10 +32,14 @@ test: $(VENV)/ready
 	$(MAKE) -j2 test-physics test-others
 
 test-physics: $(VENV)/ready
-	$(BIN)/python -m pytest tests/physics
+	$(BIN)/python -m pytest -m "not long" tests/physics
 
 test-others: $(VENV)/ready
-	$(BIN)/python -m pytest tests/unit tests/statistics tests/kernels tests/workflow tests/campaigns
+	$(BIN)/python -m pytest -m "not long" tests/unit tests/statistics tests/kernels tests/workflow \
+		tests/campaigns
+
+test-long: $(VENV)/ready
+	$(BIN)/python -m pytest -m long
 
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \

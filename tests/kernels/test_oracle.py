@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
 from chi2 import NEEDS_JIT, judge_z, largest_z, pooled_z
 from oracle import granular as oracle_granular
 from scenes import medium_scene, optics_at, oracle_slab
@@ -19,7 +20,7 @@ from splits.transport.lanes.choice import features_for
 from splits.transport.scene import UNLIMITED, Optics
 from splits.transport.tally import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows
 
-pytestmark = NEEDS_JIT
+pytestmark = [NEEDS_JIT, pytest.mark.long]
 
 SNOW = np.linspace(400.0, 2500.0, 20)
 SAND = np.linspace(400.0, 1000.0, 20)

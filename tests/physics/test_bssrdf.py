@@ -93,6 +93,7 @@ def test_a_normal_beam_spreads_evenly_and_an_oblique_one_forward():
 
 
 @NEEDS_JIT
+@pytest.mark.long
 def test_radii_scale_with_the_sample():
     # Half the density and twice the depth: all ways are twice as long, where ice does not absorb
     # and grains are far apart.
@@ -112,6 +113,7 @@ def test_radii_scale_with_the_sample():
 
 
 @NEEDS_JIT
+@pytest.mark.long
 def test_errors_are_those_of_repeated_runs():
     runs = [
         splits.bssrdf(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(200)

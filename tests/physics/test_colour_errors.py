@@ -21,6 +21,7 @@ SANDS = {
 """Chosen before any was run: paths at two to four refractive indices, and colours that differ."""
 
 
+@pytest.mark.long
 @NEEDS_JIT
 @pytest.mark.slow
 def test_colours_scatter_as_stated():

@@ -121,6 +121,7 @@ def reciprocity(medium, wavelength):
 INDEPENDENT_PAIRS = len({pair[:2] for pair in PAIRS})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
 @pytest.mark.parametrize("facetness", [(0.0, 0.0, 0.0, 0.0), (0.2, 0.4, 0.3, 0.072)])
 def test_grains_far_apart_are_reciprocal(entry, facetness):
@@ -130,6 +131,7 @@ def test_grains_far_apart_are_reciprocal(entry, facetness):
     judge_z(reciprocity(snow, 600.0), what, INDEPENDENT_PAIRS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "wavelength"), [(splits.Snow, 1300.0), (splits.Sand, 600.0)])
 def test_packed_grains_are_reciprocal_where_those_that_do_not_fit_are_skipped(kind, wavelength):
     # Drawn again instead, they break it by up to 40 % (docs/angles.md).

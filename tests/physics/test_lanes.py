@@ -64,6 +64,7 @@ def spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     return mean, error, seconds
 
 
+@pytest.mark.long
 def test_lanes_agree_with_the_scalar_kernel():
     found = {"reflectance": [], "transmittance": []}
     for number, (name, (medium, incidence, wavelengths)) in enumerate(MEDIA.items()):

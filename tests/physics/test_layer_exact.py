@@ -60,6 +60,7 @@ def test_reflectance_and_transmittance_are_exact():
     judge_z(z, f"reflectance and transmittance ({certain} certain)", independent=(z.size + 1) // 2)
 
 
+@pytest.mark.long
 @compiled
 def test_van_de_hulst_s_slab():
     slab = splits.Layer(
@@ -88,6 +89,7 @@ def test_van_de_hulst_s_slab():
     judge_z(z, "van de Hulst's slab", independent=2)
 
 
+@pytest.mark.long
 @compiled
 def test_rayleigh_layers_polarize_exactly():
     table = pd.read_csv(REFERENCE / "rayleigh_polarized.csv", comment="#")

@@ -69,6 +69,7 @@ def paths(snow, incidence, max_stderr=0.0007, seed=11):
         ({**SMOOTH, "entry": "projected"}, 3.0, 75.0),
     ],
 )
+@pytest.mark.long
 def test_far_apart_grains_obey_radiative_transfer(settings, thickness, incidence):
     snow = sample(thickness, 1e-3, **settings)
     expected, error, truncation = theory(snow, incidence)
@@ -88,6 +89,7 @@ def test_grains_that_cut_the_last_leg_do_not_matter_far_apart():
     assert (np.abs(found - same) <= stderr).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
 @pytest.mark.parametrize("incidence", [0.0, 60.0])
 def test_packed_grains_obey_it_with_the_way_through_them(entry, incidence):

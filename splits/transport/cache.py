@@ -16,9 +16,11 @@ import hashlib
 import logging
 import os
 import pickle
+import shutil
 import stat
 import sys
 import tempfile
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +33,8 @@ from numba.core import serialize
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
+KEPT_S = 90 * 86_400.0
+"""How long kernels of other versions are left alone."""
 
 
 @functools.cache
@@ -85,6 +89,8 @@ class Folder:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             self.path.mkdir(mode=0o777 if self.named else 0o700)
+            if not self.named:
+                self._sweep()
         if not self._own():
             raise PermissionError("not a folder of the user's own")
         handle, aside = tempfile.mkstemp(prefix=".", dir=self.path)
@@ -100,6 +106,14 @@ class Folder:
         """Remove a file, if that is possible."""
         with suppress(OSError):
             (self.path / name).unlink()
+
+    def _sweep(self) -> None:
+        """Remove what other versions have kept here and not added to for `KEPT_S`."""
+        prefix = self.path.name.removesuffix(kernels_digest())
+        for other in self.path.parent.glob(f"{glob.escape(prefix)}*"):
+            with suppress(OSError):
+                if other != self.path and time.time() - other.lstat().st_mtime > KEPT_S:
+                    shutil.rmtree(other)
 
     def _own(self) -> bool:
         """Return whether the user has named the folder, or nobody else can put files into it."""

@@ -10,6 +10,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numba
@@ -178,6 +179,17 @@ class _Planted:
 
     def __reduce__(self):
         return exec, ("raise SystemExit('foreign code runs')",)
+
+
+def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
+    monkeypatch.setattr(cache, "kernels_digest", lambda: "new")
+    for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
+        (tmp_path / name).mkdir()
+        then = time.time() - age * cache.KEPT_S
+        os.utime(tmp_path / name, (then, then))
+    Folder(tmp_path / "numba-new", False).write("kernel", b"content")
+    left = {folder.name for folder in tmp_path.iterdir()}
+    assert left == {"numba-recent", "numba-new", "notes"}
 
 
 def plant(places):

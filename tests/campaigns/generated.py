@@ -203,6 +203,8 @@ def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
     medium = draw(some(**KEYWORDS[kind]))
     if rough and draw(OFTEN):
         medium["surface"] = draw(KEYWORDS["layer"]["surface"])
+    if kind == "sand":  # its own is a metre: light that nothing absorbs stays there for minutes
+        medium.setdefault("depth_m", draw(KEYWORDS["sand"]["depth_m"]))
     if BASES[kind] and draw(st.booleans()):
         medium["base"] = draw(st.sampled_from(BASES[kind]))
     return {"kind": kind, **medium}

@@ -127,7 +127,7 @@ def print_bias() -> None:
         absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
         # One number for all: the same random streams at every node.
         ensembles = [
-            Ensemble(0, node, absorption, w > 0.0, runner.tracer.attenuation)
+            Ensemble(0, node, absorption, w > 0.0, runner.tracer.manner)
             for node, w in zip(every, weights.max(axis=0), strict=True)
         ]
         runner.trace([(e, level, BIAS_RAYS) for e in ensembles for level in e.levels], 1.0, 0.0)

@@ -7,16 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from splits.experiments.stacks import path_of
+
 PARAMETERS: dict[str, tuple[str, str]] = {
     "asymmetry": ("mean cosine of the scattering angle", "1"),
     "bottom_albedo": ("albedo of the bottom", "1"),
     "density_kg_m3": ("mass of ice per volume", "kg m-3"),
     "depth_m": ("thickness of the sample", "m"),
     "facetness": ("facetness of the grains, mean", "1"),
+    "ground": ("ground below", "1"),
     "grain_size_um": ("major-axis diameter of the grains, smallest to largest", "um"),
     "hematite_ratio": ("mass of hematite per mass of iron oxide", "1"),
     "incidence_deg": ("angle of incidence", "degree"),
     "iron_oxide": ("mass of hematite and goethite per mass of sand", "1"),
+    "layers": ("layers", "1"),
     "magnetite": ("mass of magnetite per mass of sand", "1"),
     "max_polarization": ("largest degree of polarization of light scattered once", "1"),
     "medium": ("sample", "1"),
@@ -60,7 +64,7 @@ def grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordin
     """
     found = {}
     for parameter, choices in grid.items():
-        long_name, units = PARAMETERS[parameter]
+        long_name, units = parameter_about(parameter)
         values = coordinate_values(choices)
         if values.dtype.kind == "f":
             about = {"long_name": long_name, "units": units}
@@ -68,6 +72,15 @@ def grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordin
             about = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
         found[parameter] = (parameter, values, about)
     return found
+
+
+def parameter_about(parameter: str) -> tuple[str, str]:
+    """Return the long name and the units of a parameter, or of that of a layer by its path."""
+    path = path_of(parameter)
+    if path is None:
+        return PARAMETERS[parameter]
+    long_name, units = PARAMETERS[path[1]]
+    return f"{long_name}, layer {path[0]}", units
 
 
 def coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:

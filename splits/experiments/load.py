@@ -15,6 +15,7 @@ from splits.experiments.model import Experiment
 from splits.experiments.run_fit import check_fit
 from splits.experiments.settings import Settings
 from splits.experiments.simulation import SAMPLE
+from splits.experiments.stacks import with_bases
 from splits.experiments.unused import keywords_given, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
 
@@ -68,7 +69,7 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
     if not isinstance(medium, dict):
         raise refuse("medium", medium, "a mapping of keys to values")
     if medium:
-        content["medium"] = _with_base(medium, "medium", media)
+        content["medium"] = _whole(medium, "medium", media)
     if isinstance(grid, dict) and isinstance(grid.get(SAMPLE), (list, dict)):
         content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
     experiment = _checked(Experiment, content)
@@ -105,7 +106,7 @@ def _samples(given: Any, folder: Path) -> dict[str, Any]:
         raise refuse(f"grid.{SAMPLE}", given, allowed)
     named = {name: name for name in given} if isinstance(given, list) else given
     return {
-        label: _with_base(
+        label: _whole(
             {"base": value} if isinstance(value, str) else value, f"grid.{SAMPLE}.{label}", folder
         )
         for label, value in named.items()
@@ -119,6 +120,12 @@ def _with_base(medium: Any, place: str, folder: Path) -> Any:
     base = one_of(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
     own = {key: value for key, value in medium.items() if key != "base"}
     return {**read_yaml(folder / f"{base}.yaml"), **own}
+
+
+def _whole(medium: Any, place: str, folder: Path) -> Any:
+    """Return a medium, or a stack and all of its layers, on top of the bases they name."""
+    medium = _with_base(medium, place, folder)
+    return with_bases(place, medium, lambda layer, here: _with_base(layer, here, folder))
 
 
 def load_experiments(

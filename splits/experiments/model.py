@@ -13,6 +13,7 @@ from splits.experiments.grids import label_at
 from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
+from splits.instruments.scenes import ground_of
 from splits.media.turbid import Medium, TurbidMedium
 
 RULES = (
@@ -128,6 +129,8 @@ class Experiment(Simulation):
         heard = self.instrument.estimator == "local" and "btdf" in self.figure.quantity
         if heard and getattr(medium, "bottom_albedo", None) is not None:
             raise refuse("figure.quantity", "btdf", "brdf over a bottom with local estimation")
+        if "btdf" in self.figure.quantity and ground_of(medium) is not None:
+            raise refuse("figure.quantity", "btdf", "brdf over a ground")
         if self.figure.kind == "polarization":
             if not (isinstance(medium, TurbidMedium) and medium.polarized):
                 raise refuse("medium.polarized", False, "true for figure.kind = 'polarization'")

@@ -21,13 +21,15 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import named, one_of, refuse, unknown_key
 from splits.experiments.grids import labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
+from splits.experiments.stacks import LAYERS, check_layers, check_path, stack_of, with_paths
 from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
-from splits.media import Layer, Sand, Snow
-from splits.media.granular import GranularMedium, check_room
+from splits.instruments.scenes import constants_of, ground_of
+from splits.media import Layer, Sand, Snow, Stack
+from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.turbid import Medium, TurbidMedium
 
-MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
+MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer, "stack": Stack}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
 MERGED = ("readings", "refractive_index")
@@ -39,8 +41,9 @@ class Simulation(Section):
     """A medium under an instrument, over a grid of parameters.
 
     `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
-    is any keyword of the medium, ``incidence_deg``, or ``medium`` for values that are mappings of
-    several keywords; all combinations are run.
+    is any keyword of the medium, for a stack also one of a layer as a path such as
+    ``layers.0.depth_m``, ``incidence_deg``, or ``medium`` for values that are mappings of several
+    keywords; all combinations are run.
     """
 
     name: str
@@ -74,8 +77,12 @@ class Simulation(Section):
                 if key not in (*keywords, "kind"):
                     raise unknown_key(f"{place}.{key}", keywords)
             one_of(f"{place}.kind", settings.get("kind", kind), [kind])
+            if kind == "stack" and (place == "medium" or LAYERS in settings):
+                check_layers(place, settings.get(LAYERS))
         parameters = [*keywords, "incidence_deg", SAMPLE]
         for parameter in self.grid:
+            if kind == "stack" and check_path(parameter, self.medium[LAYERS]):
+                continue
             if parameter not in parameters:
                 raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
@@ -85,9 +92,9 @@ class Simulation(Section):
         for labels, medium, incidence in self.points():
             with self.placed(labels):
                 if not self.fit:
-                    medium.indices(wavelengths)
+                    constants_of(medium, wavelengths)
                 check_beam(incidence) if beam else check_incidence(incidence)
-                if isinstance(medium, GranularMedium):
+                if isinstance(medium, GranularMedium | LayeredMedium):
                     check_room(medium)
             self._check_medium(kind, medium)
         self._check_grid()
@@ -143,6 +150,8 @@ class Simulation(Section):
             raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
         if instrument.estimator == "local" and (rough or not layer):
             raise refuse("instrument.estimator", "local", "left out but for smooth layers")
+        if instrument.target == "btdf" and ground_of(medium) is not None:
+            raise refuse("instrument.target", "btdf", "brdf over a ground")
         told = "wavelength_nm" in instrument.model_fields_set
         if layer and not told and instrument.kind not in (*SURFACES, "refractive_index"):
             raise refuse(
@@ -157,8 +166,9 @@ class Simulation(Section):
     def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         for labels, settings, incidence in self.settings():
+            kind = self.medium.get("kind", "snow")
             with self.placed(labels):
-                medium = MEDIA[self.medium.get("kind", "snow")](**settings)
+                medium = stack_of(**settings) if kind == "stack" else MEDIA[kind](**settings)
             yield labels, medium, incidence
 
     @contextmanager
@@ -167,7 +177,8 @@ class Simulation(Section):
         try:
             yield
         except ValueError as error:
-            key = re.split(r"\W", str(error), maxsplit=1)[0]
+            path = str(error).split(" ", 1)[0]
+            key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid[SAMPLE][labels[SAMPLE]] if SAMPLE in self.grid else {}
             if key in self.grid:
                 place = "grid"
@@ -197,7 +208,7 @@ class Simulation(Section):
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
             sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
-            settings = {**base, **sample, **values}
+            settings = with_paths({**base, **sample}, values)
             for key in MERGED:
                 parts = [part[key] for part in (base, sample, values) if key in part]
                 if parts and all(isinstance(part, Mapping) for part in parts):

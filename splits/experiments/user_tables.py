@@ -1,4 +1,4 @@
-"""Users' own tables of refractive indices, where an experiment's settings name them."""
+"""Users' own tables of refractive indices and grounds, where an experiment's settings name them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-KEY = "refractive_index"
+KEYS = ("refractive_index", "ground")
 
 
 def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> Any:
@@ -20,10 +20,10 @@ def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> 
     name : callable
         Takes a path, returns what stands in its place.
     inside : bool
-        Whether `settings` stands below the key ``refractive_index``.
+        Whether `settings` stands below one of `KEYS`.
     """
     if isinstance(settings, dict):
-        return {k: renamed(v, name, inside or k == KEY) for k, v in settings.items()}
+        return {k: renamed(v, name, inside or k in KEYS) for k, v in settings.items()}
     if isinstance(settings, (list, tuple)):
         return [renamed(value, name, inside) for value in settings]
     if inside and isinstance(settings, str) and settings.endswith(".csv"):

@@ -47,7 +47,8 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
     plane = plane_of(dataset)
     lines = lines_of(plane, "brdf").all
-    top = 1.05 * float(dataset.brdf.max())
+    # Where nothing comes back, axes want a range all the same.
+    top = 1.05 * float(dataset.brdf.max()) or 1.0
     columns = min(COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
     with style():

@@ -47,6 +47,7 @@ LABELS = {
 WORDS = {
     "bottom_albedo": {"None": "no bottom"},
     "surface": {"None": "smooth"},
+    "ground": {"None": "open"},
     "polarized": {"0": "no", "1": "yes"},
     "opaque": {"0": "no", "1": "yes"},
     "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},
@@ -55,14 +56,27 @@ WORDS = {
 PLAIN = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
 BETWEEN = {"texture": " / ", "partition": " / ", "roundness": ", "}
 """What stands between the numbers of a value, where they are not the ends of a range."""
-NOMINAL = ("medium", "refractive_index", "readings", "sample", "phase_function", "polarized")
+NOMINAL = (
+    "medium",
+    "refractive_index",
+    "readings",
+    "sample",
+    "phase_function",
+    "polarized",
+    "ground",
+    "layers",
+)
 """Parameters whose values have no order."""
 _NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def parameter_label(parameter: str) -> str:
-    """Return how a figure names a parameter of the grid."""
+    """Return how a figure names a parameter of the grid, or one of a layer by its path."""
+    stack, _, rest = parameter.partition(".")
+    number, _, key = rest.partition(".")
+    if stack == "layers" and key:
+        return f"layer {number}: {parameter_label(key)}"
     return LABELS.get(parameter, parameter.replace("_", " "))
 
 
@@ -83,11 +97,12 @@ def value_label(value: object, parameter: str | None = None) -> str:
     """
     number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
     text = f"{value:g}" if number else str(value)
-    word = WORDS.get(parameter or "", {}).get(text) or PLAIN.get(text)
+    parameter = (parameter or "").rpartition(".")[2]
+    word = WORDS.get(parameter, {}).get(text) or PLAIN.get(text)
     if word:
         return word
     if re.fullmatch(f"-?{_NUMBER}(-{_NUMBER})*", text):
-        between = BETWEEN.get(parameter or "", "–")
+        between = BETWEEN.get(parameter, "–")
         sign = "−" if text.startswith("-") else ""
         return sign + between.join(map(_printed, re.findall(_NUMBER, text)))
     if whole := re.fullmatch(f"({_NUMBER})([+-])({_NUMBER})j", text):

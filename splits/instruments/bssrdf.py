@@ -25,8 +25,8 @@ from splits.instruments.ensemble import Level
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS
-from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
 from splits.transport.scene import shared_optics
@@ -125,8 +125,7 @@ def bssrdf(
     if half_width_m is not None:
         check_half_width("bssrdf", half_width_m)
     begun = time.perf_counter()
-    index = medium.indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
     runner = Runner(
         medium, incidence, seed, threads, False, kernel, progress, positions=True, orders=True
@@ -144,7 +143,7 @@ def bssrdf(
         trace(pilot, ROUND)
         radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
         # A free path where no light leaves; an edge that a map can be divided by in any case.
-        found = radii[0].max() or 1.0 / runner.tracer.attenuation
+        found = radii[0].max() or 1.0 / runner.tracer.manner.attenuation
         half_width_m = np.clip(found, *HALF_WIDTH_M["bssrdf"])
     half_width_m = float(half_width_m)
     ensembles = spreads(0, half_width_m, CELLS)
@@ -158,7 +157,9 @@ def bssrdf(
         "interpolation_error_bound": float(nodes.bias.max()),
         "kernel": runner.kernels(ensembles),
     }
-    return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
+    dataset = _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
+    # Over a ground no light leaves below.
+    return dataset if ground_of(medium) is None else dataset.isel(side=[0])
 
 
 class _Spread:
@@ -189,7 +190,7 @@ class _Spread:
         """Return how many numbers a tally holds."""
         return int(self.radial[0].size + self.moment[0].size + self.place.size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
         """Return the sums of a batch of exits."""
         sums = spread(
             exits, self.absorption, SHORTEST_M, PER_DECADE, _BINS, self.half_width, self.cells

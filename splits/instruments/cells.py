@@ -72,7 +72,7 @@ class Cells:
         """Return how many numbers a tally holds."""
         return int(self.sums.size + self.straight.size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
         """Return the sums of a batch of exits."""
         found = [count_cells(exits, self.absorption, *self.shape, part) for part in self.parts]
         return np.stack([sums for sums, _ in found]), found[0][1]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range
+from splits.checks import in_range, refuse
 from splits.instruments.arguments import (
     check_incidence,
     check_medium,
@@ -19,10 +19,9 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress
-from splits.instruments.scenes import granular_scene
+from splits.instruments.scenes import constants_of, granular_scene, ground_of
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.threads import Threads
-from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
 from splits.transport.deep import families
 from splits.transport.scene import Optics, Scene, shared_optics
@@ -104,10 +103,12 @@ def deep_transmittance(
     seed = check_whole("seed", seed, 0)
     max_rays = check_whole("max_rays", max_rays, 1)
     threads = check_threads(threads)
+    ground = ground_of(medium)
+    if ground is not None:
+        raise refuse("ground", ground.name, "open", "what would reach a ground is the question")
     begun = time.perf_counter()
     scene = granular_scene(medium, incidence, False)
-    index = medium.indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelengths)
     first_guess = attenuation_rate(medium, wavelengths, seed, threads)
     results = np.zeros((5, len(wavelengths)))
     with Threads(threads) as pool:

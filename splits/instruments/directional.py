@@ -90,7 +90,7 @@ class Directional:
         """Return how many numbers a tally holds."""
         return int(self.sums[0].size + self.straight[0].size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray) -> Sums:
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
         """Return the sums of a batch of exits of a level."""
         heard = self.edges[self.edges <= level.most]
         return (first // BATCH) % GROUPS, *expand(exits, self.absorption, heard, self.basis)

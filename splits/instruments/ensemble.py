@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from splits.transport.scene import UNLIMITED, Optics, shared_optics
+from splits.transport.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
 from splits.transport.tally import BLOCK, tally
 
 LEVELS = (-1.0, 0.002, 0.01, 0.06)
@@ -58,6 +58,27 @@ class Level:
     legs: int = 0
 
 
+class Manner(NamedTuple):
+    """How rays are traced, as far as those who add them up must know it.
+
+    Attributes
+    ----------
+    attenuation : float
+        Scatterings to expect per metre.
+    ground : int
+        Column of meetings with the ground, see `splits.transport.scene.Scene`.
+    fading : bool
+        Whether a ray's weight may fall for another reason than absorption by materials.
+    analog : bool
+        Whether absorption is a coin toss, so that any ray might have been absorbed.
+    """
+
+    attenuation: float
+    ground: int = NO_GROUND
+    fading: bool = False
+    analog: bool = False
+
+
 class Paths(Protocol):
     """What a `splits.instruments.runner.Runner` asks of an ensemble."""
 
@@ -68,8 +89,8 @@ class Paths(Protocol):
         """Return how many numbers a tally holds."""
         ...
 
-    def tally(self, level: Level, first: int, exits: np.ndarray) -> Any:
-        """Return what a batch of a level's exits, from that ray on, adds up to."""
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+        """Return what a batch of a level's exits and notes, from that ray on, adds up to."""
         ...
 
     def add(self, level: Level, tallies: Sequence[Any]) -> None:
@@ -89,12 +110,7 @@ class Ensemble:
         Absorption coefficients of all wavelengths (1/m).
     served : bool, shape (wavelengths,)
         Wavelengths that draw on this ensemble.
-    attenuation : float
-        Grains met per metre.
-    analog : bool
-        Whether absorption is a coin toss, so that any ray might have been absorbed.
-    fading : bool
-        Whether a ray's weight may fall for another reason than absorption by materials.
+    manner : Manner
     levels : sequence of float
         Absorption from which wavelengths have rays of their own, at most as many as `LEVELS`; an
         analog ensemble has one level only.
@@ -104,8 +120,8 @@ class Ensemble:
     levels : list of Level
     count : float, shape (wavelengths,)
         Rays that each wavelength listens to.
-    moments : float, shape (2, 3, wavelengths)
-        Over those, [reflected, transmitted][Σ weight, Σ weight², largest weight].
+    moments : float, shape (3, 3, wavelengths)
+        Over those, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
     least : float, shape (wavelengths,)
         Smallest weight with which any of them left; 0 once one was absorbed.
     groups : float, shape (GROUPS, 2, wavelengths)
@@ -118,21 +134,19 @@ class Ensemble:
         index: np.ndarray,
         absorption: np.ndarray,
         served: np.ndarray,
-        attenuation: float,
-        analog: bool = False,
-        fading: bool = False,
+        manner: Manner,
         levels: Sequence[float] = LEVELS,
     ) -> None:
         self.absorption = absorption
-        self.analog = analog
-        self.fading = fading
+        self.manner = manner
         self.count = np.zeros(len(absorption))
-        self.moments = np.zeros((2, 3, len(absorption)))
+        self.moments = np.zeros((3, 3, len(absorption)))
         self.least = np.full(len(absorption), np.inf)
         self.groups = np.zeros((GROUPS, 2, len(absorption)))
         self.levels: list[Level] = []
-        strength = absorption.max(axis=1) / attenuation
-        for step, threshold in enumerate(levels[:1] if analog else levels):
+        materials = np.arange(absorption.shape[1]) != manner.ground
+        strength = absorption[:, materials].max(axis=1) / manner.attenuation
+        for step, threshold in enumerate(levels[:1] if manner.analog else levels):
             part = served & (strength >= threshold)
             if not part.any() or (self.levels and part.sum() == self.levels[-1].served.sum()):
                 continue
@@ -142,11 +156,13 @@ class Ensemble:
 
     def size(self) -> int:
         """Return how many numbers a tally holds, those of blocks being half as long."""
-        return (7 + BATCH // BLOCK) * len(self.absorption)
+        return (10 + BATCH // BLOCK) * len(self.absorption)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray) -> Tally:
-        """Return the sums of a batch of exits of a level, for the wavelengths it serves."""
-        return *tally(exits, self.absorption[level.served], not self.analog), len(exits)
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Tally:
+        """Return the sums of a batch of a level, for the wavelengths it serves."""
+        absorption = self.absorption[level.served]
+        weighted, ground = not self.manner.analog, self.manner.ground
+        return *tally(exits, notes, absorption, weighted, ground), len(exits)
 
     def add(self, level: Level, tallies: Sequence[Tally]) -> None:
         """Add the tallies of batches one by one: sums do not depend on who traced them."""
@@ -166,7 +182,7 @@ class Ensemble:
 
     def means(self) -> np.ndarray:
         """Return the mean weight, shape (2, wavelengths): reflected, transmitted."""
-        return self.moments[:, 0] / np.maximum(self.count, 1.0)
+        return self.moments[:2, 0] / np.maximum(self.count, 1.0)
 
     def deviations(self) -> np.ndarray:
         """Return how far each group of rays takes the means off, shape (GROUPS, 2, wavelengths).
@@ -184,17 +200,14 @@ class Ensemble:
     def variances(self) -> np.ndarray:
         """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).
 
-        A ray leaves on one side only, so the squares of reflected + transmitted add up.  Two
-        rays are added, of the largest and of the smallest weight possible by what was seen (after
-        Agresti & Coull 1998): few or no arrivals then do not look like certainty.
+        Two rays are added, of the largest and of the smallest weight possible by what was seen
+        (after Agresti & Coull 1998): few or no arrivals then do not look like certainty.
         """
         total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
-        total = np.concatenate([total, total.sum(axis=0, keepdims=True)])
-        square = np.concatenate([square, square.sum(axis=0, keepdims=True)])
-        largest = np.concatenate([largest, largest.max(axis=0, keepdims=True)])
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
-        tossed = self.fading | (self.analog & (self.absorption.max(axis=1) > 0.0))
+        absorbs = self.absorption.max(axis=1) > 0.0
+        tossed = self.manner.fading | (self.manner.analog & absorbs)
         smallest[2] = np.where(tossed | (self.count == 0.0), 0.0, self.least)
         n = self.count + 2.0
         mean = (total + largest + smallest) / n

@@ -12,7 +12,7 @@ import numpy as np
 from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, scaled
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import Runner
-from splits.materials.refractive_index import absorption_coefficient
+from splits.instruments.scenes import constants_of
 from splits.media.turbid import Medium
 
 PILOT = 256
@@ -71,13 +71,10 @@ def spectral(
     5-6); wavelengths take the weighted mean of the index nodes around them, and the bound on what
     this interpolation misses is added to the standard error in quadrature.
     """
-    index = medium.indices(wavelength_nm)
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelength_nm)
     nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     ensembles = [
-        Ensemble(
-            number, m, absorption, w > 0.0, runner.tracer.attenuation, False, runner.tracer.fading
-        )
+        Ensemble(number, m, absorption, w > 0.0, runner.tracer.manner)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     levels = [(e, level) for e in ensembles for level in e.levels]
@@ -178,8 +175,7 @@ def analog(
     This is the algorithm of SPLITS section 4.3 and SPLITSnow section 3, kept as the reference.
     `max_rays` is shared equally among the wavelengths.
     """
-    index = medium.indices(wavelength_nm)
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelength_nm)
     limit = max(ANALOG_PILOT, max_rays // len(wavelength_nm))
     mean = np.empty((3, len(wavelength_nm)))
     stderr = np.empty_like(mean)
@@ -187,10 +183,7 @@ def analog(
     one = np.ones(1, dtype=bool)
     rays = 0
     for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
-        tracer = runner.tracer
-        ensemble = Ensemble(
-            number, m, alpha[np.newaxis], one, tracer.attenuation, True, tracer.fading
-        )
+        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.tracer.manner)
         level = ensemble.levels[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:

@@ -23,7 +23,7 @@ from splits.instruments.arguments import (
 from splits.instruments.ensemble import GROUPS, Ensemble, scaled
 from splits.instruments.nodes import nodes_at
 from splits.instruments.runner import Runner
-from splits.materials.refractive_index import absorption_coefficient
+from splits.instruments.scenes import constants_of
 from splits.media.turbid import Medium
 
 EVERY_RAY = (-1.0,)
@@ -77,13 +77,12 @@ def fixed_spectrum(
     rows = _check_rows(node_rows, len(wavelengths))
     check_whole("rays_per_node", rays_per_node, 1)
     check_whole("seed", seed, 0)
-    index = medium.indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelengths)
     nodes = nodes_at(index, medium.interfaces(), rows)
     runner = Runner(medium, check_incidence(incidence_deg), int(seed), threads, False)
     # An ensemble keeps its number, hence its streams, also where a neighbour is not drawn on.
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.tracer.attenuation, levels=EVERY_RAY)
+        Ensemble(number, m, absorption, w > 0.0, runner.tracer.manner, levels=EVERY_RAY)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
         if w.any()
     ]

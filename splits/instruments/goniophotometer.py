@@ -40,8 +40,8 @@ from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Progress, Runner
+from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS
-from splits.materials.refractive_index import absorption_coefficient
 from splits.media.turbid import Medium
 from splits.transport.directions import basis_of
 from splits.uncertainty import Variable, quantity
@@ -57,6 +57,8 @@ STEEPEST_DEG = 82.5
 
 ESTIMATORS = ("expansion", "cells", "local")
 SIDES = {"brdf": 0, "btdf": 1}
+OF_LIGHT_BELOW = ("btdf", "transmittance", "direct_transmittance")
+"""What a dataset tells of light that leaves below: nothing of it over a ground."""
 
 _GROWTH = 8.0
 _NODES_SHARE = 0.05
@@ -158,6 +160,9 @@ def goniophotometer(
     incidence = check_beam(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     side = SIDES[one_of("target", target, SIDES)]
+    grounded = ground_of(medium) is not None
+    if grounded and side == 1:
+        raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
     one_of("estimator", estimator, ESTIMATORS)
     one_of("kernel", kernel, KERNELS)
     seed = check_whole("seed", seed, 0)
@@ -166,13 +171,12 @@ def goniophotometer(
         check_whole("rays", rays, 1)
     threads = check_threads(threads)
     begun = time.perf_counter()
-    index = medium.indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
     paths: Sequence[Paths] = ()
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress, orders=True)
     stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    unheard: list[str] | None = None
+    unseen: tuple[str, ...] = OF_LIGHT_BELOW if grounded else ()
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
         check_size(len(wavelengths), len(polar) * len(azimuth))
@@ -187,7 +191,8 @@ def goniophotometer(
             heard = listen(medium, incidence, polar, azimuth, goal, runner)
             result, reached = heard.estimate(len(wavelengths)), heard.reached
             stokes = heard.stokes(len(wavelengths)) if heard.polarized else {}
-            unheard = None if heard.below else ["btdf", "btdf_stderr"]
+            # A bottom hears light at other angles than detectors outside would.
+            unseen = () if heard.below else ("btdf",)
         else:
             paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
     seen = counted(polar, azimuth)
@@ -208,8 +213,7 @@ def goniophotometer(
         "kernel": runner.kernels(paths) or "scalar",
     }
     dataset = _dataset(result, stokes, wavelengths, polar, azimuth, facts)
-    # A bottom hears light at other angles than detectors outside would.
-    return dataset if unheard is None else dataset.drop_vars(unheard)
+    return dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
 
 
 def _expand(

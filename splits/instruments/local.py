@@ -186,7 +186,7 @@ def listen(
             while sums.batches < wanted:
                 for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
                     sums.add(one)
-            certain = not runner.tracer.fading and layer.bottom == 1.0
+            certain = not runner.tracer.manner.fading and layer.bottom == 1.0
             result = sums.result(detectors.below, medium.polarized, silent, certain)
             error = result.error(goal.side)
             nothing = not silent and not result.mean[goal.side].any()

@@ -14,6 +14,7 @@ from splits.instruments.threads import Threads, cpus
 from splits.instruments.tracers import tracer_of
 from splits.media.turbid import Medium
 from splits.transport.features import Features
+from splits.transport.tally import NOTE_RAY
 
 MEMORY = 2**26
 LEGS = 2e7
@@ -198,22 +199,31 @@ class Runner:
             [(level.number, first, count * BATCH, level.most) for _, level, first, count in job]
         )
         exits = self.tracer.rows(int(work[:, 2].sum()))
-        legs, lost = self.tracer.trace(work, [level for _, level, *_ in job], exits)
-        if lost:
-            raise RuntimeError(lost)
+        followed = self.tracer.trace(work, [level for _, level, *_ in job], exits)
+        if followed.lost:
+            raise RuntimeError(followed.lost)
         parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
-        tallied = []
-        for (ensemble, level, first, count), part, cost in zip(job, parts, legs, strict=True):
-            batches = part.reshape(count, BATCH, -1)
-            sums = [
-                ensemble.tally(level, first + number * BATCH, batch)
-                for number, batch in enumerate(batches)
-            ]
-            tallied.append((sums, int(cost)))
-        return tallied
+        return [
+            (_tallied(piece, part, notes), int(cost))
+            for piece, part, notes, cost in zip(
+                job, parts, followed.notes, followed.legs, strict=True
+            )
+        ]
 
     def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
         now = time.perf_counter()
         if self.report and now - self._reported > 0.5:
             self._reported = now
             self.report(Progress(rays, stderr, target, now - self.started, left))
+
+
+def _tallied(piece: Piece, exits: np.ndarray, notes: np.ndarray) -> list[Any]:
+    """Return what a piece's ensemble makes of each of its batches, in order."""
+    ensemble, level, first, count = piece
+    starts = np.arange(count) * BATCH
+    parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], starts[1:]))
+    sums = []
+    for start, batch, part in zip(starts, exits.reshape(count, BATCH, -1), parts, strict=True):
+        part[:, NOTE_RAY] -= start
+        sums.append(ensemble.tally(level, first + int(start), batch, part))
+    return sums

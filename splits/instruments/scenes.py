@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.ground import Ground
+from splits.media.turbid import Medium
 from splits.transport.light import Light
-from splits.transport.scene import Grains, Layers, Scene, Types
+from splits.transport.scene import NO_GROUND, Grains, Layers, Scene, Types
+
+
+class Constants(NamedTuple):
+    """Optical constants over wavelength; a ground, if there is one, comes after the materials.
+
+    Attributes
+    ----------
+    indices : complex, shape (wavelengths, columns)
+        Refractive indices.
+    absorption : float, shape (wavelengths, columns)
+        Absorption coefficients (1/m); of the ground, −ln of its albedo.
+    """
+
+    indices: np.ndarray
+    absorption: np.ndarray
 
 
 def light_of(incidence_deg: float | str) -> Light:
@@ -16,6 +35,30 @@ def light_of(incidence_deg: float | str) -> Light:
     if incidence_deg == "diffuse":
         return Light(1.0, 1.0)
     return Light(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
+
+
+def ground_of(medium: Medium) -> Ground | None:
+    """Return the ground below a medium, None where nothing comes back from there."""
+    ground = getattr(medium, "ground", None)
+    return ground if ground is not None and ground.reflecting else None
+
+
+def columns_of(medium: Medium) -> int:
+    """Return how many lengths a path has: one in each material, and meetings with a ground."""
+    return len(medium.materials()) + (ground_of(medium) is not None)
+
+
+def constants_of(medium: Medium, wavelength_nm: np.ndarray) -> Constants:
+    """Return what a medium and its ground are to light at wavelengths (nm)."""
+    index = medium.indices(wavelength_nm)
+    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    ground = ground_of(medium)
+    if ground is None:
+        return Constants(index, absorption)
+    return Constants(
+        np.pad(index, ((0, 0), (0, 1)), constant_values=1.0),
+        np.column_stack([absorption, ground.depth(wavelength_nm)]),
+    )
 
 
 def granular_scene(
@@ -36,7 +79,8 @@ def granular_scene(
         pore=materials[:-1],
     )
     rules = media[0].readings.rules(analog)
-    return Scene(light_of(incidence_deg), layers, _together(grains, materials), rules)
+    column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
+    return Scene(light_of(incidence_deg), layers, _together(grains, materials), rules, column)
 
 
 def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:

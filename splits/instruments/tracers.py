@@ -6,13 +6,13 @@ A runner knows batches, jobs and threads; a tracer knows the kernel that a scene
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.ensemble import Level
-from splits.instruments.scenes import granular_scene, light_of
+from splits.instruments.ensemble import Level, Manner
+from splits.instruments.scenes import columns_of, granular_scene, light_of
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
@@ -21,7 +21,7 @@ from splits.transport.lanes.choice import features_for
 from splits.transport.light import Light
 from splits.transport.scene import Optics
 from splits.transport.stokes import NATURAL
-from splits.transport.tally import EXIT_LENGTH, exit_rows
+from splits.transport.tally import EXIT_LENGTH, NOTE_RAY, exit_rows
 from splits.transport.turbid import Scene
 from splits.transport.waves import room_for
 
@@ -29,24 +29,37 @@ KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
 
+class Followed(NamedTuple):
+    """What pieces of levels yielded besides their exits.
+
+    Attributes
+    ----------
+    legs : int, shape (pieces,)
+    notes : list of float, shape (notes, columns)
+        Of each piece, ray by ray, rays counted from its first; see `splits.transport.tally.Notes`.
+    lost : str
+        Why a ray was lost, or nothing.
+    """
+
+    legs: np.ndarray
+    notes: list[np.ndarray]
+    lost: str
+
+
 class Tracer(Protocol):
     """The kernel of a scene.
 
     Attributes
     ----------
-    attenuation : float
-        Scatterings to expect per metre.
+    manner : Manner
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
-    fading : bool
-        Whether weights may fall for another reason than absorption by materials.
     stokes : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """
 
-    attenuation: float
+    manner: Manner
     upright: bool
-    fading: bool
     stokes: tuple[int, ...]
 
     def features(self, level: Level) -> Features | None:
@@ -61,9 +74,7 @@ class Tracer(Protocol):
         """Return room for the exits of so many rays."""
         ...
 
-    def trace(
-        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
-    ) -> tuple[np.ndarray, str]:
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels that share features.
 
         Parameters
@@ -77,9 +88,7 @@ class Tracer(Protocol):
 
         Returns
         -------
-        legs : int, shape (pieces,)
-        lost : str
-            Why a ray was lost, or nothing.
+        Followed
         """
         ...
 
@@ -115,11 +124,11 @@ class GrainTracer:
         orders: bool,
     ) -> None:
         self.scene = granular_scene(medium, incidence_deg, analog)
-        self.attenuation = float(self.scene.layers.attenuation.max())
+        densest = float(self.scene.layers.attenuation.max())
+        self.manner = Manner(densest, self.scene.ground, analog=analog)
         self.upright = self.scene.light == (1.0, 0.0)
-        self.fading = False
         self.stokes: tuple[int, ...] = ()
-        self.materials = len(medium.materials())
+        self.columns = columns_of(medium)
         self.seed = seed
         self.kernel = kernel
         self.wanted = (positions, orders)
@@ -161,24 +170,31 @@ class GrainTracer:
 
     def rows(self, rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
-        return exit_rows(rays, self.materials)
+        return exit_rows(rays, self.columns)
 
-    def trace(
-        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
-    ) -> tuple[np.ndarray, str]:
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels that share features, see `Tracer`."""
         features = self.features(levels[0])
         if features is None:
             parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
-            results = [
+            told = [
                 granular.batch(self.seed, item, self.scene, level.optics, part)
                 for item, part, level in zip(work, parts, levels, strict=True)
             ]
-            legs, lost = np.array([one[0] for one in results]), any(one[1] for one in results)
-        else:
-            optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
-            legs, lost = lanes.batch(self.seed, work, self.scene, optics, exits, features)
-        return legs, self.LOST if lost else ""
+            return Followed(
+                np.array([one.legs for one in told]),
+                [one.notes for one in told],
+                self.LOST if any(one.lost for one in told) else "",
+            )
+        optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
+        told = lanes.batch(self.seed, work, self.scene, optics, exits, features)
+        # Of each ray in the order of time, as they were taken.
+        notes = told.notes[np.argsort(told.notes[:, NOTE_RAY], kind="stable")]
+        last = np.cumsum(work[:, 2])
+        parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], last[:-1]))
+        for part, first in zip(parts[1:], last[:-1], strict=True):
+            part[:, NOTE_RAY] -= first
+        return Followed(told.legs, parts, self.LOST if told.lost else "")
 
 
 class LayerTracer:
@@ -206,9 +222,10 @@ class LayerTracer:
             raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         stokes = NATURAL if medium.polarized else None
         self.scene = Scene(light, medium.turbid(analog), medium.phase, medium.fields(), stokes)
-        self.attenuation = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
+        extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
+        fading = self.scene.layer.albedo < 1.0
+        self.manner = Manner(extinction, fading=fading, analog=analog)
         self.upright = light.diffuse == 0.0 and light.cos == 1.0
-        self.fading = self.scene.layer.albedo < 1.0
         self.materials = len(medium.materials())
         # After the path lengths in all materials.
         self.first_stokes = EXIT_LENGTH + self.materials
@@ -228,9 +245,7 @@ class LayerTracer:
         """Return room for the exits of so many rays."""
         return exit_rows(rays, self.materials, len(self.stokes))
 
-    def trace(
-        self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray
-    ) -> tuple[np.ndarray, str]:
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels, see `Tracer`."""
         room = None if self.scene.fields is None else room_for(self.scene.fields)
         parts = np.split(exits, np.cumsum(work[:, layer.RAYS])[:-1])
@@ -238,8 +253,11 @@ class LayerTracer:
             layer.batch(self.seed, item, self.scene, room, self.first_stokes, part)
             for item, part in zip(work, parts, strict=True)
         ]
-        lost = any(one.lost for one in results)
-        return np.array([one.legs for one in results]), self.LOST if lost else ""
+        return Followed(
+            np.array([one.legs for one in results]),
+            [exit_rows(0, self.materials)] * len(results),
+            self.LOST if any(one.lost for one in results) else "",
+        )
 
 
 def tracer_of(

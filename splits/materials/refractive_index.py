@@ -5,18 +5,16 @@ Wherever an index is asked for, a named dataset can stand, a constant, or a user
 
 from __future__ import annotations
 
-import hashlib
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from splits.checks import in_range, number, one_of, refuse, row_of
 from splits.materials.datasets import dataset, dataset_names
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
+from splits.materials.tables import user_table
 
 
 def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
@@ -98,20 +96,7 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
 
 
 def _user_table(key: str, path: Path) -> Tabulated:
-    try:
-        content = path.read_bytes()
-    except OSError:
-        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
-    try:
-        table = pd.read_csv(io.BytesIO(content), comment="#", skipinitialspace=True)
-        w, n, k = (table[c].to_numpy(dtype=float) for c in ("wavelength_nm", "n", "k"))
-    except (KeyError, ValueError) as error:
-        missing = isinstance(error, KeyError)
-        hint = f"no column {error}" if missing else " ".join(str(error).split())
-        allowed = "a CSV file with columns wavelength_nm, n, k of numbers"
-        raise refuse(key, str(path), allowed, hint) from None
-    # The path says nothing on another machine; the content does.
-    digest = hashlib.sha256(content).hexdigest()
+    (w, n, k), digest = user_table(key, path, ("wavelength_nm", "n", "k"))
     return Tabulated(path.name, "table of the user", w, n, k, digest)
 
 

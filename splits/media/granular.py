@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from splits.checks import refuse
+from splits.media.ground import Ground
 from splits.media.readings import TransportReadings
 from splits.transport.scene import Grains
 
@@ -78,6 +79,11 @@ class LayeredMedium(Described, Protocol):
         """Return the media."""
         ...
 
+    @property
+    def ground(self) -> Ground | None:
+        """What lies below, None where light leaves there."""
+        ...
+
 
 @runtime_checkable
 class GranularMedium(Described, Protocol):
@@ -101,6 +107,11 @@ class GranularMedium(Described, Protocol):
     @property
     def readings(self) -> TransportReadings:
         """Named readings of the papers."""
+        ...
+
+    @property
+    def ground(self) -> Ground | None:
+        """What lies below, None where light leaves there."""
         ...
 
     def grains(self) -> Grains:

@@ -8,6 +8,7 @@ from typing import Any
 
 from splits.checks import in_range, numbers, refuse, suggestion
 from splits.materials import RefractiveIndex, refractive_index
+from splits.media.ground import ground_facts
 
 _LIMITS = ("min", "max", "mean", "sd")
 
@@ -49,15 +50,16 @@ def described(medium: Any) -> dict[str, Any]:
     Parameters
     ----------
     medium : dataclass
-        With fields ``refractive_index`` (by material) and ``readings`` among others.
+        With fields ``refractive_index`` (by material), ``readings`` and ``ground`` among others.
     """
     inputs = {
         f.name: getattr(medium, f.name)
         for f in fields(medium)
-        if f.name not in ("refractive_index", "readings")
+        if f.name not in ("refractive_index", "readings", "ground")
     }
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):
             inputs[f"refractive_index_{material}_sha256"] = digest
-    return inputs | {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}
+    inputs |= {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}
+    return inputs | ground_facts(medium.ground)

@@ -15,6 +15,7 @@ from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose
 from splits.media.granular import Interface
+from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
@@ -63,6 +64,9 @@ class Sand:
         dataset's name, a constant or a table; see `splits.materials.refractive_index`.
     readings : SandReadings or mapping, optional
         Named readings of the paper.
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
 
     Raises
     ------
@@ -94,6 +98,7 @@ class Sand:
     size_tail: float = 1e-4
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
     readings: SandReadings = field(default_factory=SandReadings)
+    ground: Any = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -121,6 +126,7 @@ class Sand:
         put("relative_coating_thickness", thickness)
         put("partition", numbers("partition", self.partition, ("pure", "mixed", "coated")))
         put("texture", numbers("texture", self.texture, ("clay", "silt", "sand")))
+        put("ground", Ground.of(self.ground))
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))

@@ -13,6 +13,7 @@ from splits.checks import in_range, known_keywords, numbers, refuse
 from splits.materials import ice_density
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
+from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal
 from splits.media.readings import Readings
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
@@ -48,6 +49,9 @@ class Snow:
         `splits.materials.refractive_index`.
     readings : Readings or mapping, optional
         Named readings of the papers.
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
 
     Raises
     ------
@@ -74,6 +78,7 @@ class Snow:
     depth_m: float = 0.12
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
     readings: Readings = field(default_factory=Readings)
+    ground: Any = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -105,6 +110,7 @@ class Snow:
                 hint=f"ice at {self.temperature_c:g} °C has {ice:g} kg/m3",
             ),
         )
+        put("ground", Ground.of(self.ground))
         put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
         put("readings", Readings.of(self.readings))
         put("refractive_index", indices_of(("ice", "water"), self.refractive_index))

@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.checks import known_keywords, refuse, suggestion
 from splits.media.granular import GranularMedium, Interface
+from splits.media.ground import Ground, ground_facts
 
 MOST_LAYERS = 200
 
@@ -27,7 +28,11 @@ class Stack:
     Parameters
     ----------
     layers : sequence of Snow or Sand
-        Top first, 1 to 200.  Their readings of transport must be the same.
+        Top first, 1 to 200.  Their readings of transport must be the same; none of them has a
+        ground of its own.
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
 
     Raises
     ------
@@ -45,6 +50,7 @@ class Stack:
     kind = "stack"
 
     layers: tuple[GranularMedium, ...]
+    ground: Any = None
 
     def __post_init__(self) -> None:
         if isinstance(self.layers, str | GranularMedium) or not isinstance(self.layers, Iterable):
@@ -59,6 +65,9 @@ class Stack:
                 raise refuse(
                     f"layers[{number}]", given, "splits.Snow(...) or splits.Sand(...)", near
                 )
+            if layer.ground is not None:
+                hint = "give it to the stack"
+                raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
         first = layers[0].readings.rules()
         for number, layer in enumerate(layers):
             if layer.readings.rules() != first:
@@ -68,6 +77,7 @@ class Stack:
                     "rays are followed by one set of rules",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
+        object.__setattr__(self, "ground", Ground.of(self.ground))
 
     @property
     def depth_m(self) -> float:
@@ -107,5 +117,7 @@ class Stack:
         facts: dict[str, Any] = {"depth_m": self.depth_m}
         for number, layer in enumerate(self.layers):
             facts[f"layers_{number}_kind"] = layer.kind
-            facts |= {f"layers_{number}_{key}": value for key, value in layer.describe().items()}
-        return facts
+            described = layer.describe()
+            described.pop("ground")
+            facts |= {f"layers_{number}_{key}": value for key, value in described.items()}
+        return facts | ground_facts(self.ground)

@@ -1,7 +1,8 @@
 """The scalar kernel: one ray at a time through layers of grains, in double precision.
 
 It repeats the trials of `splits.transport.flight` and `splits.transport.surface` until a ray is
-done.  Between their extended faces layers reach to infinity sideways.
+done.  Between their extended faces layers reach to infinity sideways.  Below them there may be a
+ground; what it keeps of a ray's light is noted as the ray meets it.
 
 Between layers nothing optical stands.  A flight spends one exponential distance, layer by layer,
 and a grain belongs to the layer in which the ray meets it; the pore of a leg is drawn once, so it
@@ -32,6 +33,7 @@ from splits.transport.rng import start_stream, uniform
 from splits.transport.scalar import (
     NO_LEG,
     Beam,
+    Entered,
     Found,
     Paid,
     Ray,
@@ -43,19 +45,23 @@ from splits.transport.scalar import (
     pore_of,
     space_of,
 )
-from splits.transport.scene import MAX_REJECTIONS
+from splits.transport.scene import MAX_REJECTIONS, NO_GROUND
 from splits.transport.spheroid import Segment
 from splits.transport.tally import (
     ABSORBED,
+    BELOW,
     EXIT_LENGTH,
     LOST,
     REFLECTED,
     TRANSMITTED,
     TRAVELS,
-    Traced,
+    Told,
+    no_notes,
+    noted,
     record,
+    room_for,
 )
-from splits.transport.vectors import ORIGIN, Vector
+from splits.transport.vectors import ORIGIN, UP, Vector, lobe
 from splits.transport.walk import walk
 
 
@@ -251,8 +257,8 @@ def follow(state, ray, scene, optics, length, window, most):
     Returns
     -------
     Ray
-        Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is
-        left.
+        Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `BELOW`, `LOST`, or `TRAVELS` where the
+        window is left.
     """
     flier, beam, legs, order, fate = ray.flier, ray.beam, ray.legs, ray.order, TRAVELS
     layers = scene.layers
@@ -279,7 +285,8 @@ def follow(state, ray, scene, optics, length, window, most):
             other = beyond(layers, beam.layer, beam.d)
             layer = other if crossing.passed else beam.layer
             if layer < 0 or layer == layers.attenuation.size:
-                fate = REFLECTED if layer < 0 else TRANSMITTED
+                below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
+                fate = REFLECTED if layer < 0 else below
                 layer = beam.layer
             beam = Beam(crossing.d, layer, beam.u, beam.purse)
         elif order == most:
@@ -300,17 +307,51 @@ def follow(state, ray, scene, optics, length, window, most):
 
 
 @kernel
-def launch(state, scene, optics):
-    """Start a ray at the top; the boundary of a wet pore may reflect it at once."""
-    rules, light, layers = scene.rules, scene.light, scene.layers
-    d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
+def entered(state, d, layer, purse, scene, optics):
+    """Return the beam of a ray that comes from outside to a layer, if that lets it in.
+
+    Its pore there is drawn first: the boundary of a wet one may reflect it at once.
+    """
+    layers = scene.layers
     u = uniform(state)
-    near, far = index_of(optics, layers.pore[0]), index_of(optics, pore_of(layers, 0, u))
-    crossing = meet(d, facing(d), near, far if rules.boundary_fresnel else near, uniform(state))
-    fate = TRAVELS if crossing.passed else REFLECTED
-    limit = math.inf if rules.analog else FIRST_ROULETTE
-    beam = Beam(crossing.d, 0, u, Purse(0.0, limit, 1.0))
-    return Ray(fate, Flier(ORIGIN, ORIGIN, crossing.d, NO_LEG, 0.0), beam, 0, 0)
+    near, far = index_of(optics, layers.pore[layer]), index_of(optics, pore_of(layers, layer, u))
+    if not scene.rules.boundary_fresnel:
+        far = near
+    crossing = meet(d, facing(d), near, far, uniform(state))
+    return Entered(crossing.passed, Beam(crossing.d, layer, u, purse))
+
+
+@kernel
+def launch(state, scene, optics):
+    """Start a ray at the top."""
+    light = scene.light
+    d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
+    limit = math.inf if scene.rules.analog else FIRST_ROULETTE
+    passed, beam = entered(state, d, 0, Purse(0.0, limit, 1.0), scene, optics)
+    fate = TRAVELS if passed else REFLECTED
+    return Ray(fate, Flier(ORIGIN, ORIGIN, beam.d, NO_LEG, 0.0), beam, 0, 0)
+
+
+@kernel
+def risen(state, ray, scene, optics, length, most):
+    """Return a ray that comes back from the ground by Lambert's law, or stays there.
+
+    One that the sample's lower face sends down again is still below.  Among the grains met, of
+    which there may be `most`, the ground counts as one.
+    """
+    purse, analog = ray.beam.purse, scene.rules.analog
+    payment = paid(state, purse, 1.0, scene.ground, optics, analog, length)
+    if not payment.alive:
+        return Ray(TRANSMITTED, ray.flier, ray.beam, ray.legs, ray.order)
+    payment = played(state, payment.purse)
+    if not payment.alive or ray.order == most:
+        return Ray(ABSORBED, ray.flier, ray.beam, ray.legs, ray.order)
+    d = lobe(UP, uniform(state), uniform(state))
+    lowest = scene.layers.attenuation.size - 1
+    passed, beam = entered(state, d, lowest, payment.purse, scene, optics)
+    fate = TRAVELS if passed else BELOW
+    flier = Flier(ray.flier.place, ray.flier.way, beam.d, ray.flier.last, 0.0)
+    return Ray(fate, flier, beam, ray.legs, ray.order + 1)
 
 
 @entry
@@ -330,20 +371,28 @@ def batch(seed, work, scene, optics, exits):
 
     Returns
     -------
-    Traced
+    Told
+        Its notes are of rays that reach a ground; with `Rules.analog` there are none.
     """
     legs = 0
     length = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
+    notes = no_notes(optics.n.size)
     for number in range(work[2]):
         start_stream(state, seed, work[0], work[1] + number)
         length[:] = 0.0
         ray = launch(state, scene, optics)
         if ray.fate == TRAVELS:
             ray = follow(state, ray, scene, optics, length, None, work[3])
+        while ray.fate == BELOW:
+            if not scene.rules.analog:
+                notes = noted(room_for(notes, 1), number, ray.beam.purse.weight, length)
+            ray = risen(state, ray, scene, optics, length, work[3])
+            if ray.fate == TRAVELS:
+                ray = follow(state, ray, scene, optics, length, None, work[3])
         legs += ray.legs
         if ray.fate == LOST:
-            return Traced(legs, True)
+            return Told(legs, True, notes.rows[:0])
         if ray.fate != ABSORBED:
             purse = ray.beam.purse
             record(
@@ -351,4 +400,4 @@ def batch(seed, work, scene, optics, exits):
                 ray.order,
             )  # fmt: skip
             exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
-    return Traced(legs, False)
+    return Told(legs, False, notes.rows[: notes.taken])

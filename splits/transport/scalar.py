@@ -76,6 +76,13 @@ class Found(NamedTuple):
     lost: bool
 
 
+class Entered(NamedTuple):
+    """Whether a ray from outside passed the sample's face, and what it carries then."""
+
+    passed: bool
+    beam: Beam
+
+
 class Paid(NamedTuple):
     """A purse after a leg, and whether the ray survived it."""
 

@@ -16,6 +16,9 @@ from splits.transport.light import Light
 DRY_PORE = 0
 WET_PORE = 1
 
+NO_GROUND = -1
+"""In place of the ground's column, where nothing below sends light back."""
+
 UNLIMITED = 2**31 - 1
 """Grains met after which a ray is given up, where it may meet any number."""
 
@@ -131,12 +134,24 @@ class Rules(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Light on layers of grains, and how the papers are read."""
+    """Light on layers of grains over a ground, and how the papers are read.
+
+    Attributes
+    ----------
+    light : Light
+    layers : Layers
+    types : Types
+    rules : Rules
+    ground : int
+        Column among the materials' lengths where meetings with the ground are counted, whose
+        "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
+    """
 
     light: Light
     layers: Layers
     types: Types
     rules: Rules
+    ground: int
 
 
 class Optics(NamedTuple):

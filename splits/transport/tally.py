@@ -21,6 +21,8 @@ LOST = 3
 """No grain that fits was found, or no way on at a surface; never expected, counted so that it
 cannot pass unseen."""
 TRAVELS = 4
+BELOW = 5
+"""Left below, towards a ground that sends light back."""
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
@@ -39,11 +41,52 @@ BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
 
 
+NOTE_RAY = 0
+"""Column of the row of exits of the ray that a note is of."""
+NOTE_WEIGHT = 1
+"""Column of the inverse probability of having survived roulette."""
+NOTE_LENGTH = 2
+"""First of the columns of lengths so far (m), one per material."""
+_FIRST_NOTES = 64
+
+
+class Notes(NamedTuple):
+    """Rays on their way, as they reach the ground.
+
+    Attributes
+    ----------
+    rows : float64[room, columns]
+        Those of a ray in the order of time.
+    taken : int
+        Rows in use.
+    """
+
+    rows: np.ndarray
+    taken: int
+
+
 class Traced(NamedTuple):
     """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
 
     legs: int
     lost: bool
+
+
+class Told(NamedTuple):
+    """What a batch of rays cost, and what is noted of them.
+
+    Attributes
+    ----------
+    legs : int or int64[items]
+    lost : bool
+        The batch ended early, as a ray was lost.
+    notes : float64[notes, columns]
+        See `Notes`.
+    """
+
+    legs: int
+    lost: bool
+    notes: np.ndarray
 
 
 def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
@@ -61,6 +104,32 @@ def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
 
 
 @kernel
+def no_notes(materials):
+    """Return room for notes, none taken."""
+    return Notes(np.empty((_FIRST_NOTES, NOTE_LENGTH + materials)), 0)
+
+
+@kernel
+def room_for(notes, more):
+    """Return notes with room for at least so many more."""
+    needed = notes.taken + more
+    if needed <= notes.rows.shape[0]:
+        return notes
+    rows = np.empty((2 * needed, notes.rows.shape[1]))
+    rows[: notes.taken] = notes.rows[: notes.taken]
+    return Notes(rows, notes.taken)
+
+
+@kernel
+def noted(notes, ray, weight, length):
+    """Return notes with one more, for which there must be room."""
+    row = notes.rows[notes.taken]
+    row[NOTE_RAY], row[NOTE_WEIGHT] = ray, weight
+    row[NOTE_LENGTH:] = length
+    return Notes(notes.rows, notes.taken + 1)
+
+
+@kernel
 def record(row, reflected, place, d, weight, order):
     """Write where and how a ray left into its row; path lengths are left to the caller."""
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
@@ -71,67 +140,124 @@ def record(row, reflected, place, d, weight, order):
 
 
 @entry
-def tally(exits, absorption, weighted):
+def tally(exits, notes, absorption, weighted, ground):
     """Add up the weights of rays, in the order of their rows.
 
     Parameters
     ----------
     exits : float64[rays, columns]
+    notes : float64[notes, columns]
+        Of these rays, ray by ray, `NOTE_RAY` counting from the first of them.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
     weighted : bool
         False counts every ray that left as 1: absorption was decided on the way.
+    ground : int
+        Column of the ground, see `scene.Scene`.  What it keeps of the light that reaches it counts
+        as transmitted.
 
     Returns
     -------
-    moments : float64[2, 3, wavelengths]
-        Over rays, [reflected, transmitted][Σ weight, Σ weight², largest weight].
+    moments : float64[3, 3, wavelengths]
+        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
     least : float64[wavelengths]
         Smallest weight with which any ray left; 0 once one did not.
     blocks : float32[blocks, 2, wavelengths]
         Σ weight of every `BLOCK` successive rays, the last of which may be fewer.
     """
     wavelengths = absorption.shape[0]
-    moments = np.zeros((2, 3, wavelengths))
+    moments = np.zeros((3, 3, wavelengths))
     rays = exits.shape[0]
     blocks = np.empty((-(-rays // BLOCK), 2, wavelengths), dtype=np.float32)
     before = np.zeros((2, wavelengths))
     least = np.full(wavelengths, np.inf)
-    # Wavelengths run fastest, in single precision: the exponential is then vectorised.
-    alpha = np.empty((absorption.shape[1], wavelengths), dtype=np.float32)
-    for material in range(absorption.shape[1]):
-        for i in range(wavelengths):
-            alpha[material, i] = absorption[i, material]
-    depth = np.empty(wavelengths, dtype=np.float32)
+    alpha = _alpha(absorption, weighted)
+    sides = np.zeros((2, wavelengths), dtype=np.float32)
+    first = 0
     for j in range(rays):
         side = int(exits[j, EXIT_SIDE])
-        if side < 0:
-            least[:] = 0.0
+        if ground < 0:
+            if side < 0:
+                least[:] = 0.0
+            else:
+                weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
+                add(moments[side], sides[side])
+                least_of(least, sides[side])
         else:
-            factor = np.float32(exits[j, EXIT_WEIGHT])
-            depth[:] = ZERO
-            if weighted:
-                for material in range(absorption.shape[1]):
-                    leg = np.float32(exits[j, EXIT_LENGTH + material])
-                    if leg > ZERO:
-                        for i in range(wavelengths):
-                            depth[i] += alpha[material, i] * leg
-            add(moments[side], least, depth, factor)
+            sides[:] = ZERO
+            if side >= 0:
+                weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
+            first = _kept(notes, first, j, alpha, ground, sides[1])
+            add(moments[0], sides[0])
+            add(moments[1], sides[1])
+            sides[0] += sides[1]
+            add(moments[2], sides[0])
+            least_of(least, sides[0])
         if (j + 1) % BLOCK == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
                     blocks[j // BLOCK, side, i] = moments[side, 0, i] - before[side, i]
                     before[side, i] = moments[side, 0, i]
+    if ground < 0:
+        # A ray leaves on one side only.
+        moments[2, :2] = moments[0, :2] + moments[1, :2]
+        moments[2, 2] = np.maximum(moments[0, 2], moments[1, 2])
     return moments, least, blocks
 
 
+@kernel
+def _alpha(absorption, weighted):
+    """Return coefficients, float32[materials, wavelengths]; zeros where weights do not fall.
+
+    Wavelengths run fastest, in single precision: the exponential is then vectorised.
+    """
+    alpha = np.zeros((absorption.shape[1], absorption.shape[0]), dtype=np.float32)
+    if weighted:
+        for material in range(absorption.shape[1]):
+            for i in range(absorption.shape[0]):
+                alpha[material, i] = absorption[i, material]
+    return alpha
+
+
 @entry
-def add(moments, least, depth, factor):
-    """Add one ray of weight factor·exp(−depth) to one side's moments and to the least weights."""
+def weigh(lengths, factor, alpha, weight):
+    """Write factor·exp(−Σ α·length) of every wavelength into `weight`, float32[wavelengths]."""
+    weight[:] = ZERO
+    for material in range(alpha.shape[0]):
+        leg = np.float32(lengths[material])
+        if leg > ZERO:
+            for i in range(weight.size):
+                weight[i] += alpha[material, i] * leg
+    light = np.float32(factor)
+    for i in range(weight.size):
+        weight[i] = light * exponential(-weight[i])
+
+
+@kernel
+def _kept(notes, first, ray, alpha, ground, total):
+    """Add to `total` what the ground keeps of a ray, and return its first note's successor."""
+    weight = np.empty_like(total)
+    while first < notes.shape[0] and notes[first, NOTE_RAY] == ray:
+        weigh(notes[first, NOTE_LENGTH:], notes[first, NOTE_WEIGHT], alpha, weight)
+        for i in range(total.size):
+            total[i] += weight[i] * (ONE - exponential(-alpha[ground, i]))
+        first += 1
+    return first
+
+
+@entry
+def add(moments, weight):
+    """Add one ray's weights, float32[wavelengths], to moments."""
     total, square, largest = moments[0], moments[1], moments[2]
-    for i in range(depth.size):
-        w = factor * exponential(-depth[i]) * ONE
+    for i in range(weight.size):
+        w = weight[i] * ONE
         total[i] += w
         square[i] += w * w
         largest[i] = max(largest[i], w)
-        least[i] = min(least[i], w)
+
+
+@kernel
+def least_of(least, weight):
+    """Lower the least weights to those of one more ray."""
+    for i in range(weight.size):
+        least[i] = min(least[i], weight[i] * ONE)

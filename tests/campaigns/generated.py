@@ -90,6 +90,9 @@ READINGS = some(
 SHARES = st.lists(within(0.0, 1.0), min_size=2, max_size=2).map(
     lambda x: [min(x), max(x) - min(x), 1.0 - max(x)]
 )
+GROUNDS = within(0.0, 1.0) | st.sampled_from(
+    ["open", "black", "camborthid", {"wavelength_nm": [400, 2500], "albedo": [0.1, 0.6]}]
+)
 KEYWORDS = {
     "snow": {
         "grain_size_um": rising(20.0, 900.0),
@@ -101,6 +104,7 @@ KEYWORDS = {
         "depth_m": within(0.001, 0.02),
         "refractive_index": st.dictionaries(st.sampled_from(["ice", "water"]), INDEX, max_size=2),
         "readings": READINGS,
+        "ground": GROUNDS,
     },
     "sand": {
         "iron_oxide": within(0.0, 0.05),
@@ -117,6 +121,7 @@ KEYWORDS = {
             st.sampled_from(["quartz", "hematite", "goethite", "water"]), INDEX, max_size=2
         ),
         "readings": READINGS,
+        "ground": GROUNDS,
     },
     "layer": {
         "optical_thickness": within(0.0, 20.0) | st.just(float("inf")),
@@ -142,7 +147,20 @@ KEYWORDS = {
         "depth_m": within(0.5, 10.0),
     },
 }
+LAYER_OF_STACK = st.one_of(
+    st.fixed_dictionaries({"kind": st.just("snow"), "depth_m": within(1e-4, 0.01)}, optional={
+        key: KEYWORDS["snow"][key] for key in ("grain_size_um", "density_kg_m3", "saturation")
+    }),
+    st.fixed_dictionaries({"kind": st.just("sand"), "depth_m": within(1e-3, 0.005)}, optional={
+        key: KEYWORDS["sand"][key] for key in ("iron_oxide", "partition", "saturation")
+    }),
+)  # fmt: skip
+KEYWORDS["stack"] = {
+    "layers": st.lists(LAYER_OF_STACK, min_size=1, max_size=3),
+    "ground": GROUNDS,
+}
 BASES = {
+    "stack": [],
     "snow": ["splitsnow_table1"],
     "sand": ["splits_base", "tec_10019201", "tec_13j9823"],
     "layer": [],
@@ -187,6 +205,7 @@ SETTINGS = {
     },
 }
 OF_MEDIUM = {
+    "stack": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "snow": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "sand": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "layer": ["spectrophotometer", "goniophotometer", "bssrdf", "surface", "lens"],
@@ -205,6 +224,8 @@ def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
         medium["surface"] = draw(KEYWORDS["layer"]["surface"])
     if kind == "sand":  # its own is a metre: light that nothing absorbs stays there for minutes
         medium.setdefault("depth_m", draw(KEYWORDS["sand"]["depth_m"]))
+    if kind == "stack":
+        medium.setdefault("layers", draw(KEYWORDS["stack"]["layers"]))
     if BASES[kind] and draw(st.booleans()):
         medium["base"] = draw(st.sampled_from(BASES[kind]))
     return {"kind": kind, **medium}
@@ -218,7 +239,9 @@ def instruments(draw, kind: str, of: str) -> dict[str, Any]:
     others = {key: values for key, values in known.items() if key not in needed}
     instrument = draw(st.fixed_dictionaries(needed, optional=others))
     if kind not in ("surface", "lens"):
-        if of != "snow" or draw(st.booleans()):
+        # By coin toss every wavelength takes rays of its own: not the hundreds of snow's default.
+        analog = instrument.get("estimator") == "analog"
+        if of != "snow" or analog or draw(st.booleans()):
             instrument["wavelength_nm"] = draw(WAVELENGTHS)
         if kind != "refractive_index" and draw(st.booleans()):
             diffuse = st.just("diffuse") if kind == "spectrophotometer" else st.nothing()
@@ -242,6 +265,8 @@ def grids(draw, kind: str) -> dict[str, Any]:
         "incidence_deg": within(0.0, 80.0),
         "medium": some(**KEYWORDS[kind]),
     }
+    if kind == "stack":
+        values |= {"layers.0.depth_m": within(1e-3, 0.01), "layers.1.saturation": within(0.0, 1.0)}
     grid = {}
     for parameter in draw(st.lists(st.sampled_from(sorted(values)), max_size=2, unique=True)):
         given = draw(st.lists(values[parameter], min_size=1, max_size=3))

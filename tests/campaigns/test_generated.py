@@ -150,8 +150,6 @@ def limited(experiment: Experiment) -> Experiment:
     less = {key: min(value, most[key]) for key, value in given.items() if value is not None}
     if instrument.kind == "bssrdf" or instrument.estimator == "cells":
         less["rays"] = min(given["rays"] or 1000, 1000)
-    if instrument.estimator == "analog":  # rays of each wavelength
-        less["rays"] = min(given["rays"] or 100, 100)
     return experiment.model_copy(update={"instrument": instrument.model_copy(update=less)})
 
 

@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT, judge_z, pooled_z
 from scenes import alone, medium_scene, passing
 
 import splits
-from splits.instruments.ensemble import Ensemble
+from splits.instruments.ensemble import Ensemble, Manner
 from splits.instruments.fixed import EVERY_RAY
 from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
@@ -47,7 +47,7 @@ def ensembles(medium, wavelengths, attenuation):
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     one = np.ones(1, dtype=bool)
     return [
-        Ensemble(number, m, alpha[np.newaxis], one, attenuation, levels=EVERY_RAY)
+        Ensemble(number, m, alpha[np.newaxis], one, Manner(attenuation), levels=EVERY_RAY)
         for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
     ]
 

@@ -121,6 +121,13 @@ def test_a_cell_at_the_zenith_leaves_no_gap():
     assert np.isfinite(line.get_ydata()).all()
 
 
+def test_a_sample_that_sends_nothing_back_has_lobes_without_extent():
+    dark = dataset()
+    dark["brdf"] = 0.0 * dark.brdf
+    figure = lobes(dark)
+    assert figure.axes[0].get_xlim() == (-1.0, 1.0)
+
+
 def test_titles_of_lobes_do_not_overlap():
     grid = {"grain_size_um": ["100-200", "800-1200"], "iron_oxide": [0.01, 0.02, 0.03]}
     figure = lobes(dataset(grid, wavelength=(600.0, 1300.0)))

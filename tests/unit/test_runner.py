@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.instruments.ensemble import Ensemble
+from splits.instruments.ensemble import Ensemble, Manner
 from splits.instruments.runner import BATCH, LEGS, Runner
 
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
@@ -19,7 +19,7 @@ def a_runner(threads, legs_per_ray=None):
     runner = Runner(SNOW, 0.0, 1, threads, False, "scalar")
     ensemble = Ensemble(
         0, np.ones(3) + 0j, np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0], [99.0, 99.0, 99.0]]),
-        np.ones(3, dtype=bool), 1e3,
+        np.ones(3, dtype=bool), Manner(1e3),
     )  # fmt: skip
     assert len(ensemble.levels) == 3
     for level, legs in zip(ensemble.levels, legs_per_ray or (), strict=False):

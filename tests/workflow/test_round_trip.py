@@ -12,6 +12,10 @@ pytestmark = pytest.mark.slow
 
 SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
 SAND = "medium: {kind: sand, depth_m: 0.01}\n"
+PACK = (
+    "medium: {kind: stack, ground: 0.3, layers: [{base: splitsnow_table1, depth_m: 0.005},"
+    " {kind: sand, depth_m: 0.004}]}\n"
+)
 LAYER = "medium: {kind: layer, optical_thickness: 2}\n"
 WAVES = (
     "medium: {kind: layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
@@ -40,6 +44,24 @@ CASES = {
     + "figure: {kind: cells, at: {saturation: damp}}\n",
     "trip_snow_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO + AT,
+    "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
+    "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
+    "figure: {at: {ground: soil}, quantity: [reflectance, transmittance]}\n",
+    "trip_ground_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "grid: {ground: [0.2, 0.8]}\n",
+    "trip_ground_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    " half_width_m: 0.01}\ngrid: {ground: [0.5]}\nfigure: {at: {ground: 0.5}}\n",
+    "trip_stack_spectra": PACK + "instrument: {wavelength_nm: [500, 1030]}\n"
+    "grid: {layers.0.depth_m: [0.002, 0.004], layers.1.saturation: {dry: 0, wet: 0.1}}\n"
+    "figure: {at: {layers.1.saturation: wet}}\n",
+    "trip_stack_points": PACK + "instrument: {wavelength_nm: [500], incidence_deg: diffuse}\n"
+    "grid: {ground: [0.2, 0.8]}\nfigure: {kind: points}\n",
+    "trip_stack_plane": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "grid: {layers.0.depth_m: [0.002, 0.004]}\n",
+    "trip_stack_lobes": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "grid: {medium: {pale: {ground: 1}, dark: {ground: 0}}}\nfigure: {kind: lobes}\n",
+    "trip_stack_spread": PACK + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    " half_width_m: 0.01}\n",
     "trip_sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
     "figure: {at: {medium: red}}\n",

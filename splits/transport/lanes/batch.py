@@ -21,12 +21,13 @@ from splits.transport.lanes.ends import (
     put_down,
 )
 from splits.transport.lanes.flight import draw_types, flight
+from splits.transport.lanes.ground import at_ground, reaches_ground
 from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
 from splits.transport.scalar import fates_of
 from splits.transport.scene import LOBE
-from splits.transport.tally import Traced
+from splits.transport.tally import Notes, Told, no_notes, room_for
 
 
 @kernel
@@ -124,6 +125,8 @@ def refill(lanes, lane, task, exits, queue):
 @kernel
 def at_face(lanes, lane, task, status):
     """Serve a ray that meets a face or has to change its layer; return whether it leaves."""
+    if status == rows.AT_GROUND:
+        return True
     if task.features.layered is None:
         return at_boundary(lanes, lane, task)
     if status == rows.BACK:
@@ -135,20 +138,32 @@ def at_face(lanes, lane, task, status):
     return at_interface(lanes, lane, task)
 
 
+class Served(NamedTuple):
+    """Rays that wait, and what has been noted."""
+
+    queue: Queue
+    notes: Notes
+
+
 @kernel
-def serve(lanes, width, task, exits, legs, queue):
+def serve(lanes, width, task, exits, legs, served):
     """End the rays that are done, bring others through boundaries, and launch new ones."""
     state = lanes.state
+    queue, notes = served
     for lane in range(width):
         while state[rows.STATUS + lane] >= rows.AT_FACE:
             status = state[rows.STATUS + lane]
             if status == rows.LOST:
-                return Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
+                lost = Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
+                return Served(lost, notes)
             if status == rows.IDLE and queue.ray == queue.rays:
                 break
             leaves = False
             if status <= rows.ASTRAY:
                 leaves = at_face(lanes, lane, task, status)
+                if leaves and reaches_ground(lanes, lane, task):
+                    notes = at_ground(lanes, lane, task, notes)
+                    leaves = False
                 if not leaves:
                     break
             busy = queue.busy
@@ -161,15 +176,16 @@ def serve(lanes, width, task, exits, legs, queue):
             queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
             queue = refill(lanes, lane, task, exits, queue)
             break
-    return queue
+    return Served(queue, notes)
 
 
 @kernel
 def count_flying(state, width):
-    """Return how many lanes wait for a grain."""
+    """Return how many lanes wait for a grain, or for the next call of `serve`."""
     flying = 0
     for lane in range(width):
-        if state[rows.STATUS + lane] == rows.FLYING:
+        status = state[rows.STATUS + lane]
+        if status == rows.FLYING or rows.AT_FACE <= status < rows.IDLE:
             flying += 1
     return flying
 
@@ -198,8 +214,9 @@ def batch(seed, work, scene, optics, exits, features):
 
     Returns
     -------
-    Traced
-        Its legs int64[items], the grains drawn: what the rays cost.
+    Told
+        Its legs int64[items], the grains drawn: what the rays cost.  Its notes are of rays that
+        reach a ground; each ray's are in the order of time.
     """
     types = scene.types
     tables = (
@@ -211,13 +228,16 @@ def batch(seed, work, scene, optics, exits, features):
     lanes = room(optics.n.shape[1])
     legs = np.zeros(len(work), dtype=np.int64)
     queue = Queue(0, work[:, 2].sum(), 0, 0, 0, False)
+    notes = no_notes(optics.n.shape[1])
     width = min(rows.LANES, max(1, -(-queue.rays // rows.STRIDE)) * rows.STRIDE)
     flying, ended = 0, width
     while True:
         if ended > 0:
-            queue = serve(lanes, width, task, exits, legs, queue)
+            queue, notes = serve(
+                lanes, width, task, exits, legs, Served(queue, room_for(notes, width))
+            )
             if queue.lost or queue.busy == 0:
-                return Traced(legs, queue.lost)
+                return Told(legs, queue.lost, notes.rows[: notes.taken])
             if queue.busy <= width - rows.STRIDE:
                 width = close_ranks(lanes, width, queue.busy)
             flying = count_flying(lanes.state, width)

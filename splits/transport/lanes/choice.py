@@ -53,7 +53,7 @@ def features_for(
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
-    light, layers, types, rules = scene
+    light, layers, types, rules, _ = scene
     depth = layers.face[0] - layers.face[-1]
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None

@@ -88,7 +88,7 @@ def index_of(optics, item, material):
 def launch(lanes, lane, task, number):
     """Start a ray of the lane's item; return whether the slab's wet top lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    light, layers, optics = task.scene.light, task.scene.layers, task.optics
+    light = task.scene.light
     start_stream(lanes.stream, task.seed, task.work[item, 0], task.work[item, 1] + number)
     words[rows.KEY_HIGH + lane] = np.uint32(lanes.stream[0] >> np.uint64(32))
     words[rows.KEY_LOW + lane] = np.uint32(lanes.stream[0] & _LOW32)
@@ -97,25 +97,35 @@ def launch(lanes, lane, task, number):
     words[rows.ORDER + lane] = np.uint32(0)
     words[rows.MOST + lane] = np.uint32(task.work[item, 3])
     d = launched(light, draw(words, lane) if light.diffuse > 0.0 else 1.0)
-    wet, pore = False, 0.0
-    if task.features.wet is not None:
-        pore = draw(words, lane)
-        wet = pore < layers.saturation[0]
-    passed = True
-    if wet and task.scene.rules.boundary_fresnel:
-        near, far = index_of(optics, item, DRY_PORE), index_of(optics, item, WET_PORE)
-        passed, d = meet(d, facing(d), near, far, draw(words, lane))
+    passed = let_in(lanes, lane, task, 0, d)
     for row in range(0, rows.TRAVELLED, rows.LANES):
         state[row + lane] = ZERO
     put(state, rows.LX + lane, Vector(ZERO, ZERO, -ONE))
     state[rows.LAST + lane] = -ONE
-    put(state, rows.DX + lane, Vector(single(d.x), single(d.y), single(d.z)))
-    state[rows.WET + lane] = ONE if wet else ZERO
-    state[rows.PORE + lane] = single(pore)
     state[rows.LIMIT + lane] = single(FIRST_ROULETTE)
     state[rows.WEIGHT + lane] = ONE
     state[rows.STATUS + lane] = rows.FLYING
-    illuminate(state, lane, task.scene, optics, item)
+    illuminate(state, lane, task.scene, task.optics, item)
+    return passed
+
+
+@kernel
+def let_in(lanes, lane, task, layer, d):
+    """Draw the pore of a lane's ray that comes from outside; return whether its face lets it in."""
+    state, words, item = lanes.state, lanes.words, lanes.item[lane]
+    layers, optics = task.scene.layers, task.optics
+    wet, pore = False, 0.0
+    if task.features.wet is not None:
+        pore = draw(words, lane)
+        wet = pore < layers.saturation[layer]
+    passed = True
+    if wet and task.scene.rules.boundary_fresnel:
+        dry = layers.pore[layer]
+        near, far = index_of(optics, item, dry), index_of(optics, item, dry + 1)
+        passed, d = meet(d, facing(d), near, far, draw(words, lane))
+    put(state, rows.DX + lane, Vector(single(d.x), single(d.y), single(d.z)))
+    state[rows.WET + lane] = ONE if wet else ZERO
+    state[rows.PORE + lane] = single(pore)
     return passed
 
 

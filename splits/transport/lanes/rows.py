@@ -69,12 +69,13 @@ KEY_HIGH, KEY_LOW, COUNT, LEGS, ORDER, MOST = (LANES * row for row in range(6))
 grains met so far, and how many a ray may meet."""
 WORDS = 6 * LANES
 
-FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH, AT_FACE, BACK, ASTRAY, ABSORBED, LOST, IDLE = (
-    exact(float(status)) for status in range(10)
-)
+(
+    FLYING, TRIAL, LOBE_BACK, LOBE_THROUGH,
+    AT_FACE, AT_GROUND, BACK, ASTRAY, ABSORBED, LOST, IDLE,
+) = (exact(float(status)) for status in range(11))  # fmt: skip
 """What a lane waits for: a grain; a facet; a cosine lobe on the near or on the far side; the rest
-waits for the plain loop between the passes: to meet a face, to begin its flight again in the layer
-in which it set out, to find its layer, to be ended, and to be launched."""
+waits for the plain loop between the passes: to meet a face, or the ground, to begin its flight
+again in the layer in which it set out, to find its layer, to be ended, and to be launched."""
 
 
 @kernel

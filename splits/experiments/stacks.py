@@ -1,0 +1,114 @@
+"""Stacks in experiment files: layers by their settings, and paths to one setting of a layer."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from typing import Any
+
+from splits.checks import named, one_of, refuse, under, unknown_key
+from splits.media import Sand, Snow, Stack
+
+LAYERS = "layers"
+GRAINS: dict[str, Any] = {"snow": Snow, "sand": Sand}
+"""Media that a stack may hold."""
+_PATH = re.compile(rf"{LAYERS}\.(\d+)\.(\w+)")
+
+
+def path_of(parameter: str) -> tuple[int, str] | None:
+    """Return the number of the layer and the keyword that a path such as layers.0.depth_m names."""
+    found = _PATH.fullmatch(parameter)
+    return (int(found[1]), found[2]) if found else None
+
+
+def kind_of(layer: Mapping[str, Any]) -> str:
+    """Return the kind of a layer, as its settings say it."""
+    return str(layer.get("kind", "snow"))
+
+
+def keywords_of(layer: Mapping[str, Any]) -> list[str]:
+    """Return the keywords that a layer of this kind has; the ground is the stack's."""
+    return [f.name for f in fields(GRAINS[kind_of(layer)]) if f.name != "ground"]
+
+
+def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the place and the settings of every layer, or refuse what are none."""
+    if not isinstance(layers, (list, tuple)) or not layers:
+        raise refuse(f"{place}.{LAYERS}", layers, "a list of layers, top first")
+    for number, layer in enumerate(layers):
+        here = f"{place}.{LAYERS}.{number}"
+        if not isinstance(layer, Mapping):
+            raise refuse(here, layer, "a mapping of a medium's keywords")
+        yield here, layer
+
+
+def check_layers(place: str, layers: Any) -> None:
+    """Refuse layers of a kind, or with a keyword, that does not exist."""
+    for here, layer in each_layer(place, layers):
+        one_of(f"{here}.kind", kind_of(layer), GRAINS)
+        known = keywords_of(layer)
+        for key in layer:
+            if key == "ground":
+                hint = "give it to the stack"
+                raise refuse(f"{here}.ground", layer[key], "left out", hint)
+            if key not in (*known, "kind"):
+                raise unknown_key(f"{here}.{named(key)}", known)
+
+
+def check_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
+    """Tell whether a parameter of a grid is a path, and refuse one that leads nowhere."""
+    path = path_of(parameter)
+    if path is None:
+        return False
+    number, key = path
+    if number >= len(layers):
+        raise refuse(
+            f"grid.{parameter}",
+            f"layer {number}",
+            f"0 to {len(layers) - 1}",
+            "counted from the top",
+        )
+    known = keywords_of(layers[number])
+    if key not in known:
+        raise unknown_key(f"grid.{parameter}", [f"{LAYERS}.{number}.{one}" for one in known])
+    return True
+
+
+def with_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stack's settings with the values that paths name put in their places."""
+    found = copy.deepcopy(settings)
+    for parameter, value in values.items():
+        path = path_of(parameter)
+        if path is None:
+            found[parameter] = value
+        else:
+            found[LAYERS][path[0]][path[1]] = value
+    return found
+
+
+def with_bases(place: str, medium: Any, complete: Callable[[Any, str], Any]) -> Any:
+    """Return a stack's settings with those of its layers complete.
+
+    Parameters
+    ----------
+    place : str
+        Of the stack, for messages.
+    medium : mapping
+    complete : callable
+        Takes the settings and the place of a layer, and returns them on top of those of its base.
+    """
+    if not isinstance(medium, Mapping) or LAYERS not in medium:
+        return medium
+    layers = [complete(layer, here) for here, layer in each_layer(place, medium[LAYERS])]
+    return {**medium, LAYERS: layers}
+
+
+def stack_of(layers: Any, ground: Any = None) -> Stack:
+    """Return the stack that settings describe; refusals name the layer."""
+    media = []
+    for number, layer in enumerate(layers):
+        with under(f"{LAYERS}.{number}"):
+            media.append(GRAINS[kind_of(layer)](**{k: v for k, v in layer.items() if k != "kind"}))
+    return Stack(tuple(media), ground)

@@ -1,0 +1,87 @@
+"""What a ground is made of, what is refused, and what datasets say of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import splits
+from splits.media.ground import BLACK_DEPTH, Ground, soils
+
+W = np.array([450.0, 500.0, 900.0])
+
+
+def test_an_albedo_is_the_same_everywhere():
+    np.testing.assert_array_equal(Ground.of(0.3).albedo(W), 0.3)
+    np.testing.assert_allclose(Ground.of(0.3).depth(W), -np.log(0.3))
+    assert Ground.of(1).depth(W).max() == 0.0
+    np.testing.assert_array_equal(Ground.of(0).depth(W), BLACK_DEPTH)
+
+
+@pytest.mark.parametrize("given", [None, "open"])
+def test_open_is_no_ground(given):
+    assert Ground.of(given) is None
+    assert splits.Snow(ground=given).describe()["ground"] == "open"
+
+
+def test_black_sends_nothing_back():
+    assert not Ground.of("black").reflecting and not Ground.of(0.0).reflecting
+    assert Ground.of(1e-9).reflecting
+
+
+def test_a_table_is_linear_between_its_rows():
+    ground = Ground.of({"wavelength_nm": [400, 500, 1000], "albedo": [0.0, 0.2, 0.7]})
+    np.testing.assert_allclose(ground.albedo(W), [0.1, 0.2, 0.6])
+    facts = splits.Snow(ground=ground).describe()
+    assert facts["ground"] == "table" and facts["ground_albedo"][2] == 0.7
+
+
+def test_soils_have_names_and_a_source():
+    assert "camborthid" in soils()
+    soil = Ground.of("camborthid")
+    assert "ECOSTRESS" in soil.source and 0.0 < soil.albedo(W)[0] < soil.albedo(W)[2] < 1.0
+    with pytest.raises(ValueError, match=r"in \[400, 1000\] nm, the range of ground camborthid"):
+        soil.albedo(np.array([1200.0]))
+
+
+def test_a_file_is_known_by_its_content(tmp_path):
+    path = tmp_path / "field.csv"
+    path.write_text("# mine\nwavelength_nm, albedo\n400, 0.1\n1000, 0.3\n")
+    ground = splits.Sand(ground=path).ground
+    assert ground.albedo(np.array([700.0])) == pytest.approx(0.2)
+    facts = splits.Sand(ground=str(path)).describe()
+    assert facts["ground"] == "field.csv" and len(facts["ground_sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (1.5, r"ground = 1.5: must be in \[0, 1\]"),
+        (True, "ground = True: must be open, black"),
+        ("blak", r"did you mean black\?"),
+        ("chalk", "soils: quartzipsamment"),
+        ("mine.csv", "an existing CSV file"),
+        ({"albedo": [0.1]}, "a mapping of wavelength_nm and albedo"),
+        ({"wavelength_nm": [400, 500], "albedo": [0.1]}, "2 wavelengths, 1 albedos"),
+        ({"wavelength_nm": [500, 400], "albedo": [0.1, 0.2]}, "strictly increasing"),
+        ({"wavelength_nm": [400, 500], "albedo": [0.1, 1.2]}, r"ground.albedo = 1.2"),
+    ],
+)
+def test_what_is_no_ground_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        splits.Snow(ground=given)
+
+
+def test_instruments_that_look_below_refuse_a_ground():
+    snow = splits.Snow(depth_m=0.01, ground=0.5)
+    with pytest.raises(ValueError, match="target = 'btdf': must be brdf over a ground"):
+        splits.goniophotometer(snow, 500.0, target="btdf")
+    with pytest.raises(ValueError, match=r"ground = 'albedo 0\.5': must be open"):
+        splits.deep_transmittance(snow, 500.0)
+
+
+def test_a_stack_has_one_ground():
+    with pytest.raises(ValueError, match=r"layers\[1\].ground = 'albedo 0.5': must be left out"):
+        splits.Stack([splits.Snow(), splits.Snow(ground=0.5)])
+    stack = splits.Stack([splits.Snow()], ground="black")
+    assert stack.describe()["ground"] == "black" and "layers_0_ground" not in stack.describe()

@@ -1,0 +1,91 @@
+"""Stacks in experiment files: layers, bases, paths, and what is refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from splits.experiments import ConfigError, load_experiment
+from splits.experiments.coordinates import grid_coordinates
+from splits.figures.style import parameter_label
+
+MEDIA = Path(__file__).parents[2] / "config" / "media"
+PACK = """
+medium:
+  kind: stack
+  layers:
+    - {base: splitsnow_table1, density_kg_m3: 120, saturation: 0, depth_m: 0.02}
+    - {kind: sand, depth_m: 0.05}
+  ground: 0.2
+instrument: {wavelength_nm: [500]}
+"""
+
+
+def loaded(folder, text):
+    path = folder / "pack.yaml"
+    path.write_text(text)
+    return load_experiment(path, MEDIA)
+
+
+def test_layers_stand_on_their_bases(tmp_path):
+    ((_, pack, _),) = loaded(tmp_path, PACK).points()
+    assert [layer.kind for layer in pack.layers] == ["snow", "sand"]
+    assert pack.layers[0].density_kg_m3 == 120.0 and pack.layers[0].temperature_c == -1.0
+    assert pack.ground.name == "albedo 0.2"
+
+
+def test_a_path_names_one_setting_of_a_layer(tmp_path):
+    grid = "grid: {layers.0.depth_m: [0.01, 0.02], layers.1.depth_m: [0.02], ground: [0, 1]}\n"
+    experiment = loaded(tmp_path, PACK + grid)
+    found = [
+        (*(layer.depth_m for layer in pack.layers), pack.ground.name)
+        for _, pack, _ in experiment.points()
+    ]
+    assert found == [
+        (0.01, 0.02, "albedo 0"), (0.01, 0.02, "albedo 1"),
+        (0.02, 0.02, "albedo 0"), (0.02, 0.02, "albedo 1"),
+    ]  # fmt: skip
+    about = grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
+    assert about == {"long_name": "thickness of the sample, layer 0", "units": "m"}
+    assert parameter_label("layers.0.depth_m") == "layer 0: depth (m)"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("medium: {kind: stack}", "medium.layers = None: must be a list of layers, top first"),
+        ("medium: {kind: stack, layers: [3]}", "medium.layers.0 = 3: must be a mapping"),
+        ("medium: {kind: stack, layers: [{kind: layer}]}", "one of sand, snow"),
+        (
+            "medium: {kind: stack, layers: [{dept_m: 1}]}",
+            r"medium.layers.0.dept_m: unknown key.*did you mean depth_m\?",
+        ),
+        (
+            "medium: {kind: stack, layers: [{depth_m: 1}, {depth_m: -3}]}",
+            "medium.layers.1.depth_m = -3",
+        ),
+        ("medium: {kind: stack, layers: [{ground: 1}]}", "layers.0.ground = 1: must be left out"),
+        ("medium: {kind: stack, layers: [{base: non}]}", "medium.layers.0.base = 'non'"),
+        ("medium: {kind: stack, layers: [{depth_m: 1e-5}]}", "more than the largest grain"),
+        (PACK + "grid: {layers.2.depth_m: [1]}", r"must be 0 to 1 \(counted from the top\)"),
+        (PACK + "grid: {layers.1.density_kg_m3: [1]}", "layers.1.density_kg_m3: unknown key"),
+        (PACK + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
+        ("grid: {layers.1.depth_m: [1]}", "grid.layers.1.depth_m: unknown key"),
+        (
+            PACK.replace("{wave", "{kind: goniophotometer, wave") + "figure: {quantity: btdf}",
+            "figure.quantity = 'btdf': must be brdf over a ground",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message) as refused:
+        loaded(tmp_path, text)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_example_of_the_documents_can_be_run(tmp_path):
+    text = (MEDIA.parents[1] / "docs" / "scene.md").read_text(encoding="utf-8")
+    example = text.partition("```yaml\n")[2].partition("```")[0]
+    assert len(example.splitlines()) <= 12
+    assert len(list(loaded(tmp_path, example).points())) == 6

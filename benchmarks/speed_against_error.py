@@ -53,8 +53,9 @@ import xarray as xr
 import splits
 from splits.analysis import efficiency
 from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
+from splits.analysis.ordinates import discrete_ordinates
 from splits.analysis.propagation import response
-from splits.analysis.radiative_transfer import discrete_ordinates, kz04, packed, shape_factors
+from splits.analysis.radiative_transfer import kz04, packed, shape_factors
 from splits.analysis.tables import write_table
 from splits.instruments.estimators import ANALOG_PILOT
 from splits.uncertainty import Variable, quantity

@@ -1,96 +1,24 @@
-"""Two theories besides the model's own paths: discrete ordinates and asymptotic transfer.
+"""What theories need beside the model's own optics, and one of them: asymptotic transfer.
 
-Both take grains for points that scatter.  The model does not: a ray leaves a grain where it comes
-out of it, a grain that cuts the last leg or a boundary is drawn again, and wet pores reflect at the
-boundaries.  docs/theories.md says how far that matters.
+Discrete ordinates stand in `splits.analysis.ordinates`.  Both take grains for points that scatter.
+The model does not: a ray leaves a grain where it comes out of it, a grain that cuts the last leg or
+a boundary is drawn again, and wet pores reflect at the boundaries.  docs/theories.md says how far
+that matters.
 """
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.analysis.propagation import LEFT_OUT, MISSED, left_out, missed, response
-from splits.checks import in_range, one_of, refuse
-from splits.uncertainty import Variable, quantity
-
-LARGEST_ALBEDO = 1.0 - 1e-9
-"""PythonicDISORT refuses an albedo of 1 and loses digits as it comes near: at 1 − 10⁻⁹ fluxes are
-good to 10⁻⁶, while an optical thickness of 1000 absorbs 10⁻⁵ more than it should at most."""
-
-INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
-"""What discrete ordinates take of the optics."""
-
-FEW_STREAMS = 8
-"""Streams that tell how results respond to small changes of the optics: of R = 0.66 eight miss
-5·10⁻⁵, and of a response no more than a part in a hundred."""
+from splits.checks import in_range, one_of
+from splits.uncertainty import quantity
 
 EXTRAPOLATION = 1.072
 """Extrapolation length of a half-space times 3/2, see `kz04`."""
-
-
-def discrete_ordinates(
-    optics: xr.Dataset, incidence_deg: float | str = 0.0, streams: int = 32
-) -> xr.Dataset:
-    """Return what radiative transfer says about a homogeneous layer, by discrete ordinates.
-
-    Boundaries reflect nothing.  The phase function is cut at as many Legendre moments as there are
-    streams, the rest of its forward peak is taken for unscattered (delta-M, Wiscombe 1977).
-
-    Parameters
-    ----------
-    optics : xarray.Dataset
-        From `splits.instruments.single_scattering`, with at least `streams` moments; or anything
-        with its ``single_scattering_albedo``, ``optical_thickness`` and ``legendre_moment``.
-    incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
-    streams : int
-        Directions of the solution, both hemispheres together: even, at least 4.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``reflectance`` and ``transmittance`` (hemispherical; the latter with the direct beam) and
-        ``absorptance`` over ``wavelength``; the ``…_truncation`` of each: its difference from the
-        result with half the streams, an upper estimate of what the number of streams misses; and
-        standard errors ``…_stderr``: that, and what errors of the optics make of it (`response`).
-        Albedos above `LARGEST_ALBEDO` are taken for that.
-
-    Raises
-    ------
-    ImportError
-        If PythonicDISORT is not installed (extra ``theory``).
-    ValueError
-        For a value outside its range or too few moments.
-
-    References
-    ----------
-    Stamnes, Tsay, Wiscombe & Jayaweera (1988), Applied Optics 27, 2502; Ho (2024), PythonicDISORT,
-    Journal of Open Source Software 9(103), 6442, doi:10.21105/joss.06442; Wiscombe (1977),
-    Journal of the Atmospheric Sciences 34, 1408.
-    """
-    cosine = _cosine(incidence_deg)
-    if isinstance(streams, bool) or streams % 2 or streams < 4:
-        raise refuse("streams", streams, "an even number of at least 4")
-    if optics.sizes["order"] <= streams:
-        raise refuse("streams", streams, f"below the number of moments, {optics.sizes['order']}")
-    fine, coarse = (_slabs(optics, cosine, n) for n in (streams, 2 * (streams // 4)))
-    truncation = np.abs(fine - coarse)
-    few = min(streams, FEW_STREAMS)
-    used = optics[[name for name in optics.data_vars if str(name).startswith(INPUTS)]]
-    used = used.isel(order=slice(few + 1))
-    stderr = np.hypot(truncation, response(lambda part: _slabs(part, cosine, few), used))
-    variables: dict[str, Variable] = {}
-    for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
-        less = f"{name}_truncation"
-        label = f"what the number of streams misses of {name}"
-        variables |= quantity(name, "wavelength", fine[row], stderr[row], name)
-        variables |= quantity(less, "wavelength", truncation[row], None, label)
-    facts = {"theory": "discrete ordinates", "incidence_deg": incidence_deg, "streams": streams}
-    return xr.Dataset(variables, {"wavelength": optics.wavelength}, facts)
 
 
 def packed(optics: xr.Dataset) -> xr.Dataset:
@@ -191,7 +119,7 @@ def kz04(
     """
     import snowoptics
 
-    cosine = _cosine(incidence_deg)
+    cosine = cosine_of(incidence_deg)
     ssa = in_range("ssa_m2_kg", ssa_m2_kg, 0.0, np.inf, "m2/kg", open_low=True)
     if depth_m != np.inf:
         in_range("depth_m", depth_m, 0.0, np.inf, "m", open_low=True)
@@ -249,7 +177,7 @@ def shape_factors(
     return 0.25 * lost * ssa_m2_kg * 917.0 / gamma, 0.5 * (1.0 + optics.asymmetry_parameter.values)
 
 
-def _cosine(incidence_deg: float | str) -> float | None:
+def cosine_of(incidence_deg: float | str) -> float | None:
     """Return the cosine of incidence, None for diffuse light."""
     if isinstance(incidence_deg, str):
         one_of("incidence_deg", incidence_deg, ["diffuse"])
@@ -257,42 +185,3 @@ def _cosine(incidence_deg: float | str) -> float | None:
     return float(
         np.cos(np.radians(in_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")))
     )
-
-
-def _slabs(optics: xr.Dataset, cosine: float | None, streams: int) -> np.ndarray:
-    """Return reflectance, transmittance and absorptance, shape (3, wavelengths)."""
-    moments = optics.legendre_moment.transpose("wavelength", "order").values
-    layers = zip(
-        optics.optical_thickness.values,
-        optics.single_scattering_albedo.values,
-        moments,
-        strict=True,
-    )
-    found = np.array([_layer(tau, albedo, chi, cosine, streams) for tau, albedo, chi in layers])
-    return np.concatenate([found.T, 1.0 - found.T.sum(axis=0, keepdims=True)])
-
-
-def _layer(
-    thickness: float, albedo: float, moments: np.ndarray, cosine: float | None, streams: int
-) -> tuple[float, float]:
-    """Return hemispherical reflectance and transmittance of one layer."""
-    try:
-        from PythonicDISORT import pydisort
-    except ImportError:
-        raise ImportError(
-            "discrete ordinates need PythonicDISORT: pip install 'splits[theory]'"
-        ) from None
-    # The library wants moments below 1 and a peak that is not negative, as noise may be.
-    chi = np.clip(moments, -LARGEST_ALBEDO, LARGEST_ALBEDO)
-    chi[0] = 1.0
-    peak = max(float(chi[streams]), 0.0)
-    beam = {"mu0": cosine, "I0": 1.0 / cosine} if cosine else {"mu0": 1.0, "I0": 0.0}
-    sky = 0.0 if cosine else 1.0 / np.pi
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Some delta-scaled", UserWarning)
-        _, up, down, *_ = pydisort(
-            thickness, min(albedo, LARGEST_ALBEDO), streams, chi[np.newaxis],
-            phi0=0.0, only_flux=True, f_arr=peak, b_neg=sky, **beam,
-        )  # fmt: skip
-    diffuse, direct = down(float(thickness))
-    return float(up(0.0)), float(diffuse + direct)

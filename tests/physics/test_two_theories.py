@@ -12,7 +12,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.analysis.radiative_transfer import discrete_ordinates, packed
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import packed
 from splits.instruments.single_scattering import single_scattering
 
 pytest.importorskip("PythonicDISORT")

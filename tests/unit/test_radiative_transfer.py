@@ -10,7 +10,8 @@ import pytest
 import snowoptics
 import xarray as xr
 
-from splits.analysis.radiative_transfer import discrete_ordinates, kz04, packed, shape_factors
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import kz04, packed, shape_factors
 
 WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
 
@@ -77,6 +78,29 @@ def test_more_streams_change_less_than_the_stated_truncation():
     few, many = (discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
     for name in ("reflectance", "transmittance"):
         assert np.abs(few[name] - many[name]).max() <= few[f"{name}_truncation"].max()
+
+
+@pytest.mark.parametrize("incidence", [30.0, "diffuse"])
+def test_a_layer_cut_in_three_is_the_same(incidence):
+    pytest.importorskip("PythonicDISORT")
+    whole = discrete_ordinates(layer([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4)
+    cut = [layer([0.99, 0.9], part, 0.7) for part in (0.5, 1.5, 1.0)]
+    pieces = discrete_ordinates(cut, incidence, ground=0.4)
+    for name in ("reflectance", "transmittance"):
+        np.testing.assert_allclose(pieces[name], whole[name], rtol=0.0, atol=1e-9)
+
+
+def test_light_goes_to_and_fro_between_layers_and_ground():
+    pytest.importorskip("PythonicDISORT")
+    pack = [layer([0.99], 1.0, 0.8), layer([0.8], 0.5, 0.3)]
+    beam, below = discrete_ordinates(pack, 40.0), discrete_ordinates(pack[::-1], "diffuse")
+    for albedo in (0.1, 0.5, 1.0):
+        found = discrete_ordinates(pack, 40.0, ground=albedo)
+        series = beam.transmittance / (1.0 - albedo * below.reflectance)
+        expected = beam.reflectance + series * albedo * below.transmittance
+        assert float(found.reflectance[0]) == pytest.approx(float(expected[0]), abs=1e-6)
+        kept = (1.0 - albedo) * float(series[0])
+        assert float(found.transmittance[0]) == pytest.approx(kept, abs=1e-6)
 
 
 def test_missing_library_is_named(monkeypatch):

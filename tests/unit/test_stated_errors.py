@@ -8,7 +8,8 @@ from stated_errors import with_errors
 
 import splits
 from splits import instruments
-from splits.analysis.radiative_transfer import discrete_ordinates, packed
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import packed
 
 LAYER = splits.Layer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
 SURFACE = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}

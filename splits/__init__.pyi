@@ -4,6 +4,7 @@ from .instruments import bssrdf as bssrdf
 from .instruments import deep_transmittance as deep_transmittance
 from .instruments import goniophotometer as goniophotometer
 from .instruments import lens as lens
+from .instruments import profile as profile
 from .instruments import single_scattering as single_scattering
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map

@@ -4,6 +4,7 @@ from splits.instruments.bssrdf import bssrdf
 from splits.instruments.deep import deep_transmittance
 from splits.instruments.goniophotometer import goniophotometer
 from splits.instruments.lens import lens
+from splits.instruments.profile import profile
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.spectrophotometer import spectrophotometer
@@ -15,6 +16,7 @@ __all__ = [
     "deep_transmittance",
     "goniophotometer",
     "lens",
+    "profile",
     "single_scattering",
     "spectrophotometer",
     "surface_map",

@@ -26,7 +26,7 @@ from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.scenes import constants_of, ground_of
-from splits.instruments.tracers import KERNELS
+from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
 from splits.transport.scene import shared_optics
@@ -127,9 +127,8 @@ def bssrdf(
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
-    runner = Runner(
-        medium, incidence, seed, threads, False, kernel, progress, positions=True, orders=True
-    )
+    heard = Heard(positions=True, orders=True)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
 
     def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
         each = enumerate(zip(nodes.index, nodes.weights, strict=True), start=start)

@@ -98,6 +98,27 @@ class Paths(Protocol):
         ...
 
 
+def levels_of(
+    number: int,
+    index: np.ndarray,
+    absorption: np.ndarray,
+    served: np.ndarray,
+    manner: Manner,
+    thresholds: Sequence[float],
+) -> list[Level]:
+    """Return levels for wavelengths that absorb more and more; for parameters see `Ensemble`."""
+    materials = np.arange(absorption.shape[1]) != manner.ground
+    strength = absorption[:, materials].max(axis=1) / manner.attenuation
+    levels: list[Level] = []
+    for step, threshold in enumerate(thresholds):
+        part = served & (strength >= threshold)
+        if not part.any() or (levels and part.sum() == levels[-1].served.sum()):
+            continue
+        optics = shared_optics(index, absorption[part])
+        levels.append(Level(number * len(LEVELS) + step, optics, part, _FIRST_LEGS / 2**step))
+    return levels
+
+
 class Ensemble:
     """Paths traced with one set of refractive indices.
 
@@ -143,16 +164,8 @@ class Ensemble:
         self.moments = np.zeros((3, 3, len(absorption)))
         self.least = np.full(len(absorption), np.inf)
         self.groups = np.zeros((GROUPS, 2, len(absorption)))
-        self.levels: list[Level] = []
-        materials = np.arange(absorption.shape[1]) != manner.ground
-        strength = absorption[:, materials].max(axis=1) / manner.attenuation
-        for step, threshold in enumerate(levels[:1] if manner.analog else levels):
-            part = served & (strength >= threshold)
-            if not part.any() or (self.levels and part.sum() == self.levels[-1].served.sum()):
-                continue
-            optics = shared_optics(index, absorption[part])
-            guess = _FIRST_LEGS / 2**step
-            self.levels.append(Level(number * len(LEVELS) + step, optics, part, guess))
+        used = levels[:1] if manner.analog else levels
+        self.levels = levels_of(number, index, absorption, served, manner, used)
 
     def size(self) -> int:
         """Return how many numbers a tally holds, those of blocks being half as long."""

@@ -5,11 +5,12 @@ Both run until the standard error asked for is reached at every wavelength, or t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, scaled
+from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, Paths, scaled
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of
@@ -96,7 +97,7 @@ def spectral(
         rays = np.array([level.rays for _, level in levels], dtype=float)
         if converged or rays.sum() >= max_rays:
             break
-        wanted = _rays_wanted(parts, max_stderr**2 - bias**2, ensembles)
+        wanted = rays_wanted(parts, max_stderr**2 - bias**2, ensembles)
         step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
         step *= min(1.0, (max_rays - rays.sum()) / step.sum())
         left = float((wanted - rays - step).clip(0).sum())
@@ -117,7 +118,7 @@ def spectral(
     )
 
 
-def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble]) -> np.ndarray:
+def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths]) -> np.ndarray:
     """Return the rays per level that bring every variance to its target at the least cost.
 
     The cost of a ray is the number of its legs.  At the optimum a level's marginal gain, summed
@@ -130,7 +131,7 @@ def _rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: list[Ensemble
         Variance per ray times squared weight.
     target : float, shape (quantities, wavelengths)
         Variances to reach.
-    ensembles : list of Ensemble
+    ensembles : sequence of Paths
     """
     levels = [level for e in ensembles for level in e.levels]
     member = np.array([i for i, e in enumerate(ensembles) for _ in e.levels])

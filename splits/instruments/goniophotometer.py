@@ -41,7 +41,7 @@ from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.scenes import constants_of, ground_of
-from splits.instruments.tracers import KERNELS
+from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
 from splits.transport.directions import basis_of
 from splits.uncertainty import Variable, quantity
@@ -174,7 +174,8 @@ def goniophotometer(
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
     paths: Sequence[Paths] = ()
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, orders=True)
+    heard = Heard(orders=True)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
     stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     unseen: tuple[str, ...] = OF_LIGHT_BELOW if grounded else ()
     if estimator == "cells":
@@ -188,11 +189,11 @@ def goniophotometer(
         check_size(len(wavelengths), len(polar) * len(azimuth))
         goal = Goal(side, relative_stderr, rays, max_rays)
         if estimator == "local":
-            heard = listen(medium, incidence, polar, azimuth, goal, runner)
-            result, reached = heard.estimate(len(wavelengths)), heard.reached
-            stokes = heard.stokes(len(wavelengths)) if heard.polarized else {}
+            local = listen(medium, incidence, polar, azimuth, goal, runner)
+            result, reached = local.estimate(len(wavelengths)), local.reached
+            stokes = local.stokes(len(wavelengths)) if local.polarized else {}
             # A bottom hears light at other angles than detectors outside would.
-            unseen = () if heard.below else ("btdf",)
+            unseen = () if local.below else ("btdf",)
         else:
             paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
     seen = counted(polar, azimuth)
@@ -208,7 +209,7 @@ def goniophotometer(
         "interpolation_error_bound": float(nodes.bias.max()),
         "degree": result.degree[side],
         "max_rays": max_rays,
-        "rays": sum(level.rays for e in paths for level in e.levels) if paths else heard.rays,
+        "rays": sum(level.rays for e in paths for level in e.levels) if paths else local.rays,
         "ensembles": len(nodes.index),
         "kernel": runner.kernels(paths) or "scalar",
     }

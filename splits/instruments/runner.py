@@ -11,10 +11,10 @@ import numpy as np
 
 from splits.instruments.ensemble import BATCH, Level, Paths
 from splits.instruments.threads import Threads, cpus
-from splits.instruments.tracers import tracer_of
+from splits.instruments.tracers import NOTHING_MORE, Heard, tracer_of
 from splits.media.turbid import Medium
 from splits.transport.features import Features
-from splits.transport.tally import NOTE_RAY
+from splits.transport.notes import NOTE_RAY
 
 MEMORY = 2**26
 LEGS = 2e7
@@ -52,8 +52,8 @@ class Runner:
     kernel : {"auto", "lanes", "scalar"}
     report : callable, optional
         Receives a `Progress` a few times per second at most.
-    positions, orders : bool
-        Whether exits are to tell where a ray left and how many grains it had met.
+    heard : Heard
+        What rays are to tell besides their lengths.
     """
 
     def __init__(
@@ -66,11 +66,10 @@ class Runner:
         kernel: str = "auto",
         report: Callable[[Progress], None] | None = None,
         *,
-        positions: bool = False,
-        orders: bool = False,
+        heard: Heard = NOTHING_MORE,
     ) -> None:
         self.seed = seed
-        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, positions, orders)
+        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, heard)
         self.threads = threads or cpus()
         self.report = report
         self.started = time.perf_counter()

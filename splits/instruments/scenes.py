@@ -80,7 +80,22 @@ def granular_scene(
     )
     rules = media[0].readings.rules(analog)
     column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
-    return Scene(light_of(incidence_deg), layers, _together(grains, materials), rules, column)
+    table = _together(grains, materials)
+    return Scene(light_of(incidence_deg), layers, table, rules, column, False)
+
+
+def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:
+    """Return a scene cut at depths (m), in which rays that pass faces between layers are noted.
+
+    Cutting a layer changes nothing for the light in it.
+    """
+    layers = scene.layers
+    cut = -np.asarray(depths_m, dtype=float)
+    face = np.unique(np.concatenate([layers.face, cut]))[::-1]
+    # The layer that each of the new ones is a piece of.
+    piece = np.searchsorted(-layers.face, -face[:-1], side="right") - 1
+    rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "face"}
+    return scene._replace(layers=Layers(face=face, **rows), listens=True)
 
 
 def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:

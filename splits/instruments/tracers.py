@@ -12,21 +12,43 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.ensemble import Level, Manner
-from splits.instruments.scenes import columns_of, granular_scene, light_of
+from splits.instruments.scenes import columns_of, granular_scene, light_of, listening
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
 from splits.transport.features import Features
 from splits.transport.lanes.choice import features_for
 from splits.transport.light import Light
+from splits.transport.notes import NOTE_RAY
 from splits.transport.scene import Optics
 from splits.transport.stokes import NATURAL
-from splits.transport.tally import EXIT_LENGTH, NOTE_RAY, exit_rows
+from splits.transport.tally import EXIT_LENGTH, exit_rows
 from splits.transport.turbid import Scene
 from splits.transport.waves import room_for
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
+
+
+class Heard(NamedTuple):
+    """What rays are to tell besides their lengths.
+
+    Attributes
+    ----------
+    positions, orders : bool
+        Where a ray left, and how many grains it had met.
+    depths_m : tuple of float
+        Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
+        listens at these.
+    """
+
+    positions: bool = False
+    orders: bool = False
+    depths_m: tuple[float, ...] = ()
+
+
+NOTHING_MORE = Heard()
+"""What rays tell in any case: the side where they left, direction, lengths."""
 
 
 class Followed(NamedTuple):
@@ -54,12 +76,15 @@ class Tracer(Protocol):
     manner : Manner
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
+    depths_m : float, shape (faces,)
+        Depths (m) of all faces of the scene.
     stokes : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """
 
     manner: Manner
     upright: bool
+    depths_m: np.ndarray
     stokes: tuple[int, ...]
 
     def features(self, level: Level) -> Features | None:
@@ -104,8 +129,7 @@ class GrainTracer:
     analog : bool
         Absorption by coin toss.
     kernel : {"auto", "lanes", "scalar"}
-    positions, orders : bool
-        Whether exits are to tell where a ray left and how many grains it had met.
+    heard : Heard
     """
 
     LOST = (
@@ -120,10 +144,12 @@ class GrainTracer:
         seed: int,
         analog: bool,
         kernel: str,
-        positions: bool,
-        orders: bool,
+        heard: Heard,
     ) -> None:
         self.scene = granular_scene(medium, incidence_deg, analog)
+        if heard.depths_m:
+            self.scene = listening(self.scene, heard.depths_m)
+        self.depths_m = -self.scene.layers.face
         densest = float(self.scene.layers.attenuation.max())
         self.manner = Manner(densest, self.scene.ground, analog=analog)
         self.upright = self.scene.light == (1.0, 0.0)
@@ -131,7 +157,7 @@ class GrainTracer:
         self.columns = columns_of(medium)
         self.seed = seed
         self.kernel = kernel
-        self.wanted = (positions, orders)
+        self.heard = heard
         self._features: dict[Level, Features | None] = {}
 
     def prepare(self, levels: Sequence[Level]) -> None:
@@ -157,7 +183,9 @@ class GrainTracer:
         if self.kernel == "scalar":
             return None
         if level not in self._features:
-            self._features[level] = features_for(self.scene, level.optics, *self.wanted)
+            self._features[level] = features_for(
+                self.scene, level.optics, self.heard.positions, self.heard.orders
+            )
         features = self._features[level]
         if features is None and self.kernel == "lanes":
             raise refuse(
@@ -222,6 +250,7 @@ class LayerTracer:
             raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         stokes = NATURAL if medium.polarized else None
         self.scene = Scene(light, medium.turbid(analog), medium.phase, medium.fields(), stokes)
+        self.depths_m = np.array([0.0, self.scene.layer.depth])
         extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         fading = self.scene.layer.albedo < 1.0
         self.manner = Manner(extinction, fading=fading, analog=analog)
@@ -266,10 +295,9 @@ def tracer_of(
     seed: int,
     analog: bool,
     kernel: str,
-    positions: bool,
-    orders: bool,
+    heard: Heard,
 ) -> Tracer:
     """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
     if isinstance(medium, TurbidMedium):
         return LayerTracer(medium, light_of(incidence_deg), seed, analog, kernel)
-    return GrainTracer(medium, incidence_deg, seed, analog, kernel, positions, orders)
+    return GrainTracer(medium, incidence_deg, seed, analog, kernel, heard)

@@ -81,7 +81,7 @@ def family(state, first, scene, optics, kappa, profile):
         while ray.fate == TRAVELS:
             window = Window(member.weight, kappa, LOWER, UPPER, profile)
             before = ray.legs
-            ray = follow(state, ray, scene, optics, length, window, UNLIMITED)
+            ray = follow(state, ray, scene, optics, length, None, window, UNLIMITED)
             legs += ray.legs - before
             if ray.fate != TRAVELS:
                 break

@@ -29,6 +29,7 @@ from splits.transport.flight import (
 )
 from splits.transport.jit import entry, kernel
 from splits.transport.light import launched
+from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken
 from splits.transport.rng import start_stream, uniform
 from splits.transport.scalar import (
     NO_LEG,
@@ -56,10 +57,7 @@ from splits.transport.tally import (
     TRANSMITTED,
     TRAVELS,
     Told,
-    no_notes,
-    noted,
     record,
-    room_for,
 )
 from splits.transport.vectors import ORIGIN, UP, Vector, lobe
 from splits.transport.walk import walk
@@ -113,12 +111,20 @@ def alike(layers, optics, one, other, u):
 
 
 @kernel
-def settled(flier, beam, layers, optics):
+def pass_face(notes, scene, layer, upward, purse, length):
+    """Note a ray that passes from a layer into the next one, where somebody listens."""
+    if notes is not None and scene.listens:
+        note(notes, passage(layer if upward else layer + 1, upward), purse.weight, length)
+
+
+@kernel
+def settled(flier, beam, scene, optics, length, notes):
     """Return a ray that left a grain, its layer that in which it now is.
 
     Only a grain that reaches across a face lets a ray out on its other side.  If there are other
     pores, as outside the sample, the ray counts as standing on that face.
     """
+    layers = scene.layers
     z = flier.place.z + flier.way.z
     layer = beam.layer
     while z > layers.face[layer] or z < layers.face[layer + 1]:
@@ -129,6 +135,7 @@ def settled(flier, beam, layers, optics):
         if not inside or not alike(layers, optics, layer, other, beam.u):
             z = face
             break
+        pass_face(notes, scene, layer, step < 0, beam.purse, length)
         layer = other
     way = Vector(flier.way.x, flier.way.y, z - flier.place.z)
     return Flier(flier.place, way, beam.d, flier.last, 0.0), Beam(beam.d, layer, beam.u, beam.purse)
@@ -184,7 +191,7 @@ def arrived(flier, found, space):
 
 
 @kernel
-def travelled(state, beam, goal, leg, scene, optics, length):
+def travelled(state, beam, goal, leg, scene, optics, length, notes):
     """Take a leg through the pores of the layers up to that in which it ends.
 
     Parameters
@@ -195,6 +202,8 @@ def travelled(state, beam, goal, leg, scene, optics, length):
         Where it ends.
     leg : Segment
         Its end as a place (m), and its length.
+    length, notes
+        See `follow`.
     """
     layers, d, analog = scene.layers, beam.d, scene.rules.analog
     payment = Paid(beam.purse, True)
@@ -205,6 +214,8 @@ def travelled(state, beam, goal, leg, scene, optics, length):
         piece = min(max((face - z) / d.z, 0.0), rest)
         pore = pore_of(layers, layer, beam.u)
         payment = paid(state, payment.purse, piece, pore, optics, analog, length)
+        if payment.alive:
+            pass_face(notes, scene, layer, d.z > 0.0, payment.purse, length)
         z, rest, layer = face, rest - piece, beyond(layers, layer, d)
     if payment.alive:
         pore = pore_of(layers, layer, beam.u)
@@ -237,7 +248,7 @@ def played(state, purse):
 
 
 @kernel
-def follow(state, ray, scene, optics, length, window, most):
+def follow(state, ray, scene, optics, length, notes, window, most):
     """Follow a ray until it leaves the scene or is absorbed, or until its worth wants a decision.
 
     Parameters
@@ -249,6 +260,8 @@ def follow(state, ray, scene, optics, length, window, most):
         See `splits.transport.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place.
+    notes : Notes or None
+        Taken where rays pass faces between layers; None where nobody listens, at no cost.
     window : Window or None
         None asks for no decisions, at no cost.
     most : int
@@ -258,25 +271,27 @@ def follow(state, ray, scene, optics, length, window, most):
     -------
     Ray
         Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `BELOW`, `LOST`, or `TRAVELS` where the
-        window is left.
+        window is left, or where there might not be room for the next leg's notes.
     """
     flier, beam, legs, order, fate = ray.flier, ray.beam, ray.legs, ray.order, TRAVELS
     layers = scene.layers
     while fate == TRAVELS:
+        if notes is not None and not has_room(notes, 2 * layers.face.size):
+            break
         payment = played(state, beam.purse)
         if not payment.alive:
             fate = ABSORBED
             break
         legs += 1
         beam = Beam(beam.d, beam.layer, beam.u, payment.purse)
-        flier, beam = settled(flier, beam, layers, optics)
+        flier, beam = settled(flier, beam, scene, optics, length, notes)
         found = find(state, flier, beam, scene, optics)
         if found.lost:
             fate = LOST
             break
         flier = arrived(flier, found, space_of(layers, found.layer))
         leg = Segment(flier.place, beam.d, flier.last.length)
-        payment = travelled(state, beam, found, leg, scene, optics, length)
+        payment = travelled(state, beam, found, leg, scene, optics, length, notes)
         beam = Beam(beam.d, found.layer, beam.u, payment.purse)
         if not payment.alive:
             fate = ABSORBED
@@ -288,6 +303,8 @@ def follow(state, ray, scene, optics, length, window, most):
                 below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
                 fate = REFLECTED if layer < 0 else below
                 layer = beam.layer
+            elif layer != beam.layer:
+                pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
             beam = Beam(crossing.d, layer, beam.u, beam.purse)
         elif order == most:
             fate = ABSORBED
@@ -378,21 +395,23 @@ def batch(seed, work, scene, optics, exits):
     length = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     notes = no_notes(optics.n.size)
+    most, faces = 2 * scene.layers.face.size, scene.layers.face.size
     for number in range(work[2]):
         start_stream(state, seed, work[0], work[1] + number)
+        of_ray(notes, number)
         length[:] = 0.0
         ray = launch(state, scene, optics)
-        if ray.fate == TRAVELS:
-            ray = follow(state, ray, scene, optics, length, None, work[3])
-        while ray.fate == BELOW:
-            if not scene.rules.analog:
-                notes = noted(room_for(notes, 1), number, ray.beam.purse.weight, length)
-            ray = risen(state, ray, scene, optics, length, work[3])
+        while ray.fate == TRAVELS or ray.fate == BELOW:
+            notes = room_for(notes, most)
             if ray.fate == TRAVELS:
-                ray = follow(state, ray, scene, optics, length, None, work[3])
+                ray = follow(state, ray, scene, optics, length, notes, None, work[3])
+            else:
+                if not scene.rules.analog:
+                    note(notes, passage(faces - 1, False), ray.beam.purse.weight, length)
+                ray = risen(state, ray, scene, optics, length, work[3])
         legs += ray.legs
         if ray.fate == LOST:
-            return Told(legs, True, notes.rows[:0])
+            return Told(legs, True, taken(notes))
         if ray.fate != ABSORBED:
             purse = ray.beam.purse
             record(
@@ -400,4 +419,4 @@ def batch(seed, work, scene, optics, exits):
                 ray.order,
             )  # fmt: skip
             exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
-    return Told(legs, False, notes.rows[: notes.taken])
+    return Told(legs, False, taken(notes))

@@ -145,6 +145,8 @@ class Scene(NamedTuple):
     ground : int
         Column among the materials' lengths where meetings with the ground are counted, whose
         "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
+    listens : bool
+        Whether rays that pass faces between layers are noted.
     """
 
     light: Light
@@ -152,6 +154,7 @@ class Scene(NamedTuple):
     types: Types
     rules: Rules
     ground: int
+    listens: bool
 
 
 class Optics(NamedTuple):

@@ -13,6 +13,7 @@ import numpy as np
 
 from splits.transport.elementary import exponential
 from splits.transport.jit import ONE, ZERO, entry, kernel
+from splits.transport.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
 
 ABSORBED = 0
 REFLECTED = 1
@@ -41,30 +42,6 @@ BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
 
 
-NOTE_RAY = 0
-"""Column of the row of exits of the ray that a note is of."""
-NOTE_WEIGHT = 1
-"""Column of the inverse probability of having survived roulette."""
-NOTE_LENGTH = 2
-"""First of the columns of lengths so far (m), one per material."""
-_FIRST_NOTES = 64
-
-
-class Notes(NamedTuple):
-    """Rays on their way, as they reach the ground.
-
-    Attributes
-    ----------
-    rows : float64[room, columns]
-        Those of a ray in the order of time.
-    taken : int
-        Rows in use.
-    """
-
-    rows: np.ndarray
-    taken: int
-
-
 class Traced(NamedTuple):
     """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
 
@@ -81,7 +58,7 @@ class Told(NamedTuple):
     lost : bool
         The batch ended early, as a ray was lost.
     notes : float64[notes, columns]
-        See `Notes`.
+        See `splits.transport.notes`.
     """
 
     legs: int
@@ -101,32 +78,6 @@ def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
     rows = np.full((rays, EXIT_LENGTH + materials + more), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
-
-
-@kernel
-def no_notes(materials):
-    """Return room for notes, none taken."""
-    return Notes(np.empty((_FIRST_NOTES, NOTE_LENGTH + materials)), 0)
-
-
-@kernel
-def room_for(notes, more):
-    """Return notes with room for at least so many more."""
-    needed = notes.taken + more
-    if needed <= notes.rows.shape[0]:
-        return notes
-    rows = np.empty((2 * needed, notes.rows.shape[1]))
-    rows[: notes.taken] = notes.rows[: notes.taken]
-    return Notes(rows, notes.taken)
-
-
-@kernel
-def noted(notes, ray, weight, length):
-    """Return notes with one more, for which there must be room."""
-    row = notes.rows[notes.taken]
-    row[NOTE_RAY], row[NOTE_WEIGHT] = ray, weight
-    row[NOTE_LENGTH:] = length
-    return Notes(notes.rows, notes.taken + 1)
 
 
 @kernel

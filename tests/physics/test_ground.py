@@ -11,14 +11,12 @@ import splits
 from splits.instruments.scenes import constants_of
 from splits.transport import granular, lanes
 from splits.transport.lanes.choice import features_for
+from splits.transport.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
 from splits.transport.scene import Optics, shared_optics
 from splits.transport.tally import (
     EXIT_LENGTH,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    NOTE_LENGTH,
-    NOTE_RAY,
-    NOTE_WEIGHT,
     exit_rows,
 )
 

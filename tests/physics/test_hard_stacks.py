@@ -56,8 +56,7 @@ def test_fifty_layers_of_one_snow_are_that_snow():
 def test_kernels_agree_on_grains_a_hundred_times_larger(order):
     stack = splits.Stack([splits.Snow(**settings) for settings in order], ground=0.5)
     lanes, scalar = (
-        measured(stack, 50.0, seed, kernel=kernel)
-        for seed, kernel in ((7, "lanes"), (8, "scalar"))
+        measured(stack, 50.0, seed, kernel=kernel) for seed, kernel in ((7, "lanes"), (8, "scalar"))
     )
     judge_z(apart(lanes, scalar), independent=1, bound_added=True)
 

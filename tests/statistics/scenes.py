@@ -56,7 +56,7 @@ def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
         grains.share[np.newaxis], np.array([0]), np.array([0]),
     )  # fmt: skip
-    return Scene(Light(float(cos), float(diffuse)), layers, grains.types, rules, NO_GROUND)
+    return Scene(Light(float(cos), float(diffuse)), layers, grains.types, rules, NO_GROUND, False)
 
 
 def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):

@@ -25,9 +25,10 @@ from splits.transport.lanes.ground import at_ground, reaches_ground
 from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
+from splits.transport.notes import no_notes, room_for, taken
 from splits.transport.scalar import fates_of
 from splits.transport.scene import LOBE
-from splits.transport.tally import Notes, Told, no_notes, room_for
+from splits.transport.tally import Told
 
 
 @kernel
@@ -52,7 +53,7 @@ def room(materials):
 
 
 @kernel
-def advance(lanes, width, features, tables, task):
+def advance(lanes, width, features, tables, task, notes):
     """Give all lanes between grains their next grain; see `flight` for what it returns."""
     draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share)
     if features.mixed is not None:
@@ -66,7 +67,7 @@ def advance(lanes, width, features, tables, task):
             if met and lanes.state[rows.SHELL + lane] == ZERO:
                 dress(lanes, lane, task)
                 if features.layered is not None and lanes.state[rows.LANDED + lane] == ZERO:
-                    land(lanes, lane, task)
+                    land(lanes, lane, task, notes)
     return waiting
 
 
@@ -123,7 +124,7 @@ def refill(lanes, lane, task, exits, queue):
 
 
 @kernel
-def at_face(lanes, lane, task, status):
+def at_face(lanes, lane, task, notes, status):
     """Serve a ray that meets a face or has to change its layer; return whether it leaves."""
     if status == rows.AT_GROUND:
         return True
@@ -133,36 +134,27 @@ def at_face(lanes, lane, task, status):
         begin_again(lanes, lane, task)
         return False
     if status == rows.ASTRAY:
-        relocate(lanes, lane, task)
+        relocate(lanes, lane, task, notes)
         return False
-    return at_interface(lanes, lane, task)
-
-
-class Served(NamedTuple):
-    """Rays that wait, and what has been noted."""
-
-    queue: Queue
-    notes: Notes
+    return at_interface(lanes, lane, task, notes)
 
 
 @kernel
-def serve(lanes, width, task, exits, legs, served):
+def serve(lanes, width, task, notes, exits, legs, queue):
     """End the rays that are done, bring others through boundaries, and launch new ones."""
     state = lanes.state
-    queue, notes = served
     for lane in range(width):
         while state[rows.STATUS + lane] >= rows.AT_FACE:
             status = state[rows.STATUS + lane]
             if status == rows.LOST:
-                lost = Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
-                return Served(lost, notes)
+                return Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
             if status == rows.IDLE and queue.ray == queue.rays:
                 break
             leaves = False
             if status <= rows.ASTRAY:
-                leaves = at_face(lanes, lane, task, status)
+                leaves = at_face(lanes, lane, task, notes, status)
                 if leaves and reaches_ground(lanes, lane, task):
-                    notes = at_ground(lanes, lane, task, notes)
+                    at_ground(lanes, lane, task, notes)
                     leaves = False
                 if not leaves:
                     break
@@ -176,7 +168,7 @@ def serve(lanes, width, task, exits, legs, served):
             queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
             queue = refill(lanes, lane, task, exits, queue)
             break
-    return Served(queue, notes)
+    return queue
 
 
 @kernel
@@ -231,19 +223,20 @@ def batch(seed, work, scene, optics, exits, features):
     notes = no_notes(optics.n.shape[1])
     width = min(rows.LANES, max(1, -(-queue.rays // rows.STRIDE)) * rows.STRIDE)
     flying, ended = 0, width
+    # Between two looks at the room, a ray may land once and be served once.
+    most = 2 * width * scene.layers.face.size
     while True:
+        notes = room_for(notes, most)
         if ended > 0:
-            queue, notes = serve(
-                lanes, width, task, exits, legs, Served(queue, room_for(notes, width))
-            )
+            queue = serve(lanes, width, task, notes, exits, legs, queue)
             if queue.lost or queue.busy == 0:
-                return Told(legs, queue.lost, notes.rows[: notes.taken])
+                return Told(legs, queue.lost, taken(notes))
             if queue.busy <= width - rows.STRIDE:
                 width = close_ranks(lanes, width, queue.busy)
             flying = count_flying(lanes.state, width)
         # Whichever pass serves more lanes.
         if 2 * flying >= queue.busy:
-            waiting = advance(lanes, width, features, tables, task)
+            waiting = advance(lanes, width, features, tables, task, notes)
             flying, ended = waiting.flying, waiting.ended
         else:
             flying = surface(lanes.state, lanes.words, width, features, task.passing)

@@ -53,7 +53,7 @@ def features_for(
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
-    light, layers, types, rules, _ = scene
+    light, layers, types, rules, *_ = scene
     depth = layers.face[0] - layers.face[-1]
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
@@ -62,7 +62,7 @@ def features_for(
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
     layered = layers.attenuation.size > 1
-    mixed = types.shells.size > 1 or types.shells.max() > 1
+    mixed = layered or types.shells.size > 1 or types.shells.max() > 1
     absorbing = False
     if not mixed:
         core = types.material[0, 0]

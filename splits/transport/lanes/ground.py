@@ -8,9 +8,9 @@ from numpy import float32 as single
 from splits.transport.jit import ZERO, kernel
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, let_in, put_down
-from splits.transport.lanes.layers import enter, set_out
+from splits.transport.lanes.layers import enter, set_out, take_note
+from splits.transport.notes import passage
 from splits.transport.scene import NO_GROUND
-from splits.transport.tally import noted
 from splits.transport.vectors import UP, lobe
 
 
@@ -22,7 +22,7 @@ def reaches_ground(lanes, lane, task):
 
 @kernel
 def at_ground(lanes, lane, task, notes):
-    """Note a lane's ray as it meets the ground, send it back by Lambert's law, and return notes.
+    """Note a lane's ray as it meets the ground, and send it back by Lambert's law.
 
     One that the sample's lower face sends down again waits for the ground once more.  Among the
     grains met, of which there is a most, the ground counts as one.
@@ -30,7 +30,7 @@ def at_ground(lanes, lane, task, notes):
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
     ground, lowest = task.scene.ground, task.scene.layers.attenuation.size - 1
     put_down(lanes, lane, task.scene)
-    notes = noted(notes, lanes.ray[lane], state[rows.WEIGHT + lane], lanes.length[lane])
+    take_note(lanes, lane, notes, passage(lowest + 1, False))
     lanes.length[lane, ground] += 1.0
     state[rows.DEPTH + lane] += single(task.optics.absorption[item, ground])
     d = lobe(UP, draw(words, lane), draw(words, lane))
@@ -45,4 +45,3 @@ def at_ground(lanes, lane, task, notes):
         words[rows.ORDER + lane] = np.uint32(order + np.uint32(1))
         if order >= words[rows.MOST + lane]:
             state[rows.STATUS + lane] = rows.ABSORBED
-    return notes

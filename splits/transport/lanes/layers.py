@@ -16,6 +16,7 @@ from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, illuminate, index_of
 from splits.transport.lanes.flight import flier_at, space_at
 from splits.transport.lanes.rows import put
+from splits.transport.notes import note, of_ray, passage
 from splits.transport.vectors import Vector
 
 
@@ -55,7 +56,21 @@ def set_out(state, lane):
 
 
 @kernel
-def land(lanes, lane, task):
+def take_note(lanes, lane, notes, event):
+    """Note where a lane's ray is; its lengths must have been put down."""
+    of_ray(notes, lanes.ray[lane])
+    note(notes, event, np.float64(lanes.state[rows.WEIGHT + lane]), lanes.length[lane])
+
+
+@kernel
+def pass_face(lanes, lane, task, notes, layer, upward):
+    """Note a lane's ray that passes from a layer into the next one, where somebody listens."""
+    if task.scene.listens:
+        take_note(lanes, lane, notes, passage(layer if upward else layer + 1, upward))
+
+
+@kernel
+def land(lanes, lane, task, notes):
     """Take the leg that a lane's ray has just flown through the pores of its layers."""
     state, item, layers = lanes.state, lanes.item[lane], task.scene.layers
     d = np.float64(state[rows.LZ + lane])
@@ -74,6 +89,7 @@ def land(lanes, lane, task):
         depth += piece * task.optics.absorption[item, pore]
         if layer == goal:
             break
+        pass_face(lanes, lane, task, notes, layer, d > 0.0)
         rest -= piece
         layer += -1 if d > 0.0 else 1
     state[rows.DEPTH + lane] += single(depth)
@@ -91,7 +107,7 @@ def begin_again(lanes, lane, task):
 
 
 @kernel
-def relocate(lanes, lane, task):
+def relocate(lanes, lane, task, notes):
     """Find the layer of a lane's ray that left a grain on the other side of a face.
 
     Where there are other pores the ray counts as standing on that face.
@@ -109,6 +125,7 @@ def relocate(lanes, lane, task):
             border = face[layer] if step < 0 else face[layer + 1]
             state[rows.GZ + lane] = single(border) - state[rows.Z + lane]
             break
+        pass_face(lanes, lane, task, notes, layer, step < 0)
         layer = other
     enter(lanes, lane, task, layer)
     stands = state[rows.STANDS + lane]
@@ -118,7 +135,7 @@ def relocate(lanes, lane, task):
 
 
 @kernel
-def at_interface(lanes, lane, task):
+def at_interface(lanes, lane, task, notes):
     """Bring a lane's ray to the face ahead; return whether it leaves the sample there.
 
     Where the pores on both sides are the same nothing stands between them, and the flight goes on.
@@ -140,7 +157,7 @@ def at_interface(lanes, lane, task):
     put(state, rows.GX + lane, Vector(ZERO, ZERO, ZERO))
     put(state, rows.LX + lane, ray.d)
     state[rows.LAST + lane] = arrival.leg
-    land(lanes, lane, task)
+    land(lanes, lane, task, notes)
     near = index_of(optics, item, pore_of(lanes, lane, layers, layer))
     far = index_of(optics, item, layers.pore[layer])
     if inside:
@@ -152,6 +169,7 @@ def at_interface(lanes, lane, task):
         put(state, rows.DX + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[rows.TRIES + lane] = ZERO
     if passed and inside:
+        pass_face(lanes, lane, task, notes, layer, other < layer)
         enter(lanes, lane, task, other)
         set_out(state, lane)
     return passed and not inside

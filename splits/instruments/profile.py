@@ -1,0 +1,289 @@
+"""Light inside a sample: irradiances at depths, and what is absorbed between them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, increasing, one_of, refuse, row_of
+from splits.instruments.arguments import (
+    check_incidence,
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.ensemble import GROUPS
+from splits.instruments.estimators import rays_wanted
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.nodes import SLOPE, Nodes, choose_nodes
+from splits.instruments.planes import ROUND, Planes
+from splits.instruments.runner import Progress, Runner
+from splits.instruments.scenes import constants_of
+from splits.instruments.tracers import KERNELS, Heard
+from splits.media.granular import GranularMedium, LayeredMedium
+from splits.transport.passages import DOWN, UP
+from splits.uncertainty import Variable, quantity, stderr_of
+
+MOST_DEPTHS = 200
+_BIAS_SHARE = 0.4
+"""Part of the error asked for that interpolation between indices may take."""
+_GROWTH = 8.0
+
+
+class Found(NamedTuple):
+    """Means by group of rays at the depths asked for, and between them.
+
+    Attributes
+    ----------
+    light : float, shape (GROUPS, 2, depths, wavelengths)
+        Irradiances downwards and upwards, over that of the light from above.
+    absorbed : float, shape (GROUPS, intervals, wavelengths)
+        What goes in less what comes out.
+    by_material : float, shape (GROUPS, intervals, materials, wavelengths)
+        By the lengths in each material.
+    way : float, shape (GROUPS, intervals, wavelengths)
+        Metres.
+    """
+
+    light: np.ndarray
+    absorbed: np.ndarray
+    by_material: np.ndarray
+    way: np.ndarray
+
+
+def profile(
+    medium: GranularMedium | LayeredMedium,
+    wavelength_nm: Any,
+    depth_m: Any,
+    incidence_deg: float | str = 0.0,
+    max_stderr: float = 0.005,
+    seed: int = 1,
+    *,
+    max_rays: int = 20_000_000,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Return irradiances inside a medium of grains, and where its light is absorbed.
+
+    Parameters
+    ----------
+    medium : GranularMedium or LayeredMedium
+        For example `splits.Snow` or `splits.Stack`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    depth_m : array_like
+        Strictly increasing depths (m) inside the medium, at most 200.  Its top and its bottom are
+        added to them.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+    max_stderr : float
+        Largest standard error wanted for any irradiance or absorbed share, 1e-6 to 0.5.
+    seed : int
+        Non-negative; the same seed gives the same numbers on any number of threads.
+    max_rays, threads, kernel, progress
+        As for `splits.spectrophotometer`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``wavelength`` and ``depth``, in units of the irradiance from above:
+        ``downward_irradiance`` and ``upward_irradiance``, the latter at the top the reflectance.
+        Over ``wavelength`` and ``interval``, between successive depths: ``absorptance``, the share
+        of the light that is absorbed there, and ``actinic_flux``, the mean path of the light in
+        the interval over its thickness, grains and pores together.  ``absorptance_of_material``
+        over ``material`` besides.  All with standard errors ``…_stderr``.  Reflectance,
+        absorptances, and the net irradiance at the bottom add up to 1.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    Notes
+    -----
+    Light inside a grain that lies across a plane counts as passing it where the ray leaves the
+    grain on the other side, and what that grain absorbs belongs to the interval of its entry.
+
+    References
+    ----------
+    Paths and weights are those of SPLITSnow Eqs 5-6; actinic flux as path per volume, for example
+    Mayer (2009), EPJ Web of Conferences 1, 75, section 4.
+    """
+    check_medium(medium, GranularMedium, LayeredMedium)
+    wavelengths = check_wavelengths(wavelength_nm)
+    depths = _check_depths(depth_m, float(medium.depth_m))
+    incidence = check_incidence(incidence_deg)
+    max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
+    one_of("kernel", kernel, KERNELS)
+    seed = check_whole("seed", seed, 0)
+    max_rays = check_whole("max_rays", max_rays, 1)
+    threads = check_threads(threads)
+    begun = time.perf_counter()
+    heard = Heard(depths_m=tuple(depths.tolist()))
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+    index, absorption = constants_of(medium, wavelengths)
+    nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
+    faces = runner.tracer.depths_m
+    layers = len(faces) - 1
+    ensembles = [
+        Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers)
+        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    ]
+    runner.prepare(ensembles)
+    planes = np.array([0.0, *depths, faces[-1]])
+    at = np.searchsorted(faces, planes)
+    found, reached, converged = _trace(runner, ensembles, nodes, at, max_stderr, max_rays)
+    facts = {
+        **run_facts("Light inside", "profile", medium, begun, seed, threads),
+        "incidence_deg": incidence,
+        "max_stderr": max_stderr,
+        "stopped_by": "error" if converged else "rays",
+        "max_stderr_reached": reached,
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "max_rays": max_rays,
+        "rays": sum(level.rays for e in ensembles for level in e.levels),
+        "ensembles": len(ensembles),
+        "kernel": runner.kernels(ensembles),
+    }
+    return _dataset(found, nodes.bias, wavelengths, planes, list(medium.materials()), facts)
+
+
+def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
+    """Return depths inside a sample of a thickness (m), or refuse them."""
+    depths = increasing("depth_m", row_of("depth_m", depth_m, "numbers in metres"))
+    if depths.size > MOST_DEPTHS:
+        raise refuse("depth_m", f"{depths.size} depths", f"at most {MOST_DEPTHS}")
+    for depth in depths:
+        in_range(
+            "depth_m", float(depth), 0.0, thickness, "m", open_low=True, open_high=True,
+            hint="top and bottom are there in any case",
+        )  # fmt: skip
+    return depths
+
+
+def _at_planes(ensembles: Sequence[Planes], weights: np.ndarray, at: np.ndarray) -> list[Found]:
+    """Return what each ensemble tells at faces `at`, as its wavelengths weigh it."""
+    found = []
+    for one, weight in zip(ensembles, weights, strict=True):
+        told = one.told()
+        light = weight * told.light[:, :, at]
+        net = light[:, DOWN] - light[:, UP]
+        first = at[:-1]
+        found.append(
+            Found(
+                light,
+                net[:, :-1] - net[:, 1:],
+                weight * np.add.reduceat(told.absorbed, first, axis=1),
+                weight * np.add.reduceat(told.way, first, axis=1),
+            )
+        )
+    return found
+
+
+def missed(bias: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Return what interpolation between refractive indices may miss of irradiances and the like.
+
+    As of a reflectance (`splits.instruments.nodes`), with the elasticity |ln f| of what decays
+    exponentially with depth, where that is more.
+
+    Parameters
+    ----------
+    bias : float, shape (wavelengths,)
+    value : float, shape (..., wavelengths)
+        What may be missed of.
+    """
+    size = np.clip(np.abs(value), np.finfo(float).tiny, None)
+    elastic = size * np.maximum(8.0, np.abs(np.log(size)) / SLOPE)
+    bound: np.ndarray = bias * np.minimum(np.maximum(1.0, size), elastic)
+    return bound
+
+
+def _trace(
+    runner: Runner,
+    ensembles: Sequence[Planes],
+    nodes: Nodes,
+    at: np.ndarray,
+    max_stderr: float,
+    max_rays: int,
+) -> tuple[Found, float, bool]:
+    """Trace until the error asked for is reached; return what was found, the error, and whether."""
+    levels = [(e, level) for e in ensembles for level in e.levels]
+    runner.trace([(*who, ROUND) for who in levels], 1.0, max_stderr)
+    while True:
+        each = _at_planes(ensembles, nodes.weights, at)
+        found = Found(*(np.sum(part, axis=0) for part in zip(*each, strict=True)))
+        # Light and absorbed shares, one after the other.
+        values = [np.concatenate([*one.light.swapaxes(0, 1), one.absorbed], axis=1) for one in each]
+        bias = missed(nodes.bias, np.sum(values, axis=0).mean(axis=0))
+        parts = np.stack([one.var(axis=0, ddof=1) for one in values]) / GROUPS
+        stderr = np.sqrt(parts.sum(axis=0) + bias**2)
+        rays = np.array([level.rays for _, level in levels], dtype=float)
+        converged = bool(stderr.max() <= max_stderr)
+        if converged or rays.sum() >= max_rays:
+            return found, float(stderr.max()), converged
+        count = np.stack([e.count for e in ensembles])[:, np.newaxis]
+        target = np.maximum(max_stderr**2 - bias**2, 0.1 * max_stderr**2)
+        wanted = rays_wanted(parts * count, target, ensembles)
+        step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
+        step = np.ceil(step * min(1.0, (max_rays - rays.sum()) / step.sum()) / ROUND)
+        left = float((wanted - rays - step * ROUND).clip(0).sum())
+        work = [(*who, int(s) * ROUND) for who, s in zip(levels, step, strict=True) if s > 0]
+        runner.trace(work, float(stderr.max()), max_stderr, left)
+
+
+def _dataset(
+    found: Found,
+    bias: np.ndarray,
+    wavelengths: np.ndarray,
+    planes: np.ndarray,
+    materials: list[str],
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return what was found as a labelled dataset."""
+    thickness = np.diff(planes)[:, np.newaxis]
+    by_depth, by_interval = ("wavelength", "depth"), ("wavelength", "interval")
+    variables: dict[str, Variable] = {}
+
+    def put(name: str, dims: tuple[str, ...], groups: np.ndarray, label: str) -> None:
+        mean = groups.mean(axis=0)
+        stderr = np.hypot(stderr_of(groups), missed(bias, mean))
+        values, error = np.moveaxis(mean, -1, 0), np.moveaxis(stderr, -1, 0)
+        variables.update(quantity(name, dims, values, error, label))
+
+    put("downward_irradiance", by_depth, found.light[:, DOWN], "downward irradiance")
+    put("upward_irradiance", by_depth, found.light[:, UP], "upward irradiance")
+    put("absorptance", by_interval, found.absorbed, "absorptance of the interval")
+    put("actinic_flux", by_interval, found.way / thickness, "mean path over thickness")
+    shared = _shared(found)[:, :, : len(materials)]
+    put("absorptance_of_material", (*by_interval, "material"), shared, "absorptance of a material")
+    coordinates = {
+        "wavelength": wavelength_axis(wavelengths),
+        "depth": ("depth", planes, {"long_name": "depth", "units": "m", "positive": "down"}),
+        "interval_top": ("interval", planes[:-1], {"long_name": "top", "units": "m"}),
+        "interval_bottom": ("interval", planes[1:], {"long_name": "bottom", "units": "m"}),
+        "material": ("material", np.array(materials), {"long_name": "material"}),
+    }
+    return xr.Dataset(variables, coordinates, facts)
+
+
+def _shared(found: Found) -> np.ndarray:
+    """Return absorbed shares by material, whose sums are those of `Found.absorbed`.
+
+    Shape (GROUPS, intervals, materials, wavelengths); the materials' parts vary by group to first
+    order.
+    """
+    parts = found.by_material
+    whole = parts.sum(axis=2, keepdims=True)
+    mean = whole.mean(axis=0)
+    share = np.divide(parts.mean(axis=0), mean, out=np.zeros_like(parts[0]), where=mean > 0.0)
+    absorbed = found.absorbed[:, :, np.newaxis]
+    total = absorbed.mean(axis=0)
+    scale = np.divide(total, mean, out=np.zeros_like(total), where=mean > 0.0)
+    result: np.ndarray = absorbed * share + scale * (parts - share * whole)
+    return result

@@ -1,0 +1,173 @@
+"""Light inside: balance, Beer's law, discrete ordinates, decay with depth, kernels, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import judge_z
+from scipy.special import expn
+
+import splits
+
+WAVELENGTHS = [500.0, 1000.0, 1300.0]
+NAMES = ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux")
+WET = splits.Snow(depth_m=0.02, saturation=0.3)
+PACK = splits.Stack(
+    [
+        splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.004),
+        splits.Snow(depth_m=0.006, saturation=0.2),
+        splits.Sand(depth_m=0.003),
+    ],
+    ground=0.5,
+)
+NARROW = [500.0, 700.0, 900.0]
+"""Within the tables of sand's minerals."""
+
+
+def net(ds):
+    return ds.downward_irradiance - ds.upward_irradiance
+
+
+@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize(
+    ("medium", "wavelengths", "depths"),
+    [(WET, WAVELENGTHS, [0.001, 0.005, 0.01]), (PACK, NARROW, [0.002, 0.004, 0.0095, 0.0115])],
+)
+def test_what_comes_in_goes_somewhere(medium, wavelengths, depths, kernel):
+    ds = splits.profile(medium, wavelengths, depths, 40.0, 0.005, kernel=kernel)
+    whole = splits.spectrophotometer(medium, wavelengths, 40.0, 0.003, seed=2)
+    reflected, kept = ds.upward_irradiance.isel(depth=0), net(ds).isel(depth=-1)
+    absorbed = ds.absorptance.sum("interval")
+    np.testing.assert_allclose(reflected + kept + absorbed, 1.0, rtol=0.0, atol=1e-12)
+    by_material = ds.absorptance_of_material.sum("material")
+    np.testing.assert_allclose(by_material, ds.absorptance, rtol=0.0, atol=1e-9)
+    z = []
+    errors = [
+        ds.upward_irradiance_stderr.isel(depth=0),
+        np.sqrt((ds.absorptance_stderr**2).sum("interval")),
+    ]
+    for found, error, name in zip(
+        (reflected, absorbed), errors, ("reflectance", "absorptance"), strict=True
+    ):
+        z.append(((found - whole[name]) / np.hypot(error, whole[f"{name}_stderr"])).values)
+    judge_z(np.array(z), independent=1, bound_added=True)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
+def test_an_absorber_without_grains_obeys_beer(incidence):
+    k = 2e-6
+    water = {"water": complex(1.0, k), "ice": 1.31}
+    pores = splits.Snow(density_kg_m3=1e-8, saturation=1.0, refractive_index=water, depth_m=0.1)
+    depths = np.array([0.01, 0.03, 0.07])
+    ds = splits.profile(pores, 500.0, depths, incidence, 0.003)
+    x = 4.0 * np.pi * k / 500e-9 * np.array([0.0, *depths, 0.1])
+    if incidence == "diffuse":
+        # Of irradiance and of path, where radiance is the same in all directions above.
+        light, path = 2.0 * expn(3, x), -2.0 * np.diff(expn(3, x)) / np.diff(x)
+    else:
+        mu = np.cos(np.radians(incidence))
+        light = np.exp(-x / mu)
+        path = -np.diff(light) / np.diff(x)
+    z = [
+        (ds.downward_irradiance[0] - light)[1:] / ds.downward_irradiance_stderr[0, 1:],
+        (ds.absorptance[0] + np.diff(light)) / ds.absorptance_stderr[0],
+        (ds.actinic_flux[0] - path) / ds.actinic_flux_stderr[0],
+    ]
+    assert not ds.upward_irradiance.values.any()
+    if incidence == "diffuse":
+        judge_z(np.concatenate(z), independent=1, bound_added=True)
+    else:
+        # Rays are alike: single precision is all that errs.
+        np.testing.assert_allclose(ds.downward_irradiance[0], light, rtol=2e-6)
+        np.testing.assert_allclose(ds.absorptance[0], -np.diff(light), rtol=2e-5)
+        np.testing.assert_allclose(ds.actinic_flux[0], path, rtol=2e-5)
+
+
+def test_both_kernels_see_the_same_inside():
+    z = []
+    for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (PACK, NARROW, 7)):
+        one, other = (
+            splits.profile(medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, 0.004, seed + i,
+                           kernel=kernel)
+            for i, kernel in enumerate(("lanes", "scalar"))
+        )  # fmt: skip
+        for name in NAMES:
+            error = np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"])
+            away = (one[name] - other[name]).values
+            told = error.values > 1e-9
+            z.append((away[told] / error.values[told]).ravel())
+    judge_z(np.concatenate(z), independent=6, bound_added=True)
+
+
+def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
+    pydisort = pytest.importorskip("PythonicDISORT").pydisort
+    ice = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-7, 1e-4]}
+    common = {
+        "saturation": 0.0, "density_kg_m3": 1e-3, "refractive_index": {"ice": ice},
+        "readings": {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"},
+    }  # fmt: skip
+    thickness, streams, mu = 6.0, 32, 0.5
+    depth = thickness * splits.Snow(**common, depth_m=1e4).mean_grain_distance_m
+    snow = splits.Snow(**common, depth_m=depth)
+    at = np.linspace(0.05, 0.95, 10)
+    ds = splits.profile(snow, WAVELENGTHS, at * depth, 60.0, 0.0015)
+    runs = []
+    for seed in range(1, 7):
+        optics = splits.single_scattering(snow, WAVELENGTHS, rays=200_000, seed=seed)
+        fluxes = []
+        for row in range(len(WAVELENGTHS)):
+            chi = np.clip(optics.legendre_moment.values[row, : streams + 1], -1.0, 1.0 - 1e-9)
+            chi[0] = 1.0
+            albedo = min(float(optics.single_scattering_albedo[row]), 1.0 - 1e-9)
+            _, up, down, *_ = pydisort(
+                thickness, albedo, streams, chi[np.newaxis], mu, 1.0 / mu, 0.0,
+                only_flux=True, f_arr=max(chi[streams], 0.0),
+            )  # fmt: skip
+            fluxes.append([up(at * thickness), np.sum(down(at * thickness), axis=0)])
+        runs.append(fluxes)
+    expected = np.mean(runs, axis=0)
+    error = np.std(runs, axis=0, ddof=1) / np.sqrt(len(runs))
+    z = []
+    for column, name in enumerate(("upward_irradiance", "downward_irradiance")):
+        away = ds[name].values[:, 1:-1] - expected[:, column]
+        z.append(away / np.hypot(ds[f"{name}_stderr"].values[:, 1:-1], error[:, column]))
+    judge_z(np.array(z), independent=2, bound_added=True)
+
+
+@pytest.mark.long
+def test_light_decays_with_depth_as_deep_transmittance_does():
+    """Far from both boundaries, where radiance keeps its shape."""
+    snow = {"grain_size_um": (100, 200), "saturation": 0.0}
+    depths = [0.01, 0.02]
+    ds = splits.profile(splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002)
+    inside = ds.downward_irradiance.sel(depth=depths)[0]
+    relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / inside).values
+    rate = -np.log(inside.values[1] / inside.values[0]) / np.diff(depths)[0]
+    thin, thick = (
+        splits.deep_transmittance(splits.Snow(**snow, depth_m=d), 1000.0, relative_stderr=0.03)
+        for d in (0.03, 0.04)
+    )
+    slope = -np.log(thick.transmittance[0] / thin.transmittance[0]) / 0.01
+    far = [float(one.transmittance_stderr[0] / one.transmittance[0]) for one in (thin, thick)]
+    error = np.hypot(np.hypot(*relative) / np.diff(depths)[0], np.hypot(*far) / 0.01)
+    judge_z(np.array([(rate - float(slope)) / error]), bound_added=True)
+
+
+@pytest.mark.parametrize(
+    ("depths", "message"),
+    [
+        ([0.02], r"depth_m = 0.02: must be in \(0, 0.02\) m"),
+        ([0.01, 0.005], "strictly increasing"),
+        ([], "at least one"),
+        ("deep", "text, not a number"),
+        (np.linspace(1e-5, 0.019, 300), "300 depths"),
+    ],
+)
+def test_depths_lie_inside(depths, message):
+    with pytest.raises(ValueError, match=message):
+        splits.profile(WET, WAVELENGTHS, depths)
+
+
+def test_layers_of_particles_have_no_profile():
+    with pytest.raises(ValueError, match=r"medium = 'layer': must be splits.Snow"):
+        splits.profile(splits.Layer(), 500.0, 0.5)

@@ -15,7 +15,7 @@ import xarray as xr
 from splits.analysis.angular_trends import LAMBERTIAN
 from splits.analysis.directions import principal_plane
 from splits.analysis.quoted_times import TIMES
-from splits.analysis.quoting import Number, Value, Where, cell, extreme, point, size
+from splits.analysis.quoting import Number, Value, Where, cell, count, extreme, point, size
 from splits.checks import refuse
 from splits.dataset import load
 from splits.transport.scene import MAX_REJECTIONS
@@ -189,10 +189,15 @@ def _sand() -> dict[str, Number]:
             misfit = cell("rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide")
             found[f"misfit.{name}.{soil.split('_')[0]}"] = Number(FITS, misfit)
     modelled: Where = {"refractive_index": "as modelled"}
+    determined: Where = {"verdict": "determined"}
     return found | {
         "misfit.least": Number(FITS, extreme("rmse", largest=False, **modelled)),
         "misfit.most": Number(FITS, extreme("rmse", **modelled)),
         "misfit.error": Number(FITS, size("rmse_stderr")),
+        "fits.all": Number(FITS, count(), ".0f"),
+        "fits.determined": Number(FITS, count(**determined), ".0f"),
+        "fits.iron_oxide": Number(FITS, count(parameter="iron_oxide", **determined), ".0f"),
+        "fits.clay": Number(FITS, count(parameter="clay", **determined), ".0f"),
     }
 
 

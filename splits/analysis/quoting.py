@@ -105,6 +105,11 @@ def size(column: str, **where: Any) -> Callable[[pd.DataFrame], Value]:
     return lambda table: (rows(table, **where)[column].abs().max(), None, "")
 
 
+def count(**where: Any) -> Callable[[pd.DataFrame], Value]:
+    """Select the number of rows with these values."""
+    return lambda table: (float(len(rows(table, **where))), None, "")
+
+
 def point(
     variable: str, scale: float = 1.0, error: bool = True, attribute: bool = False, **at: Any
 ) -> Callable[[xr.Dataset], Value]:

@@ -62,6 +62,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/exact_layers.py
 	$(BIN)/python benchmarks/local_estimation.py
 	$(BIN)/python benchmarks/surface_crossings.py
+	$(BIN)/python benchmarks/light_inside.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

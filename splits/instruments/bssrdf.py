@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of
+from splits.instruments import streams
 from splits.instruments.angular import missed_of_totals
 from splits.instruments.arguments import (
     HALF_WIDTH_M,
@@ -49,8 +50,6 @@ _COARSE = 5
 _TOLERANCE = 0.001
 """Bound on what interpolation between refractive indices may miss of a reflectance."""
 
-_STREAMS = 6_000_000
-"""First stream number: one seed gives other numbers here than in the other instruments."""
 
 SIDES = {"reflected": 0, "transmitted": 1}
 
@@ -180,7 +179,7 @@ class _Spread:
         self.half_width = half_width
         self.cells = cells
         optics = shared_optics(index, self.absorption)
-        self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
+        self.levels = [Level(streams.SPREAD + number, optics, served, 400.0)]
         self.radial = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
         self.moment = np.zeros((GROUPS, 2, len(self.absorption)))
         self.place = np.zeros((2, 2, len(self.absorption), cells, cells))

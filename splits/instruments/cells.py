@@ -10,14 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splits.instruments import streams
 from splits.instruments.angular import BIAS, Estimate, missed_of_totals
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.directions import count_cells
 from splits.transport.scene import shared_optics
-
-_STREAMS = 5_000_000
-"""First stream number: one seed gives other numbers here than in the other instruments."""
 
 CELLS_OF_5_DEG = (18, 72)
 """Cells between horizon and zenith, and around: as many as 5° by 5° would be."""
@@ -66,7 +64,7 @@ class Cells:
         self.straight = np.zeros((2, 2, len(absorption)))
         served = weights > 0.0
         optics = shared_optics(index, absorption[served])
-        self.levels = [Level(_STREAMS + number, optics, served, 400.0)]
+        self.levels = [Level(streams.CELLS + number, optics, served, 400.0)]
 
     def size(self) -> int:
         """Return how many numbers a tally holds."""

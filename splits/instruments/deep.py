@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, refuse
+from splits.instruments import streams
 from splits.instruments.arguments import (
     check_incidence,
     check_medium,
@@ -43,8 +44,6 @@ _SEEN = 200
 _SAFE = 0.6
 """Part of diffusion theory's rate that the first pilot dares: too high a rate multiplies rays."""
 PROPERTY_RAYS = 20_000
-_STREAMS = 3_000_000
-"""First ensemble number: one seed gives other numbers here than in the other instruments."""
 
 
 def deep_transmittance(
@@ -115,7 +114,7 @@ def deep_transmittance(
         for row, guess in enumerate(first_guess):
             optics = shared_optics(index[row], absorption[row : row + 1])
             source = _Source(pool, seed, scene, optics)
-            number = _STREAMS + (STAGES + 1) * row
+            number = streams.DEEP + (STAGES + 1) * row
             rate = _SAFE * guess
             for stage in range(STAGES):
                 pilot = _Sum()

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splits.instruments import streams
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.directions import Basis, expand
@@ -27,8 +28,6 @@ GROUPS = 64
 ROUND = GROUPS * BATCH
 """Rays of a level come in multiples of this."""
 
-_STREAMS = 4_000_000
-"""First stream number: one seed gives other numbers here than in the other instruments."""
 
 Sums = tuple[int, np.ndarray, np.ndarray]
 """What a batch yields: group, sums of polynomials, sums of weights that met no grain."""
@@ -80,7 +79,7 @@ class Directional:
         self.sums = np.zeros((GROUPS, len(classes), 2, rows, basis.scale.size))
         self.straight = np.zeros((GROUPS, 2, rows))
         optics = shared_optics(index, self.absorption)
-        first = _STREAMS + number * len(classes)
+        first = streams.DIRECTIONAL + number * len(classes)
         self.levels = [
             Level(first + i, optics, served, min(3.0 * most, 400.0), most)
             for i, most in enumerate(classes)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from splits.instruments import streams
 from splits.transport.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
 from splits.transport.tally import BLOCK, tally
 
@@ -99,14 +100,17 @@ class Paths(Protocol):
 
 
 def levels_of(
-    number: int,
+    first: int,
     index: np.ndarray,
     absorption: np.ndarray,
     served: np.ndarray,
     manner: Manner,
     thresholds: Sequence[float],
 ) -> list[Level]:
-    """Return levels for wavelengths that absorb more and more; for parameters see `Ensemble`."""
+    """Return levels for wavelengths that absorb more and more, numbered from `first` on.
+
+    For the other parameters see `Ensemble`.
+    """
     materials = np.arange(absorption.shape[1]) != manner.ground
     strength = absorption[:, materials].max(axis=1) / manner.attenuation
     levels: list[Level] = []
@@ -115,7 +119,7 @@ def levels_of(
         if not part.any() or (levels and part.sum() == levels[-1].served.sum()):
             continue
         optics = shared_optics(index, absorption[part])
-        levels.append(Level(number * len(LEVELS) + step, optics, part, _FIRST_LEGS / 2**step))
+        levels.append(Level(first + step, optics, part, _FIRST_LEGS / 2**step))
     return levels
 
 
@@ -165,7 +169,9 @@ class Ensemble:
         self.least = np.full(len(absorption), np.inf)
         self.groups = np.zeros((GROUPS, 2, len(absorption)))
         used = levels[:1] if manner.analog else levels
-        self.levels = levels_of(number, index, absorption, served, manner, used)
+        first = streams.ANALOG if manner.analog else streams.SPECTRAL
+        first += number * len(LEVELS)
+        self.levels = levels_of(first, index, absorption, served, manner, used)
 
     def size(self) -> int:
         """Return how many numbers a tally holds, those of blocks being half as long."""

@@ -24,8 +24,6 @@ first round that is large against the few events seen there keeps this far below
 _GROWTH = 8.0
 _BIAS_SHARE = 0.4
 """Part of the error asked for that interpolation between indices may take."""
-_ANALOG_STREAMS = 1_000_000
-"""First ensemble number of the analog estimator: with one seed, both draw different numbers."""
 
 
 @dataclass(frozen=True)
@@ -183,8 +181,8 @@ def analog(
     groups = np.empty((GROUPS, 2, len(wavelength_nm)))
     one = np.ones(1, dtype=bool)
     rays = 0
-    for number, (m, alpha) in enumerate(zip(index, absorption, strict=True), start=_ANALOG_STREAMS):
-        ensemble = Ensemble(number, m, alpha[np.newaxis], one, runner.tracer.manner)
+    for row, (m, alpha) in enumerate(zip(index, absorption, strict=True)):
+        ensemble = Ensemble(row, m, alpha[np.newaxis], one, runner.tracer.manner)
         level = ensemble.levels[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:
@@ -196,7 +194,6 @@ def analog(
             step = min(wanted, _GROWTH * level.rays, limit) - level.rays
             runner.trace([(ensemble, level, int(np.ceil(step)))], float(error.max()), max_stderr)
         reflected, transmitted = ensemble.means()[:, 0]
-        row = number - _ANALOG_STREAMS
         mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
         stderr[:, row] = error
         groups[:, :, row] = ensemble.deviations()[:, :, 0]

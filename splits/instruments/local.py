@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splits.checks import refuse
+from splits.instruments import streams
 from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.threads import Threads
@@ -24,8 +25,6 @@ from splits.transport.scene import UNLIMITED
 from splits.transport.stokes import NATURAL
 from splits.transport.turbid import OPEN, Scene
 
-_STREAMS = 7_000_000
-"""First stream number: one seed gives other numbers here than in the other instruments."""
 PILOT = 128
 """Batches of the first round."""
 _GROWTH = 8.0
@@ -171,7 +170,7 @@ def listen(
 
     def hear(batch: int) -> np.ndarray:
         heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
-        work = np.array([_STREAMS, batch * BATCH, BATCH, UNLIMITED])
+        work = np.array([streams.LOCAL, batch * BATCH, BATCH, UNLIMITED])
         kernels.hear(runner.seed, work, scene, detectors._replace(sums=heard), totals)
         return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
 

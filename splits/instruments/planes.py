@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.instruments import streams
 from splits.instruments.ensemble import BATCH, GROUPS, LEVELS, Level, Manner, levels_of
 from splits.transport.passages import Passages, passages
 
 ROUND = BATCH * GROUPS
 """Rays of which every group gets as many."""
-STREAMS = 3_000_000
-"""First ensemble number: with one seed, other instruments draw different numbers."""
 NOTES_A_FACE = 4
 """Passages of a face to expect of a ray, for the memory that a job takes."""
 
@@ -69,9 +68,8 @@ class Planes:
         self.light = np.zeros((GROUPS, 2, layers + 1, wavelengths))
         self.absorbed = np.zeros((GROUPS, layers, materials, wavelengths))
         self.way = np.zeros((GROUPS, layers, wavelengths))
-        self.levels: list[Level] = levels_of(
-            STREAMS + number, index, absorption, served, manner, LEVELS
-        )
+        first = streams.PLANES + number * len(LEVELS)
+        self.levels = levels_of(first, index, absorption, served, manner, LEVELS)
 
     def size(self) -> int:
         """Return how many numbers a tally and the notes of a batch hold."""

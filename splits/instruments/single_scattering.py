@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of
+from splits.instruments import streams
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
@@ -31,8 +32,6 @@ MOMENT_SLOPE = 2.0
 """How much steeper a Legendre moment may be in the contrast than a reflectance: a forward lobe as
 wide as the contrast c has χ_l ~ exp(−c² l²/2), and |dχ/d(ln c)| up to 2/e."""
 
-_STREAMS = 2_000_000
-"""First ensemble number: one seed gives other numbers here than in the spectrophotometer."""
 
 WET_PORES = ("saturation", "equilibrium")
 LABELS = {
@@ -217,7 +216,7 @@ def _trace(
 
     def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         node, first, optics, part = job
-        work = np.array([_STREAMS + node, first, BATCH])
+        work = np.array([streams.SINGLE_SCATTERING + node, first, BATCH])
         return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
 
     traced = []

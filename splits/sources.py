@@ -27,11 +27,12 @@ FITTING = (
 
 
 def sources(*, fit: bool = False) -> list[str]:
-    """Return the Python files that a simulation, or a fit, depends on, relative to the package."""
+    """Return the files that a simulation, or a fit, depends on, relative to the package."""
     found = []
     for name in PHYSICS + (FITTING if fit else ()):
         path = PACKAGE / name
-        files = sorted(_relative(f) for f in path.rglob("*.py")) if path.is_dir() else [name]
+        every = [f for end in ("*.py", "*.csv") for f in path.rglob(end)]
+        files = sorted(map(_relative, every)) if path.is_dir() else [name]
         found += files
     return found
 

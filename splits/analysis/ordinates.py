@@ -13,7 +13,7 @@ import xarray as xr
 from splits.analysis.propagation import response
 from splits.analysis.radiative_transfer import cosine_of
 from splits.checks import refuse
-from splits.media.ground import Ground
+from splits.media.ground import Ground, ground_facts
 from splits.uncertainty import Variable, quantity
 
 LARGEST_ALBEDO = 1.0 - 1e-9
@@ -87,6 +87,9 @@ def discrete_ordinates(
         raise refuse("streams", streams, f"below the number of moments, {fewest}")
     below = Ground.of(ground)
     wavelengths = layers[0].wavelength.values
+    for number, one in enumerate(layers):
+        if not np.array_equal(one.wavelength.values, wavelengths):
+            raise refuse(f"optics[{number}].wavelength", one.wavelength.values, "that of optics[0]")
     albedo = np.zeros(wavelengths.shape) if below is None else below.albedo(wavelengths)
     fine, coarse = (_pack(layers, cosine, n, albedo) for n in (streams, 2 * (streams // 4)))
     truncation = np.abs(fine - coarse)
@@ -104,6 +107,7 @@ def discrete_ordinates(
         variables |= quantity(name, "wavelength", fine[row], stderr[row], name)
         variables |= quantity(less, "wavelength", truncation[row], None, label)
     facts = {"theory": "discrete ordinates", "incidence_deg": incidence_deg, "streams": streams}
+    facts |= ground_facts(below)
     return xr.Dataset(variables, {"wavelength": wavelengths}, facts)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,8 @@ def label_of(key: str, value: Any) -> str:
 
 def _label(key: str, value: Any) -> str:
     if not _is_number(value):
-        return str(value)
+        # A table by its name: where it lies is nobody's label.
+        return PurePath(value).name if str(value).endswith(".csv") else str(value)
     return f"{value:g}" if isinstance(value, float) else f"{number(key, value):g}"
 
 

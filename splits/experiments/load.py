@@ -15,7 +15,7 @@ from splits.experiments.model import Experiment
 from splits.experiments.run_fit import check_fit
 from splits.experiments.settings import Settings
 from splits.experiments.simulation import SAMPLE
-from splits.experiments.stacks import with_bases
+from splits.experiments.stacks import LAYERS, with_bases
 from splits.experiments.unused import keywords_given, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
 
@@ -71,7 +71,13 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
     if medium:
         content["medium"] = _whole(medium, "medium", media)
     if isinstance(grid, dict) and isinstance(grid.get(SAMPLE), (list, dict)):
-        content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
+        grid = content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
+    if isinstance(grid, dict) and isinstance(grid.get(LAYERS), dict):
+        whole = {
+            label: _whole({LAYERS: layers}, f"grid.{LAYERS}.{label}", media)[LAYERS]
+            for label, layers in grid[LAYERS].items()
+        }
+        content["grid"] = grid | {LAYERS: whole}
     experiment = _checked(Experiment, content)
     refuse_unused(experiment, given)
     check_size(experiment)

@@ -14,6 +14,7 @@ from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, Figur
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.instruments.scenes import ground_of
+from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 
 RULES = (
@@ -125,7 +126,7 @@ class Experiment(Simulation):
 
     def _check_quantity(self, medium: Medium) -> None:
         """Refuse a figure of what a medium does not have."""
-        layer = isinstance(medium, TurbidMedium)
+        without = isinstance(medium, TurbidMedium | LayeredMedium)
         heard = self.instrument.estimator == "local" and "btdf" in self.figure.quantity
         if heard and getattr(medium, "bottom_albedo", None) is not None:
             raise refuse("figure.quantity", "btdf", "brdf over a bottom with local estimation")
@@ -139,10 +140,9 @@ class Experiment(Simulation):
                     "instrument.estimator", self.instrument.estimator,
                     "local or cells for figure.kind = 'polarization'",
                 )  # fmt: skip
-        if layer and "mean_grain_distance" in self.figure.quantity:
-            raise refuse(
-                "figure.quantity", "mean_grain_distance", "left out: layers have no grains"
-            )
+        if without and "mean_grain_distance" in self.figure.quantity:
+            why = "left out: layers have no grains, stacks not one distance"
+            raise refuse("figure.quantity", "mean_grain_distance", why)
 
     def drawing(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.figures.draw`, with a kind that fits.

@@ -21,7 +21,15 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import named, one_of, refuse, unknown_key
 from splits.experiments.grids import labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
-from splits.experiments.stacks import LAYERS, check_layers, check_path, stack_of, with_paths
+from splits.experiments.stacks import (
+    LAYERS,
+    MERGED,
+    check_grid,
+    check_layers,
+    path_of,
+    stack_of,
+    with_paths,
+)
 from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
 from splits.instruments.scenes import constants_of, ground_of
@@ -32,8 +40,6 @@ from splits.media.turbid import Medium, TurbidMedium
 MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer, "stack": Stack}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
-MERGED = ("readings", "refractive_index")
-"""Keywords that are mappings: a grid's values add to those of the medium."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
@@ -79,15 +85,18 @@ class Simulation(Section):
             one_of(f"{place}.kind", settings.get("kind", kind), [kind])
             if kind == "stack" and (place == "medium" or LAYERS in settings):
                 check_layers(place, settings.get(LAYERS))
+        if kind == "stack":
+            check_grid(self.medium, self.grid, SAMPLE)
         parameters = [*keywords, "incidence_deg", SAMPLE]
         for parameter in self.grid:
-            if kind == "stack" and check_path(parameter, self.medium[LAYERS]):
+            if kind == "stack" and path_of(parameter):
                 continue
             if parameter not in parameters:
                 raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
         self._check_size()
         wavelengths = self.instrument.wavelengths()
+        grounded: set[bool] = set()
         beam = self.instrument.kind in ("goniophotometer", "bssrdf")
         for labels, medium, incidence in self.points():
             with self.placed(labels):
@@ -97,6 +106,10 @@ class Simulation(Section):
                 if isinstance(medium, GranularMedium | LayeredMedium):
                     check_room(medium)
             self._check_medium(kind, medium)
+            grounded.add(ground_of(medium) is not None)
+        if len(grounded) > 1 and self.instrument.kind == "goniophotometer":
+            why = "a BTDF is there only where light leaves below"
+            raise refuse("grid", "open and reflecting grounds", "of one sort", why)
         self._check_grid()
         return self
 

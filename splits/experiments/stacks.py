@@ -9,11 +9,15 @@ from dataclasses import fields
 from typing import Any
 
 from splits.checks import named, one_of, refuse, under, unknown_key
-from splits.media import Sand, Snow, Stack
+from splits.media import Layer, Sand, Snow, Stack
 
 LAYERS = "layers"
-GRAINS: dict[str, Any] = {"snow": Snow, "sand": Sand}
+MERGED = ("readings", "refractive_index")
+"""Keywords that are mappings: a grid's values add to those of the medium."""
+MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
 """Media that a stack may hold."""
+NOT_IN_STACKS = ("ground", "bottom_albedo", "surface", "polarized", "max_polarization", "opaque")
+"""Keywords that these have by themselves, but not in a stack."""
 _PATH = re.compile(rf"{LAYERS}\.(\d+)\.(\w+)")
 
 
@@ -29,8 +33,8 @@ def kind_of(layer: Mapping[str, Any]) -> str:
 
 
 def keywords_of(layer: Mapping[str, Any]) -> list[str]:
-    """Return the keywords that a layer of this kind has; the ground is the stack's."""
-    return [f.name for f in fields(GRAINS[kind_of(layer)]) if f.name != "ground"]
+    """Return the keywords that a layer of this kind has in a stack."""
+    return [f.name for f in fields(MEDIA[kind_of(layer)]) if f.name not in NOT_IN_STACKS]
 
 
 def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -47,7 +51,7 @@ def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]
 def check_layers(place: str, layers: Any) -> None:
     """Refuse layers of a kind, or with a keyword, that does not exist."""
     for here, layer in each_layer(place, layers):
-        one_of(f"{here}.kind", kind_of(layer), GRAINS)
+        one_of(f"{here}.kind", kind_of(layer), MEDIA)
         known = keywords_of(layer)
         for key in layer:
             if key == "ground":
@@ -55,6 +59,28 @@ def check_layers(place: str, layers: Any) -> None:
                 raise refuse(f"{here}.ground", layer[key], "left out", hint)
             if key not in (*known, "kind"):
                 raise unknown_key(f"{here}.{named(key)}", known)
+
+
+def check_grid(base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]], sample: str) -> None:
+    """Refuse layers, and paths to them, that do not exist at some point of a grid.
+
+    Parameters
+    ----------
+    base : mapping
+        The stack.
+    grid : mapping
+        Per parameter its values by label.
+    sample : str
+        Parameter whose values are settings of whole stacks.
+    """
+    stacks = [base[LAYERS]]
+    for label, layers in grid.get(LAYERS, {}).items():
+        check_layers(f"grid.{LAYERS}.{named(label)}", layers)
+        stacks.append(layers)
+    stacks += [one[LAYERS] for one in grid.get(sample, {}).values() if LAYERS in one]
+    for parameter in grid:
+        for layers in stacks:
+            check_path(parameter, layers)
 
 
 def check_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
@@ -78,13 +104,15 @@ def check_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
 
 def with_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a stack's settings with the values that paths name put in their places."""
-    found = copy.deepcopy(settings)
-    for parameter, value in values.items():
-        path = path_of(parameter)
-        if path is None:
-            found[parameter] = value
-        else:
-            found[LAYERS][path[0]][path[1]] = value
+    found = {**settings, **{key: value for key, value in values.items() if path_of(key) is None}}
+    paths = {key: value for key, value in values.items() if path_of(key) is not None}
+    if paths:
+        found[LAYERS] = copy.deepcopy(found[LAYERS])
+    for parameter, value in paths.items():
+        number, key = path_of(parameter) or (0, "")
+        layer = found[LAYERS][number]
+        both = isinstance(value, Mapping) and isinstance(layer.get(key), Mapping)
+        layer[key] = {**layer[key], **value} if both and key in MERGED else value
     return found
 
 
@@ -110,5 +138,8 @@ def stack_of(layers: Any, ground: Any = None) -> Stack:
     media = []
     for number, layer in enumerate(layers):
         with under(f"{LAYERS}.{number}"):
-            media.append(GRAINS[kind_of(layer)](**{k: v for k, v in layer.items() if k != "kind"}))
+            kind, settings = kind_of(layer), {k: v for k, v in layer.items() if k != "kind"}
+            # Below all layers is the stack's ground.
+            bottom = {"bottom_albedo": None} if kind == "layer" else {}
+            media.append(MEDIA[kind](**settings, **bottom))
     return Stack(tuple(media), ground)

@@ -23,12 +23,17 @@ def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> 
         Whether `settings` stands below one of `KEYS`.
     """
     if isinstance(settings, dict):
-        return {k: renamed(v, name, inside or k in KEYS) for k, v in settings.items()}
+        return {k: renamed(v, name, inside or _named(k)) for k, v in settings.items()}
     if isinstance(settings, (list, tuple)):
         return [renamed(value, name, inside) for value in settings]
     if inside and isinstance(settings, str) and settings.endswith(".csv"):
         return name(settings)
     return settings
+
+
+def _named(key: Any) -> bool:
+    """Tell whether a key, or the last part of a path, is one of `KEYS`."""
+    return str(key).rpartition(".")[2] in KEYS
 
 
 def by_content(path: str) -> str:

@@ -34,7 +34,7 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
         )
         shades = colours(dataset.sizes["wavelength"])
         for colour, wavelength in zip(shades, dataset.wavelength.values, strict=True):
-            for side, dash in zip(dataset.side.values, ("-", "--"), strict=False):
+            for side, dash in (("reflected", "-"), ("transmitted", "--")):
                 part = dataset.sel(wavelength=wavelength, side=side)
                 value, error = part.profile.values, part.profile_stderr.values
                 clear = (value > 0.0) & (error < FAINTEST * value)

@@ -26,7 +26,7 @@ from splits.instruments.ensemble import Level
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import BATCH, Progress, Runner
-from splits.instruments.scenes import constants_of, ground_of
+from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
 from splits.transport.positions import spread
@@ -155,9 +155,7 @@ def bssrdf(
         "interpolation_error_bound": float(nodes.bias.max()),
         "kernel": runner.kernels(ensembles),
     }
-    dataset = _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
-    # Over a ground no light leaves below.
-    return dataset if ground_of(medium) is None else dataset.isel(side=[0])
+    return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
 
 
 class _Spread:

@@ -19,17 +19,21 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.ensemble import GROUPS
 from splits.instruments.estimators import rays_wanted
+from splits.instruments.inside_errors import Doubt, coarseness, errors_of, missed, one_ray
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.nodes import SLOPE, Nodes, choose_nodes
+from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.planes import ROUND, Planes
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.particles import ParticleLayer
 from splits.transport.passages import DOWN, UP
-from splits.uncertainty import Variable, quantity, stderr_of
+from splits.uncertainty import Variable, quantity
 
 MOST_DEPTHS = 200
+MOST_SUMS = 100_000_000
+"""Sums by group, layer, material and wavelength that are held: some three times their memory."""
 _BIAS_SHARE = 0.4
 """Part of the error asked for that interpolation between indices may take."""
 _GROWTH = 8.0
@@ -108,7 +112,13 @@ def profile(
     Notes
     -----
     Light inside a grain that lies across a plane counts as passing it where the ray leaves the
-    grain on the other side, and what that grain absorbs belongs to the interval of its entry.
+    grain on the other side, and what that grain absorbs belongs to the interval of its entry.  A
+    plane at a face between layers of different saturation counts the light that passes; what the
+    face reflects does not, on either side of it.
+
+    Actinic flux and shares of materials take weights to fall evenly along the path between planes.
+    Where single grains absorb much of the light that crosses them, both are rough; their errors
+    hold what that may be (`coarseness`).
 
     References
     ----------
@@ -117,6 +127,8 @@ def profile(
     """
     check_medium(medium, GranularMedium, LayeredMedium)
     wavelengths = check_wavelengths(wavelength_nm)
+    if any(isinstance(part, ParticleLayer) for part in getattr(medium, "parts", ())):
+        raise refuse("medium", medium.kind, "layers of grains", "particles absorb by their albedo")
     depths = _check_depths(depth_m, float(medium.depth_m))
     incidence = check_incidence(incidence_deg)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
@@ -131,6 +143,7 @@ def profile(
     nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     faces = runner.tracer.depths_m
     layers = len(faces) - 1
+    _check_memory(layers, absorption.shape, len(nodes.index))
     ensembles = [
         Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
@@ -138,12 +151,12 @@ def profile(
     runner.prepare(ensembles)
     planes = np.array([0.0, *depths, faces[-1]])
     at = np.searchsorted(faces, planes)
-    found, reached, converged = _trace(runner, ensembles, nodes, at, max_stderr, max_rays)
+    found, least, reached = _trace(runner, ensembles, nodes, at, max_stderr, max_rays)
     facts = {
         **run_facts("Light inside", "profile", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "max_stderr": max_stderr,
-        "stopped_by": "error" if converged else "rays",
+        "stopped_by": "error" if reached <= max_stderr else "rays",
         "max_stderr_reached": reached,
         "interpolation_error_bound": float(nodes.bias.max()),
         "max_rays": max_rays,
@@ -151,7 +164,8 @@ def profile(
         "ensembles": len(ensembles),
         "kernel": runner.kernels(ensembles),
     }
-    return _dataset(found, nodes.bias, wavelengths, planes, list(medium.materials()), facts)
+    doubt = Doubt(nodes.bias, least, coarseness(medium, absorption))
+    return _dataset(found, doubt, wavelengths, planes, list(medium.materials()), facts)
 
 
 def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
@@ -165,6 +179,18 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
             hint="top and bottom are there in any case",
         )  # fmt: skip
     return depths
+
+
+def _check_memory(layers: int, shape: tuple[int, ...], nodes: int) -> None:
+    """Refuse what would not fit into memory; `shape` is that of absorption."""
+    wavelengths, columns = shape
+    sums = GROUPS * layers * (columns + 3) * wavelengths * nodes
+    if sums > MOST_SUMS:
+        raise refuse(
+            "wavelength_nm", f"{wavelengths} wavelengths",
+            f"at most {max(1, wavelengths * MOST_SUMS // sums)} with so many depths and layers",
+            "several calls hold more",
+        )  # fmt: skip
 
 
 def _at_planes(ensembles: Sequence[Planes], weights: np.ndarray, at: np.ndarray) -> list[Found]:
@@ -186,24 +212,6 @@ def _at_planes(ensembles: Sequence[Planes], weights: np.ndarray, at: np.ndarray)
     return found
 
 
-def missed(bias: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return what interpolation between refractive indices may miss of irradiances and the like.
-
-    As of a reflectance (`splits.instruments.nodes`), with the elasticity |ln f| of what decays
-    exponentially with depth, where that is more.
-
-    Parameters
-    ----------
-    bias : float, shape (wavelengths,)
-    value : float, shape (..., wavelengths)
-        What may be missed of.
-    """
-    size = np.clip(np.abs(value), np.finfo(float).tiny, None)
-    elastic = size * np.maximum(8.0, np.abs(np.log(size)) / SLOPE)
-    bound: np.ndarray = bias * np.minimum(np.maximum(1.0, size), elastic)
-    return bound
-
-
 def _trace(
     runner: Runner,
     ensembles: Sequence[Planes],
@@ -211,8 +219,16 @@ def _trace(
     at: np.ndarray,
     max_stderr: float,
     max_rays: int,
-) -> tuple[Found, float, bool]:
-    """Trace until the error asked for is reached; return what was found, the error, and whether."""
+) -> tuple[Found, np.ndarray, float]:
+    """Trace until the error asked for is reached.
+
+    Returns
+    -------
+    Found
+    least : float, shape (wavelengths,)
+        See `errors_of`.
+    reached : float
+    """
     levels = [(e, level) for e in ensembles for level in e.levels]
     runner.trace([(*who, ROUND) for who in levels], 1.0, max_stderr)
     while True:
@@ -222,11 +238,12 @@ def _trace(
         values = [np.concatenate([*one.light.swapaxes(0, 1), one.absorbed], axis=1) for one in each]
         bias = missed(nodes.bias, np.sum(values, axis=0).mean(axis=0))
         parts = np.stack([one.var(axis=0, ddof=1) for one in values]) / GROUPS
-        stderr = np.sqrt(parts.sum(axis=0) + bias**2)
+        least = one_ray(ensembles, nodes.weights)
+        stderr = errors_of(np.sum(values, axis=0), nodes.bias, least)
         rays = np.array([level.rays for _, level in levels], dtype=float)
         converged = bool(stderr.max() <= max_stderr)
         if converged or rays.sum() >= max_rays:
-            return found, float(stderr.max()), converged
+            return found, least, float(stderr.max())
         count = np.stack([e.count for e in ensembles])[:, np.newaxis]
         target = np.maximum(max_stderr**2 - bias**2, 0.1 * max_stderr**2)
         wanted = rays_wanted(parts * count, target, ensembles)
@@ -239,7 +256,7 @@ def _trace(
 
 def _dataset(
     found: Found,
-    bias: np.ndarray,
+    doubt: Doubt,
     wavelengths: np.ndarray,
     planes: np.ndarray,
     materials: list[str],
@@ -250,18 +267,28 @@ def _dataset(
     by_depth, by_interval = ("wavelength", "depth"), ("wavelength", "interval")
     variables: dict[str, Variable] = {}
 
-    def put(name: str, dims: tuple[str, ...], groups: np.ndarray, label: str) -> None:
+    def put(
+        name: str, dims: tuple[str, ...], groups: np.ndarray, label: str, coarse: Any = 0.0
+    ) -> None:
         mean = groups.mean(axis=0)
-        stderr = np.hypot(stderr_of(groups), missed(bias, mean))
+        stderr = np.hypot(errors_of(groups, doubt.bias, doubt.least), coarse * mean)
         values, error = np.moveaxis(mean, -1, 0), np.moveaxis(stderr, -1, 0)
         variables.update(quantity(name, dims, values, error, label))
 
     put("downward_irradiance", by_depth, found.light[:, DOWN], "downward irradiance")
     put("upward_irradiance", by_depth, found.light[:, UP], "upward irradiance")
     put("absorptance", by_interval, found.absorbed, "absorptance of the interval")
-    put("actinic_flux", by_interval, found.way / thickness, "mean path over thickness")
+    put(
+        "actinic_flux", by_interval, found.way / thickness, "mean path over thickness", doubt.coarse
+    )
     shared = _shared(found)[:, :, : len(materials)]
-    put("absorptance_of_material", (*by_interval, "material"), shared, "absorptance of a material")
+    put(
+        "absorptance_of_material",
+        (*by_interval, "material"),
+        shared,
+        "absorptance of a material",
+        doubt.coarse,
+    )
     coordinates = {
         "wavelength": wavelength_axis(wavelengths),
         "depth": ("depth", planes, {"long_name": "depth", "units": "m", "positive": "down"}),

@@ -10,9 +10,15 @@ import numpy as np
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.ground import Ground
+from splits.media.particles import ParticleLayer
+from splits.media.readings import Readings
 from splits.media.turbid import Medium
 from splits.transport.light import Light
-from splits.transport.scene import NO_GROUND, Grains, Layers, Scene, Types
+from splits.transport.scene import GRAINS, NO_GROUND, Grains, Layers, Particles, Scene, Types
+
+Part = GranularMedium | ParticleLayer
+LEAST_ATTENUATION = 1e-12
+"""Scatterings per metre of a layer without particles, whose mean free path must be a number."""
 
 
 class Constants(NamedTuple):
@@ -65,8 +71,17 @@ def granular_scene(
     medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
 ) -> Scene:
     """Return granular media under a light; `analog` is absorption by coin toss."""
-    media = medium.layers if isinstance(medium, LayeredMedium) else (medium,)
-    grains = [one.grains() for one in media]
+    media = medium.parts if isinstance(medium, LayeredMedium) else (medium,)
+    granular = [one for one in media if not isinstance(one, ParticleLayer)]
+    tables = [one.grains() for one in granular]
+    points = tables[0].types.curvature.shape[1] if tables else 2
+    given = iter(tables)
+    grains = [
+        _nobody(one.layer.extinction_per_m, points)
+        if isinstance(one, ParticleLayer)
+        else next(given)
+        for one in media
+    ]
     materials = np.cumsum([0, *(len(one.materials()) for one in media)])
     types = np.cumsum([0, *(len(one.share) for one in grains)])
     most = max(len(one.share) for one in grains)
@@ -77,11 +92,13 @@ def granular_scene(
         share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
         first=types[:-1],
         pore=materials[:-1],
+        particles=_rows_of_particles(media),
     )
-    rules = media[0].readings.rules(analog)
+    rules = (granular[0].readings if granular else Readings()).rules(analog)
+    particles = particles_of([one for one in media if isinstance(one, ParticleLayer)])
     column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
     table = _together(grains, materials)
-    return Scene(light_of(incidence_deg), layers, table, rules, column, False)
+    return Scene(light_of(incidence_deg), layers, table, rules, particles, column, False)
 
 
 def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:
@@ -91,11 +108,51 @@ def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:
     """
     layers = scene.layers
     cut = -np.asarray(depths_m, dtype=float)
-    face = np.unique(np.concatenate([layers.face, cut]))[::-1]
+    face = -np.unique(-np.concatenate([layers.face, cut]))
     # The layer that each of the new ones is a piece of.
     piece = np.searchsorted(-layers.face, -face[:-1], side="right") - 1
     rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "face"}
     return scene._replace(layers=Layers(face=face, **rows), listens=True)
+
+
+def _nobody(attenuation: float, points: int) -> Grains:
+    """Return for a layer of particles what stands in place of its grains, and is never met."""
+    one = np.ones((1, points))
+    types = Types(
+        shells=np.ones(1, dtype=np.int64),
+        material=np.zeros((1, 1), dtype=np.int64),
+        thickness=np.zeros((1, 1)),
+        curvature=one,
+        sphericity=one,
+        facetness=np.zeros((1, points)),
+    )
+    return Grains(max(attenuation, LEAST_ATTENUATION), np.ones(1), types)
+
+
+def _rows_of_particles(media: Sequence[Part]) -> np.ndarray:
+    """Return the row of its particles for every layer, `GRAINS` for one of grains."""
+    has = np.array([isinstance(one, ParticleLayer) for one in media])
+    return np.where(has, np.cumsum(has) - 1, GRAINS)
+
+
+def particles_of(media: Sequence[ParticleLayer]) -> Particles:
+    """Return the table of the particles of these layers."""
+    phases = [one.layer.phase for one in media]
+    longest = max((len(one.cosines) for one in phases), default=2)
+
+    def table(name: str) -> np.ndarray:
+        rows = [np.pad(row, (0, longest - len(row))) for row in (getattr(p, name) for p in phases)]
+        return np.array(rows).reshape(len(phases), longest)
+
+    return Particles(
+        albedo=np.array([one.layer.single_scattering_albedo for one in media], dtype=float),
+        kind=np.array([one.kind for one in phases], dtype=np.int64),
+        g=np.array([one.g for one in phases], dtype=float),
+        size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
+        cosines=table("cosines"),
+        density=table("density"),
+        quantiles=table("quantiles"),
+    )
 
 
 def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:

@@ -151,7 +151,8 @@ class GrainTracer:
             self.scene = listening(self.scene, heard.depths_m)
         self.depths_m = -self.scene.layers.face
         densest = float(self.scene.layers.attenuation.max())
-        self.manner = Manner(densest, self.scene.ground, analog=analog)
+        fading = bool((self.scene.particles.albedo < 1.0).any())
+        self.manner = Manner(densest, self.scene.ground, fading, analog)
         self.upright = self.scene.light == (1.0, 0.0)
         self.stokes: tuple[int, ...] = ()
         self.columns = columns_of(medium)
@@ -192,7 +193,7 @@ class GrainTracer:
                 "kernel",
                 "lanes",
                 "'auto' or 'scalar' for this sample",
-                "lanes know no coin-toss absorption, stacked coatings, or extreme inputs",
+                "lanes know no layers of particles, coin tosses, stacked coatings, extreme inputs",
             )
         return features
 

@@ -75,8 +75,8 @@ class LayeredMedium(Described, Protocol):
         ...
 
     @property
-    def layers(self) -> Sequence[GranularMedium]:
-        """Return the media."""
+    def parts(self) -> Sequence[Any]:
+        """Return the media as scenes take them: granular ones, and layers of particles."""
         ...
 
     @property
@@ -102,6 +102,11 @@ class GranularMedium(Described, Protocol):
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain (m)."""
+        ...
+
+    @property
+    def porosity(self) -> float:
+        """Share of the volume that is pores."""
         ...
 
     @property

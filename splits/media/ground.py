@@ -74,7 +74,7 @@ class Ground:
                 raise refuse("ground", keys, "a mapping of wavelength_nm and albedo, lists")
             return _table(TABLE, "given by the user", given["wavelength_nm"], given["albedo"])
         albedo = in_range("ground", number("ground", given, _ALLOWED), 0.0, 1.0)
-        return Ground(f"albedo {albedo:g}", "given by the user", np.array([albedo]))
+        return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
     @property
     def reflecting(self) -> bool:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from splits.checks import known_keywords, refuse, suggestion
+from splits.checks import known_keywords, refuse, suggestion, under
 from splits.media.granular import GranularMedium, Interface
 from splits.media.ground import Ground, ground_facts
+from splits.media.layer import Layer
+from splits.media.particles import ParticleLayer
 
 MOST_LAYERS = 200
 
@@ -27,9 +30,9 @@ class Stack:
 
     Parameters
     ----------
-    layers : sequence of Snow or Sand
-        Top first, 1 to 200.  Their readings of transport must be the same; none of them has a
-        ground of its own.
+    layers : sequence of Snow, Sand or Layer
+        Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
+        of them has a ground of its own.  A `Layer`'s faces are smooth, and it has no bottom.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
@@ -49,58 +52,71 @@ class Stack:
 
     kind = "stack"
 
-    layers: tuple[GranularMedium, ...]
+    layers: tuple[GranularMedium | Layer, ...]
     ground: Any = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.layers, str | GranularMedium) or not isinstance(self.layers, Iterable):
+        if isinstance(self.layers, str | GranularMedium | Layer) or not isinstance(
+            self.layers, Iterable
+        ):
             raise refuse("layers", self.layers, "a list of media, top first")
         layers = tuple(self.layers)
         if not 1 <= len(layers) <= MOST_LAYERS:
             raise refuse("layers", f"{len(layers)} layers", f"1 to {MOST_LAYERS}")
         for number, layer in enumerate(layers):
+            if isinstance(layer, Layer):
+                with under(f"layers[{number}]"):
+                    ParticleLayer(layer)
+                continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
-                near = suggestion(str(given).capitalize(), ["Snow", "Sand"])
-                raise refuse(
-                    f"layers[{number}]", given, "splits.Snow(...) or splits.Sand(...)", near
-                )
+                near = suggestion(str(given).capitalize(), ["Snow", "Sand", "Layer"])
+                allowed = "splits.Snow(...), splits.Sand(...) or splits.Layer(...)"
+                raise refuse(f"layers[{number}]", given, allowed, near)
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
-        first = layers[0].readings.rules()
-        for number, layer in enumerate(layers):
-            if layer.readings.rules() != first:
+        grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
+        for number, layer in grains:
+            top, first = grains[0]
+            if layer.readings.rules() != first.readings.rules():
                 raise refuse(
                     f"layers[{number}].readings", layer.readings.as_dict(),
-                    f"those of layers[0], {layers[0].readings.as_dict()}",
+                    f"those of layers[{top}], {first.readings.as_dict()}",
                     "rays are followed by one set of rules",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.of(self.ground))
 
+    @cached_property
+    def parts(self) -> tuple[GranularMedium | ParticleLayer, ...]:
+        """The layers as scenes take them."""
+        return tuple(
+            ParticleLayer(layer) if isinstance(layer, Layer) else layer for layer in self.layers
+        )
+
     @property
     def depth_m(self) -> float:
         """Thickness of all layers together (m)."""
-        return float(sum(layer.depth_m for layer in self.layers))
+        return float(np.cumsum([part.depth_m for part in self.parts])[-1])
 
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain of all layers (m)."""
-        return max(layer.largest_grain_m for layer in self.layers)
+        return max(part.largest_grain_m for part in self.parts)
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials, layer by layer."""
         return tuple(
             f"layers.{number}.{name}"
-            for number, layer in enumerate(self.layers)
+            for number, layer in enumerate(self.parts)
             for name in layer.materials()
         )
 
     def interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet within each layer."""
         found, first = [], 0
-        for number, layer in enumerate(self.layers):
+        for number, layer in enumerate(self.parts):
             found += [
                 Interface(i.share, i.near + first, i.far + first, i.place, number)
                 for i in layer.interfaces()
@@ -110,14 +126,14 @@ class Stack:
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        return np.concatenate([layer.indices(wavelength_nm) for layer in self.layers], axis=1)
+        return np.concatenate([layer.indices(wavelength_nm) for layer in self.parts], axis=1)
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities of all layers, for a dataset's attributes."""
         facts: dict[str, Any] = {"depth_m": self.depth_m}
-        for number, layer in enumerate(self.layers):
-            facts[f"layers_{number}_kind"] = layer.kind
+        for number, layer in enumerate(self.parts):
+            facts[f"layers_{number}_kind"] = self.layers[number].kind
             described = layer.describe()
-            described.pop("ground")
+            described.pop("ground", None)
             facts |= {f"layers_{number}_{key}": value for key, value in described.items()}
         return facts | ground_facts(self.ground)

@@ -21,6 +21,7 @@ from splits.transport.faces import facing, meet
 from splits.transport.features import EVERYTHING
 from splits.transport.flight import (
     FIRST_ROULETTE,
+    Fates,
     Flier,
     Purse,
     next_grain,
@@ -30,6 +31,7 @@ from splits.transport.flight import (
 from splits.transport.jit import entry, kernel
 from splits.transport.light import launched
 from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken
+from splits.transport.phase import scattered
 from splits.transport.rng import start_stream, uniform
 from splits.transport.scalar import (
     NO_LEG,
@@ -43,10 +45,11 @@ from splits.transport.scalar import (
     fates_of,
     index_of,
     paid,
+    phase_of,
     pore_of,
     space_of,
 )
-from splits.transport.scene import MAX_REJECTIONS, NO_GROUND
+from splits.transport.scene import GRAINS, MAX_REJECTIONS, NO_GROUND
 from splits.transport.spheroid import Segment
 from splits.transport.tally import (
     ABSORBED,
@@ -148,7 +151,7 @@ def find(state, flier, beam, scene, optics):
     A grain that does not fit is drawn again from where the ray set out, or from where the last one
     was left out.
     """
-    layers, fates = scene.layers, fates_of(scene.rules)
+    layers, usual = scene.layers, fates_of(scene.rules)
     start, layer = beam.layer, beam.layer
     ahead = Flier(flier.place, flier.way, flier.d, flier.last, 0.0)
     tries = 0
@@ -156,6 +159,10 @@ def find(state, flier, beam, scene, optics):
         space = space_of(layers, layer)
         candidate = candidate_of(state, scene, layer)
         aim = aim_of(state, candidate.size.flattening)
+        fates = usual
+        if layers.particles[layer] != GRAINS:
+            # A particle is a point: it fits everywhere.
+            fates = Fates(usual.entry, False, False, False, False)
         meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, EVERYTHING)
         if meeting.fits:
             return Found(candidate, meeting, layer, False)
@@ -238,6 +245,20 @@ def at_face(state, beam, scene, optics):
 
 
 @kernel
+def scattered_by_particle(state, beam, scene):
+    """Return the beam that a particle scatters, if it is not absorbed there."""
+    row = scene.layers.particles[beam.layer]
+    albedo, purse = scene.particles.albedo[row], beam.purse
+    if albedo == 0.0 or (scene.rules.analog and uniform(state) >= albedo):
+        return Entered(False, beam)
+    if not scene.rules.analog:
+        # Roulette must hear of it; all wavelengths lose as much.
+        purse = Purse(purse.depth - math.log(albedo), purse.limit, purse.weight * albedo)
+    d = scattered(state, phase_of(scene.particles, row), beam.d)
+    return Entered(True, Beam(d, beam.layer, beam.u, purse))
+
+
+@kernel
 def played(state, purse):
     """Let a ray play roulette as often as it is due, see `splits.transport.flight`."""
     alive = True
@@ -308,6 +329,11 @@ def follow(state, ray, scene, optics, length, notes, window, most):
             beam = Beam(crossing.d, layer, beam.u, beam.purse)
         elif order == most:
             fate = ABSORBED
+        elif layers.particles[beam.layer] != GRAINS:
+            order += 1
+            turned = scattered_by_particle(state, beam, scene)
+            beam = turned.beam
+            fate = TRAVELS if turned.passed else ABSORBED
         else:
             order += 1
             walked = walk(state, beam, found, scene, optics, length)

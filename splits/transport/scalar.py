@@ -9,6 +9,7 @@ from splits.transport.elementary import Angle
 from splits.transport.faces import Index
 from splits.transport.flight import Fates, Flier, Meeting, Purse, Space
 from splits.transport.jit import kernel
+from splits.transport.phase import Phase
 from splits.transport.rng import from_table, pick, uniform, unit_circle
 from splits.transport.scene import KEPT, SKIPPED
 from splits.transport.spheroid import Aim, Segment, Size, placed
@@ -144,6 +145,16 @@ def aim_of(state, flattening):
         aim = Aim(uniform(state), _FORWARD, _FORWARD, uniform(state), uniform(state))
         if placed(aim, flattening):
             return Aim(aim.facing, unit_circle(state), unit_circle(state), aim.axial, aim.area)
+
+
+@kernel
+def phase_of(particles, row):
+    """Return the phase function of a layer's particles."""
+    size = particles.size[row]
+    return Phase(
+        particles.kind[row], particles.g[row], 0.0, particles.cosines[row, :size],
+        particles.density[row, :size], particles.quantiles[row, :size],
+    )  # fmt: skip
 
 
 @kernel

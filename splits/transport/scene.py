@@ -16,6 +16,9 @@ from splits.transport.light import Light
 DRY_PORE = 0
 WET_PORE = 1
 
+GRAINS = -1
+"""In place of a row of particles, for a layer of grains."""
+
 NO_GROUND = -1
 """In place of the ground's column, where nothing below sends light back."""
 
@@ -107,6 +110,8 @@ class Layers(NamedTuple):
         Row of the layer's first type.
     pore : int64[layers]
         Material of its dry pores; that of its wet ones follows.
+    particles : int64[layers]
+        Row of `Particles` of a layer that has these and no grains; `GRAINS` of others.
     """
 
     face: np.ndarray
@@ -115,6 +120,30 @@ class Layers(NamedTuple):
     share: np.ndarray
     first: np.ndarray
     pore: np.ndarray
+    particles: np.ndarray
+
+
+class Particles(NamedTuple):
+    """Single scattering by the small particles of layers, see `splits.transport.phase`.
+
+    Attributes
+    ----------
+    albedo : float64[rows]
+        Single-scattering albedo.
+    kind : int64[rows]
+    g : float64[rows]
+    size : int64[rows]
+        Length of the table.
+    cosines, density, quantiles : float64[rows, longest]
+    """
+
+    albedo: np.ndarray
+    kind: np.ndarray
+    g: np.ndarray
+    size: np.ndarray
+    cosines: np.ndarray
+    density: np.ndarray
+    quantiles: np.ndarray
 
 
 class Rules(NamedTuple):
@@ -142,6 +171,7 @@ class Scene(NamedTuple):
     layers : Layers
     types : Types
     rules : Rules
+    particles : Particles
     ground : int
         Column among the materials' lengths where meetings with the ground are counted, whose
         "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
@@ -153,6 +183,7 @@ class Scene(NamedTuple):
     layers: Layers
     types: Types
     rules: Rules
+    particles: Particles
     ground: int
     listens: bool
 

@@ -50,6 +50,24 @@ def test_a_cut_medium_answers_as_the_whole(name):
     judge_z(z, f"cuts through {name}", independent=2)
 
 
+@pytest.mark.long
+def test_a_cut_medium_has_the_brdf_of_the_whole():
+    angles = {"polar_deg": [0.0, 25.0, 50.0, 75.0], "azimuth_deg": [0.0, 90.0, 180.0]}
+    z = []
+    for number, (medium, wavelengths) in enumerate(MEDIA.values()):
+        whole, *parts = (
+            splits.goniophotometer(
+                one, wavelengths[1:], 40.0, relative_stderr=0.03, seed=10 * number + seed, **angles
+            )
+            for seed, one in enumerate((medium, cut(medium, 2), cut(medium, 7)))
+        )
+        for part in parts:
+            error = np.hypot(part.brdf_stderr, whole.brdf_stderr)
+            z.append(((part.brdf - whole.brdf) / error).values.ravel())
+    # Errors of an expansion go together, and hold what it leaves out.
+    judge_z(np.array(z), "BRDFs of cuts", independent=2 * len(MEDIA), bound_added=True)
+
+
 def test_energy_closes_and_order_matters():
     bright, dark = splits.Snow(depth_m=0.05), splits.Sand(depth_m=0.05)
     light = {"wavelength_nm": [600.0], "max_stderr": 0.01}

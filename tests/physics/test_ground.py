@@ -25,8 +25,10 @@ ALBEDOS = (0.1, 0.5, 0.9, 1.0)
 WET = splits.Snow(depth_m=0.008, saturation=0.3)
 SAND = splits.Sand(depth_m=0.003, partition=(0.8, 0.1, 0.1))
 FRESH = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.002)
+DRY = splits.Snow(depth_m=0.004, saturation=0.0)
 MEDIA = {
     "wet snow": (WET, WET),
+    "dry snow": (DRY, DRY),
     "sand": (SAND, SAND),
     "stack": (splits.Stack([FRESH, WET, SAND]), splits.Stack([SAND, WET, FRESH])),
 }

@@ -134,6 +134,14 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
     judge_z(np.array(z), independent=2, bound_added=True)
 
 
+def test_what_no_ray_has_reached_is_not_certain():
+    deep = splits.Snow(depth_m=0.05)
+    ds = splits.profile(deep, 1500.0, [0.04, 0.045], max_stderr=0.05)
+    assert not ds.downward_irradiance[0, 2:].values.any()
+    assert (ds.downward_irradiance_stderr[0, 1:] > 1e-6).all()
+    assert (ds.absorptance_stderr > 1e-6).all()
+
+
 @pytest.mark.long
 def test_light_decays_with_depth_as_deep_transmittance_does():
     """Far from both boundaries, where radiance keeps its shape."""
@@ -158,7 +166,7 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
     [
         ([0.02], r"depth_m = 0.02: must be in \(0, 0.02\) m"),
         ([0.01, 0.005], "strictly increasing"),
-        ([], "at least one"),
+        ([], "depth_m"),
         ("deep", "text, not a number"),
         (np.linspace(1e-5, 0.019, 300), "300 depths"),
     ],

@@ -9,7 +9,7 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.instruments.scenes import granular_scene
+from splits.instruments.scenes import granular_scene, particles_of
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import granular, scalar
 from splits.transport.flight import Flier, Purse
@@ -17,6 +17,7 @@ from splits.transport.lanes.batch import passing_of
 from splits.transport.light import Light
 from splits.transport.scalar import Beam
 from splits.transport.scene import (
+    GRAINS,
     KEPT,
     NO_GROUND,
     UNLIMITED,
@@ -54,9 +55,17 @@ def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0
     rules = splits.Readings().rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
-        grains.share[np.newaxis], np.array([0]), np.array([0]),
+        grains.share[np.newaxis], np.array([0]), np.array([0]), np.array([GRAINS]),
     )  # fmt: skip
-    return Scene(Light(float(cos), float(diffuse)), layers, grains.types, rules, NO_GROUND, False)
+    return Scene(
+        Light(float(cos), float(diffuse)),
+        layers,
+        grains.types,
+        rules,
+        particles_of([]),
+        NO_GROUND,
+        False,
+    )
 
 
 def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):

@@ -103,6 +103,12 @@ def test_light_goes_to_and_fro_between_layers_and_ground():
         assert float(found.transmittance[0]) == pytest.approx(kept, abs=1e-6)
 
 
+def test_layers_have_the_same_wavelengths():
+    other = layer([0.9], 1.0).assign_coords(wavelength=[700.0])
+    with pytest.raises(ValueError, match=r"optics\[1\].wavelength"):
+        discrete_ordinates([layer([0.9], 1.0), other])
+
+
 def test_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PythonicDISORT", None)
     with pytest.raises(ImportError, match=r"splits\[theory\]"):

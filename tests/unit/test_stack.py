@@ -22,7 +22,7 @@ SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
         ("snow", "a list of media, top first"),
         ([FRESH, 3], r"layers\[1\] = 3: must be splits.Snow"),
         ([FRESH, splits.Snow], r"layers\[1\]"),
-        ([FRESH, splits.Layer(optical_thickness=1.0)], r"layers\[1\] = 'layer'"),
+        ([FRESH, splits.RoughSurface], r"layers\[1\]"),
         (
             [FRESH, splits.Snow(readings={"entry": "projected"})],
             r"layers\[1\].readings .*those of layers\[0\]",

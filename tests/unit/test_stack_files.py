@@ -43,8 +43,8 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         for _, pack, _ in experiment.points()
     ]
     assert found == [
-        (0.01, 0.02, "albedo 0"), (0.01, 0.02, "albedo 1"),
-        (0.02, 0.02, "albedo 0"), (0.02, 0.02, "albedo 1"),
+        (0.01, 0.02, "albedo 0.0"), (0.01, 0.02, "albedo 1.0"),
+        (0.02, 0.02, "albedo 0.0"), (0.02, 0.02, "albedo 1.0"),
     ]  # fmt: skip
     about = grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
     assert about == {"long_name": "thickness of the sample, layer 0", "units": "m"}
@@ -56,7 +56,21 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
     [
         ("medium: {kind: stack}", "medium.layers = None: must be a list of layers, top first"),
         ("medium: {kind: stack, layers: [3]}", "medium.layers.0 = 3: must be a mapping"),
-        ("medium: {kind: stack, layers: [{kind: layer}]}", "one of sand, snow"),
+        ("medium: {kind: stack, layers: [{kind: ice}]}", "one of layer, sand, snow"),
+        (
+            "medium: {kind: stack, layers: [{kind: layer, bottom_albedo: 1}]}",
+            "layers.0.bottom_albedo: unknown key",
+        ),
+        (PACK + "grid: {layers: {a: [{kind: snw}]}}", "grid.layers.a.layers.0.kind = 'snw'"),
+        (PACK + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
+        (
+            PACK + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
+            r"layers.1.depth_m = 'layer 1': must be 0 to 0",
+        ),
+        (
+            PACK + "figure: {kind: points, quantity: mean_grain_distance}",
+            "stacks not one distance",
+        ),
         (
             "medium: {kind: stack, layers: [{dept_m: 1}]}",
             r"medium.layers.0.dept_m: unknown key.*did you mean depth_m\?",
@@ -82,6 +96,41 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as refused:
         loaded(tmp_path, text)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("first", ["layers", "layers.0.depth_m"])
+def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
+    values = {
+        "layers": "{thin: [{depth_m: 0.02}], thick: [{depth_m: 0.03}, {depth_m: 0.01}]}",
+        "layers.0.depth_m": "[0.05, 0.06]",
+    }
+    order = [first, *(set(values) - {first})]
+    grid = "grid: {" + ", ".join(f"{key}: {values[key]}" for key in order) + "}\n"
+    experiment = loaded(tmp_path, PACK + grid)
+    before = experiment.simulation()
+    found = sorted(tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.points())
+    assert found == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
+    assert experiment.simulation() == before
+
+
+def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
+    text = (
+        "medium: {kind: stack, layers: [{readings: {size_is: semi_axis}}]}\n"
+        "grid: {layers.0.readings: {struck: {struck_size: uniform}}}\n"
+    )
+    ((_, pack, _),) = loaded(tmp_path, text).points()
+    readings = pack.layers[0].readings.as_dict()
+    assert (readings["size_is"], readings["struck_size"]) == ("semi_axis", "uniform")
+
+
+def test_tables_by_path_are_known_by_their_content(tmp_path):
+    table = tmp_path / "ice.csv"
+    table.write_text("wavelength_nm,n,k\n400,1.31,1e-8\n900,1.30,1e-7\n")
+    text = PACK + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
+    experiment = loaded(tmp_path, text)
+    assert experiment.tables() == [str(table)]
+    assert "ice.csv sha256:" in experiment.configuration()
+    assert str(tmp_path) not in experiment.configuration()
 
 
 def test_the_example_of_the_documents_can_be_run(tmp_path):

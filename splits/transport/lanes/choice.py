@@ -11,7 +11,7 @@ from splits.transport import facets, spheroid
 from splits.transport.features import Features
 from splits.transport.fresnel import interface
 from splits.transport.jit import entry
-from splits.transport.scene import DRY_PORE, LOBE, SKIPPED, WET_PORE, Optics, Scene
+from splits.transport.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
 
 FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
@@ -39,8 +39,9 @@ def features_for(
 ) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
-    Lanes do without absorption by coin toss, more than one coating, samples of more than `DEEPEST`
-    mean distances, extremely grazing beams, and indices beyond `LARGEST`; and they need a compiler.
+    Lanes do without layers of particles, absorption by coin toss, more than one coating, samples of
+    more than `DEEPEST` mean distances, extremely grazing beams, and indices beyond `LARGEST`; and
+    they need a compiler.
 
     Parameters
     ----------
@@ -55,6 +56,8 @@ def features_for(
         return None
     light, layers, types, rules, *_ = scene
     depth = layers.face[0] - layers.face[-1]
+    if (layers.particles != GRAINS).any():
+        return None
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
     if light.diffuse < 1.0 and light.cos < GRAZING:

@@ -211,6 +211,8 @@ def at_boundary(lanes, lane, task):
     put(state, rows.X + lane, arrival.place)
     put(state, rows.GX + lane, Vector(ZERO, ZERO, ZERO))
     travel(state, lane, arrival.leg, task.features)
+    put(state, rows.LX + lane, ray.d)
+    state[rows.LAST + lane] = arrival.leg
     if state[rows.WET + lane] == ZERO:
         return True
     if not task.scene.rules.boundary_fresnel:
@@ -218,8 +220,6 @@ def at_boundary(lanes, lane, task):
     d = Vector(np.float64(ray.d.x), np.float64(ray.d.y), np.float64(ray.d.z))
     near = index_of(task.optics, item, WET_PORE)
     crossing = meet(d, facing(d), near, index_of(task.optics, item, DRY_PORE), draw(words, lane))
-    put(state, rows.LX + lane, ray.d)
-    state[rows.LAST + lane] = arrival.leg
     e = crossing.d
     put(state, rows.DX + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[rows.TRIES + lane] = ZERO

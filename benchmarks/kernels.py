@@ -146,13 +146,13 @@ class Bench:
         """Trace rays from one of that number on and return their legs."""
         work = np.array([[0, first, self.rays, UNLIMITED]])
         if self.features is None:
-            legs, lost = granular.batch(seed, work[0], self.scene, self.optics, self.exits)
+            told = granular.batch(seed, work[0], self.scene, self.optics, self.exits)
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
-            (legs,), lost = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)
-        if lost:
+            told = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)
+        if told.lost:
             raise RuntimeError("a ray was lost")
-        return int(legs)
+        return int(np.sum(told.legs))
 
     def prepare(self, plan: Plan) -> None:
         """Compile, and choose how many calls make a timing of the length planned."""

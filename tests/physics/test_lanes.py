@@ -55,7 +55,7 @@ def ensembles(medium, wavelengths, attenuation):
 def spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds that it took on two threads."""
     runner = Runner(medium, incidence, seed, 2, False, kernel)
-    work = ensembles(medium, wavelengths, runner.tracer.attenuation)
+    work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
     begun = time.perf_counter()
     runner.trace([(e, e.levels[0], rays) for e in work], 1.0, 0.0)
     seconds = time.perf_counter() - begun
@@ -95,14 +95,14 @@ def test_lanes_agree_with_the_scalar_kernel():
 
 def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
-    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.attenuation)
+    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.manner.attenuation)
     each = [e.levels[0].optics for e in work]
     features = runner.tracer.features(work[0].levels[0])
     scene = runner.tracer.scene
 
     def exits(items, optics):
         rows = exit_rows(sum(rays for *_, rays, _ in items), 3)
-        legs, lost = lanes.batch(3, np.array(items), scene, optics, rows, features)
+        legs, lost, _ = lanes.batch(3, np.array(items), scene, optics, rows, features)
         assert not lost and legs.min() > 0
         return rows, legs
 
@@ -122,14 +122,14 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 def test_a_path_does_not_depend_on_lane_or_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.attenuation)
+    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.manner.attenuation)
     optics = ensemble.levels[0].optics
     features = runner.tracer.features(ensemble.levels[0])
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
         work = np.array([[0, first, rays, UNLIMITED]])
-        _, lost = lanes.batch(3, work, runner.tracer.scene, alone(optics), rows, features)
+        _, lost, _ = lanes.batch(3, work, runner.tracer.scene, alone(optics), rows, features)
         assert not lost
         return rows
 
@@ -147,7 +147,7 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
 
     def moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        work = ensembles(medium, wavelengths, runner.tracer.attenuation)
+        work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
         runner.prepare(work)
         runner.trace([(e, e.levels[0], batches * BATCH) for e in work], 1.0, 0.0)
         return np.stack([e.moments for e in work])
@@ -157,13 +157,13 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
         parts = {}
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            work = ensembles(medium, wavelengths, runner.tracer.attenuation)
+            work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
             runner.prepare(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
                     ((tally,), _), *_ = runner.tallies([(e, e.levels[0], batch * BATCH, 1)])
                     parts[number, batch] = tally
-        work = ensembles(medium, wavelengths, runner.tracer.attenuation)
+        work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
             work[number].add(work[number].levels[0], [tally])
         return np.stack([e.moments for e in work])
@@ -179,14 +179,14 @@ def test_light_is_neither_lost_nor_made(positions):
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     runner = Runner(medium, 60.0, 5, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.attenuation)
+    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.manner.attenuation)
     optics = ensemble.levels[0].optics
     features = runner.tracer.features(ensemble.levels[0])._replace(
         positions=True if positions else None
     )
     rows = exit_rows(3000, 3)
     work = np.array([[0, 0, 3000, UNLIMITED]])
-    _, lost = lanes.batch(5, work, runner.tracer.scene, alone(optics), rows, features)
+    _, lost, _ = lanes.batch(5, work, runner.tracer.scene, alone(optics), rows, features)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
     directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]

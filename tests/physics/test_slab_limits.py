@@ -13,7 +13,7 @@ from scipy import integrate
 import splits
 from splits.transport import granular
 from splits.transport.fresnel import interface
-from splits.transport.scene import UNLIMITED
+from splits.transport.scene import NO_GROUND, UNLIMITED
 from splits.transport.tally import exit_rows, tally
 
 pytestmark = NEEDS_JIT
@@ -82,9 +82,11 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
             exits = exit_rows(rays, 3)
             scene = scene_of(snow.grains(), depth, 0.0, snow.readings.rules(analog), mu)
             work = np.array([ensemble, 0, rays, UNLIMITED])
-            _, lost = granular.batch(seed + 10 * analog, work, scene, optics, exits)
-            assert not lost
-            moments, least, _ = tally(exits, absorption[np.newaxis], not analog)
+            told = granular.batch(seed + 10 * analog, work, scene, optics, exits)
+            assert not told.lost
+            moments, least, _ = tally(
+                exits, told.notes, absorption[np.newaxis], not analog, NO_GROUND
+            )
             assert least[0] == 0.0
             assert moments[0].max() < 1e-9
             expected = math.exp(-depth / mu / snow.mean_grain_distance_m)

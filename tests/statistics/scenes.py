@@ -158,7 +158,7 @@ def _traced(state, scene, optics, length, most):
     length[:] = 0.0
     ray = granular.launch(state, scene, optics)
     if ray.fate == granular.TRAVELS:
-        ray = granular.follow(state, ray, scene, optics, length, None, most)
+        ray = granular.follow(state, ray, scene, optics, length, None, None, most)
     return ray
 
 

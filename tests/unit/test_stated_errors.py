@@ -38,6 +38,11 @@ CASES = {
     "deep_transmittance": (
         splits.Snow(depth_m=0.01), ([600.0],), {"relative_stderr": 0.5}, {"transmittance"},
     ),
+    "profile": (
+        splits.Snow(depth_m=0.01), ([600.0], [0.005]), {"max_stderr": 0.1},
+        {"downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux",
+         "absorptance_of_material"},
+    ),
     "single_scattering": (splits.Snow(), ([600.0],), {"moments": 2, "rays": 2}, GRAINS),
     "lens": (
         WAVES, ([5.0], 0.5), {"over": "origin", "realisations": 3},

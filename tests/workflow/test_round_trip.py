@@ -59,9 +59,12 @@ CASES = {
     "trip_stack_plane": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004]}\n",
     "trip_stack_lobes": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
-    "grid: {medium: {pale: {ground: 1}, dark: {ground: 0}}}\nfigure: {kind: lobes}\n",
+    "grid: {medium: {pale: {ground: 1}, dark: {ground: 0.1}}}\nfigure: {kind: lobes}\n",
     "trip_stack_spread": PACK + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n",
+    "trip_stack_lid": "medium: {kind: stack, layers: [{kind: layer, optical_thickness: 1,"
+    " refractive_index: 1.31, depth_m: 0.01}, {base: splitsnow_table1, depth_m: 0.005}]}\n"
+    "instrument: {wavelength_nm: [500, 1030]}\ngrid: {layers.0.optical_thickness: [0.5, 2]}\n",
     "trip_sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
     "figure: {at: {medium: red}}\n",

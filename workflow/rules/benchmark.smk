@@ -37,7 +37,8 @@ rule speed_against_error:
         source=lambda wildcards: program_digest("speed_against_error.py"),
         physics=physics_digest(),
         theories=files_digest(
-            PACKAGE / "analysis", ["efficiency.py", "ordinates.py", "radiative_transfer.py"]
+            PACKAGE / "analysis",
+            ["efficiency.py", "ordinates.py", "radiative_transfer.py"],
         ),
     message:
         "Measuring time against error of every way to a spectrum"

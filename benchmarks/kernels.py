@@ -146,7 +146,7 @@ class Bench:
         """Trace rays from one of that number on and return their legs."""
         work = np.array([[0, first, self.rays, UNLIMITED]])
         if self.features is None:
-            told = granular.batch(seed, work[0], self.scene, self.optics, self.exits)
+            told = granular.batch(seed, work[0], self.scene, self.optics, self.exits, None, None)
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
             told = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)

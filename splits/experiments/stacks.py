@@ -16,7 +16,7 @@ MERGED = ("readings", "refractive_index")
 """Keywords that are mappings: a grid's values add to those of the medium."""
 MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
 """Media that a stack may hold."""
-NOT_IN_STACKS = ("ground", "bottom_albedo", "surface", "polarized", "max_polarization", "opaque")
+NOT_IN_STACKS = ("ground", "bottom_albedo", "polarized", "max_polarization", "opaque")
 """Keywords that these have by themselves, but not in a stack."""
 _PATH = re.compile(rf"{LAYERS}\.(\d+)\.(\w+)")
 

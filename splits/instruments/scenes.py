@@ -14,7 +14,9 @@ from splits.media.particles import ParticleLayer
 from splits.media.readings import Readings
 from splits.media.turbid import Medium
 from splits.transport.light import Light
+from splits.transport.roof import TALLEST
 from splits.transport.scene import GRAINS, NO_GROUND, Grains, Layers, Particles, Scene, Types
+from splits.transport.waves import Fields
 
 Part = GranularMedium | ParticleLayer
 LEAST_ATTENUATION = 1e-12
@@ -47,6 +49,12 @@ def ground_of(medium: Medium) -> Ground | None:
     """Return the ground below a medium, None where nothing comes back from there."""
     ground = getattr(medium, "ground", None)
     return ground if ground is not None and ground.reflecting else None
+
+
+def fields_of(medium: Medium) -> Fields | None:
+    """Return the rough surface on top of layers as kernels take it, None where it is smooth."""
+    top = medium.parts[0] if isinstance(medium, LayeredMedium) else medium
+    return top.fields() if isinstance(top, ParticleLayer) else None
 
 
 def columns_of(medium: Medium) -> int:
@@ -85,8 +93,13 @@ def granular_scene(
     materials = np.cumsum([0, *(len(one.materials()) for one in media)])
     types = np.cumsum([0, *(len(one.share) for one in grains)])
     most = max(len(one.share) for one in grains)
+    face = -np.cumsum([0.0, *(float(one.depth_m) for one in media)])
+    fields = fields_of(medium)
+    if fields is not None:
+        # Above the surface: nothing of a realisation may reach there.
+        face[0] = TALLEST * np.linalg.norm(fields.rms_height)
     layers = Layers(
-        face=-np.cumsum([0.0, *(float(one.depth_m) for one in media)]),
+        face=face,
         attenuation=np.array([one.attenuation for one in grains]),
         saturation=np.array([float(one.saturation) for one in media]),
         share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),

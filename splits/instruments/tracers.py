@@ -12,7 +12,7 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.ensemble import Level, Manner
-from splits.instruments.scenes import columns_of, granular_scene, light_of, listening
+from splits.instruments.scenes import columns_of, fields_of, granular_scene, light_of, listening
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport import granular, lanes, layer
@@ -133,8 +133,8 @@ class GrainTracer:
     """
 
     LOST = (
-        "a ray found no grain that fits between the boundaries: the sample is "
-        "barely thicker than its grains, or the incidence too close to 90 degrees"
+        "a ray found no grain that fits between the boundaries, or its way at a rough surface: the "
+        "sample is barely thicker than its grains, or the incidence too close to 90 degrees"
     )
 
     def __init__(
@@ -149,6 +149,7 @@ class GrainTracer:
         self.scene = granular_scene(medium, incidence_deg, analog)
         if heard.depths_m:
             self.scene = listening(self.scene, heard.depths_m)
+        self.fields = fields_of(medium)
         self.depths_m = -self.scene.layers.face
         densest = float(self.scene.layers.attenuation.max())
         fading = bool((self.scene.particles.albedo < 1.0).any())
@@ -206,8 +207,10 @@ class GrainTracer:
         features = self.features(levels[0])
         if features is None:
             parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+            fields = self.fields
+            room = None if fields is None else room_for(fields)
             told = [
-                granular.batch(self.seed, item, self.scene, level.optics, part)
+                granular.batch(self.seed, item, self.scene, level.optics, part, fields, room)
                 for item, part, level in zip(work, parts, levels, strict=True)
             ]
             return Followed(

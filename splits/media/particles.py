@@ -13,10 +13,11 @@ from splits.checks import refuse
 from splits.media.granular import Interface
 from splits.media.layer import Layer
 from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.waves import Fields
 
 LEFT_OUT = {
     "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),
-    "surface": (None, "faces of stacks are smooth"),
+    "surface": (None, "only the top of a stack is rough"),
     "polarized": (False, "stacks know no polarization"),
     "opaque": (False, "light comes back from all layers of a stack"),
 }
@@ -33,21 +34,24 @@ class ParticleLayer:
     Parameters
     ----------
     layer : Layer
+    top : bool
+        Whether it is the first of the stack, and may have a rough surface.
 
     Raises
     ------
     ValueError
-        If it has a bottom, a rough surface, polarization or no end.
+        If it has a bottom, a rough surface where it is not the top, polarization or no end.
     """
 
     layer: Layer
+    top: bool = False
     saturation = 1.0
     largest_grain_m = 0.0
 
     def __post_init__(self) -> None:
         for name, (allowed, why) in LEFT_OUT.items():
             given = getattr(self.layer, name)
-            if given != allowed:
+            if given != allowed and not (name == "surface" and self.top):
                 raise refuse(name, given, "left out" if allowed is None else "false", why)
         if self.layer.optical_thickness == math.inf:
             raise refuse("optical_thickness", math.inf, "finite", "other layers lie below")
@@ -56,6 +60,10 @@ class ParticleLayer:
     def depth_m(self) -> float:
         """Thickness (m)."""
         return float(self.layer.depth_m)
+
+    def fields(self) -> Fields | None:
+        """Return its rough surface as kernels take it, None where it is smooth."""
+        return self.layer.fields()
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""

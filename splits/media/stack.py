@@ -32,7 +32,8 @@ class Stack:
     ----------
     layers : sequence of Snow, Sand or Layer
         Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
-        of them has a ground of its own.  A `Layer`'s faces are smooth, and it has no bottom.
+        of them has a ground of its own.  A `Layer` has no bottom here, and a rough surface only
+        as the first.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
@@ -66,7 +67,7 @@ class Stack:
         for number, layer in enumerate(layers):
             if isinstance(layer, Layer):
                 with under(f"layers[{number}]"):
-                    ParticleLayer(layer)
+                    ParticleLayer(layer, number == 0)
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
@@ -92,7 +93,8 @@ class Stack:
     def parts(self) -> tuple[GranularMedium | ParticleLayer, ...]:
         """The layers as scenes take them."""
         return tuple(
-            ParticleLayer(layer) if isinstance(layer, Layer) else layer for layer in self.layers
+            ParticleLayer(layer, number == 0) if isinstance(layer, Layer) else layer
+            for number, layer in enumerate(self.layers)
         )
 
     @property

@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.flight import Purse
-from splits.transport.granular import Window, follow, launch
+from splits.transport.granular import follow, launch
 from splits.transport.jit import entry, kernel
 from splits.transport.rng import mix64, start_stream, uniform
 from splits.transport.scalar import Beam, Ray
 from splits.transport.scene import UNLIMITED
 from splits.transport.tally import LOST, REFLECTED, TRANSMITTED, TRAVELS, Traced
+from splits.transport.window import Window, worth_of
 
 CAPACITY = 4096
 """Rays that may wait to be followed; none is split while so many do."""
@@ -46,13 +47,6 @@ class Sent(NamedTuple):
     transmitted: float
     legs: int
     lost: bool
-
-
-@kernel
-def height(ray, layers):
-    """Return the height at which a ray stands (m)."""
-    bottom = layers.face[layers.face.size - 1]
-    return min(max(ray.flier.place.z + ray.flier.way.z, bottom), 0.0)
 
 
 @kernel
@@ -81,13 +75,12 @@ def family(state, first, scene, optics, kappa, profile):
         while ray.fate == TRAVELS:
             window = Window(member.weight, kappa, LOWER, UPPER, profile)
             before = ray.legs
-            ray = follow(state, ray, scene, optics, length, None, window, UNLIMITED)
+            ray = follow(state, ray, scene, optics, length, None, window, None)
             legs += ray.legs - before
             if ray.fate != TRAVELS:
                 break
             member = Member(ray, member.weight, member.stream)
-            here = member.weight * math.exp(-ray.beam.purse.depth)
-            worth = here * math.exp(-kappa * height(ray, scene.layers))
+            worth = worth_of(ray, scene.layers, member.weight, kappa)
             if worth < LOWER:
                 if uniform(state) >= worth:
                     break
@@ -121,7 +114,7 @@ def families(seed, work, scene, optics, kappa, moments, profile):
         For [reflected, transmitted]: sum, sum of squares and largest of the families' weights,
         advanced in place.
     profile : float64[2, slices]
-        See `splits.transport.granular.Window`; advanced in place.
+        See `splits.transport.window.Window`; advanced in place.
 
     Returns
     -------
@@ -131,10 +124,10 @@ def families(seed, work, scene, optics, kappa, moments, profile):
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[1], work[1] + work[2]):
         start_stream(state, seed, work[0], number)
-        ray = launch(state, scene, optics)
+        ray = launch(state, scene, optics, None, UNLIMITED)
         # Where worth decides, roulette does not.
         beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, Purse(0.0, math.inf, 1.0))
-        ray = Ray(ray.fate, ray.flier, beam, ray.legs, ray.order)
+        ray = Ray(ray.fate, ray.flier, beam, ray.legs, ray.order, ray.most)
         first = Member(ray, 1.0, state[0])
         sent = family(state, first, scene, optics, kappa, profile)
         legs += sent.legs

@@ -1,55 +1,48 @@
 """The scalar kernel: one ray at a time through layers of grains, in double precision.
 
 It repeats the trials of `splits.transport.flight` and `splits.transport.surface` until a ray is
-done.  Between their extended faces layers reach to infinity sideways.  Below them there may be a
-ground; what it keeps of a ray's light is noted as the ray meets it.
-
-Between layers nothing optical stands.  A flight spends one exponential distance, layer by layer,
-and a grain belongs to the layer in which the ray meets it; the pore of a leg is drawn once, so it
-changes at a face between layers only where their saturations differ.  Cutting a medium in two
-therefore changes nothing.
+done.  Between their extended faces layers reach to infinity sideways.  Above them may be a rough
+surface, below a ground; what that keeps of a ray's light is noted as the ray meets it.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from splits.transport.faces import facing, meet
-from splits.transport.features import EVERYTHING
-from splits.transport.flight import (
-    FIRST_ROULETTE,
-    Fates,
-    Flier,
-    Purse,
-    next_grain,
-    roulette,
-    to_boundary,
-)
+from splits.transport.flight import FIRST_ROULETTE, Flier, Purse, roulette
 from splits.transport.jit import entry, kernel
+from splits.transport.legs import arrived, beyond, find, pass_face, settled, travelled
 from splits.transport.light import launched
+from splits.transport.march import GONE
 from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken
 from splits.transport.phase import scattered
 from splits.transport.rng import start_stream, uniform
+from splits.transport.roof import (
+    aimed,
+    cut_short,
+    facet_ahead,
+    outside,
+    realised,
+    struck,
+)
 from splits.transport.scalar import (
     NO_LEG,
     Beam,
     Entered,
-    Found,
     Paid,
     Ray,
-    aim_of,
-    candidate_of,
-    fates_of,
+    ended,
     index_of,
     paid,
     phase_of,
     pore_of,
     space_of,
+    turned,
 )
-from splits.transport.scene import GRAINS, MAX_REJECTIONS, NO_GROUND
+from splits.transport.scene import GRAINS, NO_GROUND
 from splits.transport.spheroid import Segment
 from splits.transport.tally import (
     ABSORBED,
@@ -62,186 +55,33 @@ from splits.transport.tally import (
     Told,
     record,
 )
-from splits.transport.vectors import ORIGIN, UP, Vector, lobe
+from splits.transport.vectors import ORIGIN, UP, lobe
 from splits.transport.walk import walk
-
-
-class Window(NamedTuple):
-    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.transport.deep`).
-
-    Attributes
-    ----------
-    weight : float
-        Of the ray, absorption not counted.
-    kappa : float
-        1/m.
-    lower, upper : float
-    profile : float64[2, slices]
-        For equal slices of the depth, number and total weight of the legs that began there,
-        advanced in place.
-    """
-
-    weight: float
-    kappa: float
-    lower: float
-    upper: float
-    profile: np.ndarray
+from splits.transport.window import left_window
 
 
 @kernel
-def left_window(window, z, bottom, purse):
-    """Tell whether a ray's worth lies outside its window, and note where it is."""
-    slices = window.profile.shape[1]
-    place = min(int(z / bottom * slices), slices - 1)
-    window.profile[0, place] += 1.0
-    window.profile[1, place] += window.weight * math.exp(-purse.depth)
-    worth = window.weight * math.exp(-purse.depth - window.kappa * z)
-    return worth < window.lower or worth > window.upper
-
-
-@kernel
-def beyond(layers, layer, d):
-    """Return the layer behind the face that a ray along d has ahead; −1 or their number outside."""
-    return layer - 1 if d.z > 0.0 else layer + 1
-
-
-@kernel
-def alike(layers, optics, one, other, u):
-    """Tell whether the pores of two layers are the same to light."""
-    a = index_of(optics, pore_of(layers, one, u))
-    b = index_of(optics, pore_of(layers, other, u))
-    return a.n == b.n and a.k == b.k
-
-
-@kernel
-def pass_face(notes, scene, layer, upward, purse, length):
-    """Note a ray that passes from a layer into the next one, where somebody listens."""
-    if notes is not None and scene.listens:
-        note(notes, passage(layer if upward else layer + 1, upward), purse.weight, length)
-
-
-@kernel
-def settled(flier, beam, scene, optics, length, notes):
-    """Return a ray that left a grain, its layer that in which it now is.
-
-    Only a grain that reaches across a face lets a ray out on its other side.  If there are other
-    pores, as outside the sample, the ray counts as standing on that face.
-    """
-    layers = scene.layers
-    z = flier.place.z + flier.way.z
-    layer = beam.layer
-    while z > layers.face[layer] or z < layers.face[layer + 1]:
-        step = -1 if z > layers.face[layer] else 1
-        face = layers.face[layer] if step < 0 else layers.face[layer + 1]
-        other = layer + step
-        inside = 0 <= other < layers.attenuation.size
-        if not inside or not alike(layers, optics, layer, other, beam.u):
-            z = face
-            break
-        pass_face(notes, scene, layer, step < 0, beam.purse, length)
-        layer = other
-    way = Vector(flier.way.x, flier.way.y, z - flier.place.z)
-    return Flier(flier.place, way, beam.d, flier.last, 0.0), Beam(beam.d, layer, beam.u, beam.purse)
-
-
-@kernel
-def find(state, flier, beam, scene, optics):
-    """Draw the next grain on a ray, or find the face that it reaches first.
-
-    A grain that does not fit is drawn again from where the ray set out, or from where the last one
-    was left out.
-    """
-    layers, usual = scene.layers, fates_of(scene.rules)
-    start, layer = beam.layer, beam.layer
-    ahead = Flier(flier.place, flier.way, flier.d, flier.last, 0.0)
-    tries = 0
-    while True:
-        space = space_of(layers, layer)
-        candidate = candidate_of(state, scene, layer)
-        aim = aim_of(state, candidate.size.flattening)
-        fates = usual
-        if layers.particles[layer] != GRAINS:
-            # A particle is a point: it fits everywhere.
-            fates = Fates(usual.entry, False, False, False, False)
-        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, EVERYTHING)
-        if meeting.fits:
-            return Found(candidate, meeting, layer, False)
-        if meeting.outside:
-            other = beyond(layers, layer, flier.d)
-            inside = 0 <= other < layers.attenuation.size
-            if not inside or not alike(layers, optics, layer, other, beam.u):
-                return Found(candidate, meeting, layer, False)
-            layer = other
-            reach = to_boundary(flier, space).leg
-            ahead = Flier(flier.place, flier.way, flier.d, flier.last, reach)
-            continue
-        if meeting.skipped == meeting.leg:
-            start = layer
-            flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
-        layer = start
-        ahead = flier
-        tries += 1
-        if tries == MAX_REJECTIONS:
-            return Found(candidate, meeting, layer, True)
-
-
-@kernel
-def arrived(flier, found, space):
-    """Return a ray at the grain that it meets, or at the face that comes before."""
-    leg, height = found.meeting.leg, found.meeting.height
-    if found.meeting.outside:
-        arrival = to_boundary(flier, space)
-        leg, height = arrival.leg, arrival.place.z
-    x = flier.place.x + flier.way.x + leg * flier.d.x
-    y = flier.place.y + flier.way.y + leg * flier.d.y
-    return Flier(Vector(x, y, height), ORIGIN, flier.d, Segment(ORIGIN, flier.d, leg), 0.0)
-
-
-@kernel
-def travelled(state, beam, goal, leg, scene, optics, length, notes):
-    """Take a leg through the pores of the layers up to that in which it ends.
-
-    Parameters
-    ----------
-    beam : Beam
-        As the leg begins.
-    goal : Found
-        Where it ends.
-    leg : Segment
-        Its end as a place (m), and its length.
-    length, notes
-        See `follow`.
-    """
-    layers, d, analog = scene.layers, beam.d, scene.rules.analog
-    payment = Paid(beam.purse, True)
-    rest, layer = leg.length, beam.layer
-    z = leg.end.z - leg.length * d.z
-    while layer != goal.layer and payment.alive:
-        face = layers.face[layer] if d.z > 0.0 else layers.face[layer + 1]
-        piece = min(max((face - z) / d.z, 0.0), rest)
-        pore = pore_of(layers, layer, beam.u)
-        payment = paid(state, payment.purse, piece, pore, optics, analog, length)
-        if payment.alive:
-            pass_face(notes, scene, layer, d.z > 0.0, payment.purse, length)
-        z, rest, layer = face, rest - piece, beyond(layers, layer, d)
-    if payment.alive:
-        pore = pore_of(layers, layer, beam.u)
-        payment = paid(state, payment.purse, rest, pore, optics, analog, length)
-    return payment
-
-
-@kernel
-def at_face(state, beam, scene, optics):
-    """Let a ray pass the face that it stands at, or send it back; see `faces.Crossing`."""
-    layers = scene.layers
+def at_face(state, ray, scene, optics, length, notes):
+    """Return a ray that passes the face at which it stands, or is sent back there."""
+    layers, beam = scene.layers, ray.beam
     other = beyond(layers, beam.layer, beam.d)
+    inside = 0 <= other < layers.attenuation.size
     near = index_of(optics, pore_of(layers, beam.layer, beam.u))
     far = index_of(optics, layers.pore[beam.layer])
-    if 0 <= other < layers.attenuation.size:
+    if inside:
         far = index_of(optics, pore_of(layers, other, beam.u))
     if not scene.rules.boundary_fresnel:
         far = near
-    return meet(beam.d, facing(beam.d), near, far, uniform(state))
+    crossing = meet(beam.d, facing(beam.d), near, far, uniform(state))
+    fate, layer = TRAVELS, beam.layer
+    if crossing.passed and inside:
+        layer = other
+        pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
+    elif crossing.passed:
+        below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
+        fate = REFLECTED if other < 0 else below
+    beam = Beam(crossing.d, layer, beam.u, beam.purse)
+    return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order, ray.most)
 
 
 @kernel
@@ -259,6 +99,22 @@ def scattered_by_particle(state, beam, scene):
 
 
 @kernel
+def met(state, ray, found, scene, optics, length):
+    """Return a ray after the particle or the grain that it has met."""
+    if ray.order == ray.most:
+        return ended(ray, ABSORBED)
+    if scene.layers.particles[ray.beam.layer] != GRAINS:
+        after = scattered_by_particle(state, ray.beam, scene)
+        fate = TRAVELS if after.passed else ABSORBED
+        flier = turned(ray.flier, after.beam.d)
+        return Ray(fate, flier, after.beam, ray.legs, ray.order + 1, ray.most)
+    walked = walk(state, ray.beam, found, scene, optics, length)
+    fate = TRAVELS if walked.alive else ABSORBED
+    flier = Flier(ray.flier.place, walked.way, walked.beam.d, ray.flier.last, 0.0)
+    return Ray(fate, flier, walked.beam, ray.legs, ray.order + 1, ray.most)
+
+
+@kernel
 def played(state, purse):
     """Let a ray play roulette as often as it is due, see `splits.transport.flight`."""
     alive = True
@@ -269,7 +125,7 @@ def played(state, purse):
 
 
 @kernel
-def follow(state, ray, scene, optics, length, notes, window, most):
+def follow(state, ray, scene, optics, length, notes, window, roof):
     """Follow a ray until it leaves the scene or is absorbed, or until its worth wants a decision.
 
     Parameters
@@ -285,8 +141,8 @@ def follow(state, ray, scene, optics, length, notes, window, most):
         Taken where rays pass faces between layers; None where nobody listens, at no cost.
     window : Window or None
         None asks for no decisions, at no cost.
-    most : int
-        Grains met after which a ray counts as absorbed.
+    roof : Surface or None
+        The rough surface on top; None where it is smooth, at no cost.
 
     Returns
     -------
@@ -294,59 +150,38 @@ def follow(state, ray, scene, optics, length, notes, window, most):
         Its fate `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `BELOW`, `LOST`, or `TRAVELS` where the
         window is left, or where there might not be room for the next leg's notes.
     """
-    flier, beam, legs, order, fate = ray.flier, ray.beam, ray.legs, ray.order, TRAVELS
     layers = scene.layers
-    while fate == TRAVELS:
+    while ray.fate == TRAVELS:
         if notes is not None and not has_room(notes, 2 * layers.face.size):
             break
-        payment = played(state, beam.purse)
+        payment = played(state, ray.beam.purse)
         if not payment.alive:
-            fate = ABSORBED
-            break
-        legs += 1
-        beam = Beam(beam.d, beam.layer, beam.u, payment.purse)
-        flier, beam = settled(flier, beam, scene, optics, length, notes)
+            return ended(ray, ABSORBED)
+        beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, payment.purse)
+        flier, beam = settled(ray.flier, beam, scene, optics, length, notes)
         found = find(state, flier, beam, scene, optics)
+        arrival = arrived(flier, found, space_of(layers, found.layer))
+        hit = facet_ahead(roof, flier, found, arrival.last.length)
+        if hit.distance != GONE:
+            arrival, found = cut_short(flier, found, hit)
+        ray = Ray(TRAVELS, arrival, beam, ray.legs + 1, ray.order, ray.most)
         if found.lost:
-            fate = LOST
-            break
-        flier = arrived(flier, found, space_of(layers, found.layer))
-        leg = Segment(flier.place, beam.d, flier.last.length)
+            return ended(ray, LOST)
+        leg = Segment(arrival.place, beam.d, arrival.last.length)
         payment = travelled(state, beam, found, leg, scene, optics, length, notes)
         beam = Beam(beam.d, found.layer, beam.u, payment.purse)
+        ray = Ray(TRAVELS, arrival, beam, ray.legs, ray.order, ray.most)
         if not payment.alive:
-            fate = ABSORBED
+            return ended(ray, ABSORBED)
+        if hit.distance != GONE:
+            ray = struck(state, ray, hit.slope, scene, optics, roof)
         elif found.meeting.outside:
-            crossing = at_face(state, beam, scene, optics)
-            other = beyond(layers, beam.layer, beam.d)
-            layer = other if crossing.passed else beam.layer
-            if layer < 0 or layer == layers.attenuation.size:
-                below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
-                fate = REFLECTED if layer < 0 else below
-                layer = beam.layer
-            elif layer != beam.layer:
-                pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
-            beam = Beam(crossing.d, layer, beam.u, beam.purse)
-        elif order == most:
-            fate = ABSORBED
-        elif layers.particles[beam.layer] != GRAINS:
-            order += 1
-            turned = scattered_by_particle(state, beam, scene)
-            beam = turned.beam
-            fate = TRAVELS if turned.passed else ABSORBED
+            ray = at_face(state, ray, scene, optics, length, notes)
         else:
-            order += 1
-            walked = walk(state, beam, found, scene, optics, length)
-            beam = walked.beam
-            fate = TRAVELS if walked.alive else ABSORBED
-            flier = Flier(flier.place, walked.way, beam.d, flier.last, 0.0)
-        flier = Flier(flier.place, flier.way, beam.d, flier.last, 0.0)
-        if window is not None and fate == TRAVELS and not found.meeting.outside:
-            bottom = layers.face[layers.face.size - 1]
-            z = min(max(flier.place.z + flier.way.z, bottom), 0.0)
-            if left_window(window, z, bottom, beam.purse):
+            ray = met(state, ray, found, scene, optics, length)
+            if window is not None and ray.fate == TRAVELS and left_window(window, ray, layers):
                 break
-    return Ray(fate, flier, beam, legs, order)
+    return ray
 
 
 @kernel
@@ -365,40 +200,41 @@ def entered(state, d, layer, purse, scene, optics):
 
 
 @kernel
-def launch(state, scene, optics):
-    """Start a ray at the top."""
+def launch(state, scene, optics, roof, most):
+    """Start a ray at the top, which may meet so many grains."""
     light = scene.light
     d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
-    limit = math.inf if scene.rules.analog else FIRST_ROULETTE
-    passed, beam = entered(state, d, 0, Purse(0.0, limit, 1.0), scene, optics)
+    purse = Purse(0.0, math.inf if scene.rules.analog else FIRST_ROULETTE, 1.0)
+    if roof is not None:
+        return outside(state, aimed(d, purse, roof, most), scene, optics, roof)
+    passed, beam = entered(state, d, 0, purse, scene, optics)
     fate = TRAVELS if passed else REFLECTED
-    return Ray(fate, Flier(ORIGIN, ORIGIN, beam.d, NO_LEG, 0.0), beam, 0, 0)
+    return Ray(fate, Flier(ORIGIN, ORIGIN, beam.d, NO_LEG, 0.0), beam, 0, 0, most)
 
 
 @kernel
-def risen(state, ray, scene, optics, length, most):
+def risen(state, ray, scene, optics, length):
     """Return a ray that comes back from the ground by Lambert's law, or stays there.
 
-    One that the sample's lower face sends down again is still below.  Among the grains met, of
-    which there may be `most`, the ground counts as one.
+    One that the sample's lower face sends down again is still below.  Among the grains that it may
+    meet the ground counts as one.
     """
     purse, analog = ray.beam.purse, scene.rules.analog
     payment = paid(state, purse, 1.0, scene.ground, optics, analog, length)
     if not payment.alive:
-        return Ray(TRANSMITTED, ray.flier, ray.beam, ray.legs, ray.order)
+        return ended(ray, TRANSMITTED)
     payment = played(state, payment.purse)
-    if not payment.alive or ray.order == most:
-        return Ray(ABSORBED, ray.flier, ray.beam, ray.legs, ray.order)
+    if not payment.alive or ray.order == ray.most:
+        return ended(ray, ABSORBED)
     d = lobe(UP, uniform(state), uniform(state))
     lowest = scene.layers.attenuation.size - 1
     passed, beam = entered(state, d, lowest, payment.purse, scene, optics)
     fate = TRAVELS if passed else BELOW
-    flier = Flier(ray.flier.place, ray.flier.way, beam.d, ray.flier.last, 0.0)
-    return Ray(fate, flier, beam, ray.legs, ray.order + 1)
+    return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order + 1, ray.most)
 
 
 @entry
-def batch(seed, work, scene, optics, exits):
+def batch(seed, work, scene, optics, exits, fields, room):
     """Trace rays and record how they leave.
 
     Parameters
@@ -411,6 +247,9 @@ def batch(seed, work, scene, optics, exits):
         See `splits.transport.scene`.
     exits : float64[rays, columns]
         A row for each ray, see `splits.transport.tally`; must come from `exit_rows`.
+    fields, room : Fields, Surface, or None
+        The rough surface on top, of which every ray has a realisation, and where that lives, see
+        `waves.room_for`; None where it is smooth.
 
     Returns
     -------
@@ -426,15 +265,16 @@ def batch(seed, work, scene, optics, exits):
         start_stream(state, seed, work[0], work[1] + number)
         of_ray(notes, number)
         length[:] = 0.0
-        ray = launch(state, scene, optics)
+        roof = realised(state, fields, room)
+        ray = launch(state, scene, optics, roof, work[3])
         while ray.fate == TRAVELS or ray.fate == BELOW:
             notes = room_for(notes, most)
             if ray.fate == TRAVELS:
-                ray = follow(state, ray, scene, optics, length, notes, None, work[3])
+                ray = follow(state, ray, scene, optics, length, notes, None, roof)
             else:
                 if not scene.rules.analog:
                     note(notes, passage(faces - 1, False), ray.beam.purse.weight, length)
-                ray = risen(state, ray, scene, optics, length, work[3])
+                ray = risen(state, ray, scene, optics, length)
         legs += ray.legs
         if ray.fate == LOST:
             return Told(legs, True, taken(notes))

@@ -51,6 +51,8 @@ class Ray(NamedTuple):
     beam : Beam
     legs, order : int
         Legs through the pore space, which is what the ray cost, and grains met.
+    most : int
+        Grains met after which it counts as absorbed.
     """
 
     fate: int
@@ -58,6 +60,7 @@ class Ray(NamedTuple):
     beam: Beam
     legs: int
     order: int
+    most: int
 
 
 class Candidate(NamedTuple):
@@ -89,6 +92,18 @@ class Paid(NamedTuple):
 
     purse: Purse
     alive: bool
+
+
+@kernel
+def ended(ray, fate):
+    """Return a ray that has come to its end."""
+    return Ray(fate, ray.flier, ray.beam, ray.legs, ray.order, ray.most)
+
+
+@kernel
+def turned(flier, d):
+    """Return a ray at the same place that goes along d now."""
+    return Flier(flier.place, flier.way, d, flier.last, 0.0)
 
 
 @kernel

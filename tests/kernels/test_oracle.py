@@ -97,7 +97,7 @@ def by_kernel(kernel, medium, incidence, optics, seed, rays):
     exits = [exit_rows(rays, one.n.size) for one in optics]
     if kernel == "scalar":
         for item, one, rows in zip(work, optics, exits, strict=True):
-            assert not granular.batch(seed, item, scene, one, rows).lost
+            assert not granular.batch(seed, item, scene, one, rows, None, None).lost
     else:
         features = [features_for(scene, one) for one in optics]
         assert None not in features

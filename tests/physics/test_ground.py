@@ -108,7 +108,7 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
         alone = Optics(*(part[np.newaxis] for part in optics))
         told = lanes.batch(1, work, scene, alone, exits, features_for(scene, optics))
     else:
-        told = granular.batch(1, work[0], scene, optics, exits)
+        told = granular.batch(1, work[0], scene, optics, exits, None, None)
     kept = np.zeros(len(exits))
     weights = told.notes[:, NOTE_WEIGHT] * np.exp(-told.notes[:, NOTE_LENGTH:] @ absorption[0])
     np.add.at(kept, told.notes[:, NOTE_RAY].astype(int), (1.0 - 0.6) * weights)

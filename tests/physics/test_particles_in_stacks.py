@@ -108,16 +108,19 @@ def test_coin_tosses_and_weights_agree():
         ({"bottom_albedo": None, "polarized": True}, r"layers\[0\].polarized = True"),
         ({"bottom_albedo": None, "opaque": True}, r"layers\[0\].opaque = True"),
         ({"bottom_albedo": None, "optical_thickness": np.inf}, "must be finite"),
-        (
-            {"bottom_albedo": None, "surface": {"rms_height_m": 0.01, "wave_number_per_m": 1.0,
-             "waves": 4, "correlation": "gaussian"}},
-            r"layers\[0\].surface",
-        ),
     ],
 )  # fmt: skip
 def test_what_a_layer_of_a_stack_cannot_have_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         splits.Stack([splits.Layer(**settings)])
+
+
+def test_only_the_top_of_a_stack_is_rough():
+    waves = {"rms_height_m": 1e-3, "wave_number_per_m": 1.0, "waves": 4, "correlation": "gaussian"}
+    rough = splits.Layer(bottom_albedo=None, surface=waves)
+    assert splits.Stack([rough, LID]).depth_m == 1.01
+    with pytest.raises(ValueError, match=r"layers\[1\].surface = .*: must be left out"):
+        splits.Stack([LID, rough])
 
 
 def test_lanes_and_profiles_know_no_particles():

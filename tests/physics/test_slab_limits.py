@@ -82,7 +82,7 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
             exits = exit_rows(rays, 3)
             scene = scene_of(snow.grains(), depth, 0.0, snow.readings.rules(analog), mu)
             work = np.array([ensemble, 0, rays, UNLIMITED])
-            told = granular.batch(seed + 10 * analog, work, scene, optics, exits)
+            told = granular.batch(seed + 10 * analog, work, scene, optics, exits, None, None)
             assert not told.lost
             moments, least, _ = tally(
                 exits, told.notes, absorption[np.newaxis], not analog, NO_GROUND

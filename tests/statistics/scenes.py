@@ -156,9 +156,9 @@ def next_of(state, flier, scene, optics):
 @njit
 def _traced(state, scene, optics, length, most):
     length[:] = 0.0
-    ray = granular.launch(state, scene, optics)
+    ray = granular.launch(state, scene, optics, None, most)
     if ray.fate == granular.TRAVELS:
-        ray = granular.follow(state, ray, scene, optics, length, None, None, most)
+        ray = granular.follow(state, ray, scene, optics, length, None, None, None)
     return ray
 
 

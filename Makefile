@@ -63,6 +63,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/local_estimation.py
 	$(BIN)/python benchmarks/surface_crossings.py
 	$(BIN)/python benchmarks/light_inside.py
+	$(BIN)/python benchmarks/packs_against_tartes.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

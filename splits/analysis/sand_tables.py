@@ -34,16 +34,16 @@ def sand_trends(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     """
     rows = [
         *_rises(datasets["samples"]),
-        monotone(datasets, "iron_oxide", "reflectance", "iron_oxide", -1, 400, 1000,
+        monotone(datasets["iron_oxide"], "reflectance", "iron_oxide", -1, (400, 1000),
                  "reflectance falls with hematite and goethite, 400-1000 nm", "Fig 8"),
         _redder(datasets["hematite_ratio"]),
-        monotone(datasets, "magnetite", "reflectance", "magnetite", -1, 400, 1000,
+        monotone(datasets["magnetite"], "reflectance", "magnetite", -1, (400, 1000),
                  "reflectance falls with magnetite, 400-1000 nm", "Fig 8"),
-        monotone(datasets, "texture", "reflectance", "texture", +1, 400, 1000,
+        monotone(datasets["texture"], "reflectance", "texture", +1, (400, 1000),
                  "reflectance rises with silt for sand: smaller particles are brighter", "Fig 8"),
-        monotone(datasets, "wet_colours", "reflectance", "saturation", -1, 400, 780,
+        monotone(datasets["wet_colours"], "reflectance", "saturation", -1, (400, 780),
                  "all four samples darken with saturation, 400-780 nm", "Figs 7, 10"),
-        monotone(datasets, "fine_fraction", "reflectance", "texture", +1, 400, 500,
+        monotone(datasets["fine_fraction"], "reflectance", "texture", +1, (400, 500),
                  "reflectance rises with clay for silt, 400-500 nm", "section 5.2"),
     ]  # fmt: skip
     return pd.DataFrame(rows)

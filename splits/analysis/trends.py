@@ -44,25 +44,26 @@ def trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
     datasets : mapping
         By role, see `splits.analysis.roles.SNOW`.
     """
+    wetness, through = datasets["saturation_transmittance"], "transmittance"
+    ends = wetness.isel(saturation=[0, -1])
     rows = [
-        monotone(datasets, "grain_size", "reflectance", "grain_size_um", -1, 700, 1300,
-                  "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
-        monotone(datasets, "depth", "transmittance", "depth_m", -1, 400, 700,
-                  "transmittance falls with depth, 400-700 nm", "Fig 11"),
-        monotone(datasets, "grain_size_transmittance", "transmittance", "grain_size_um", +1, 400,
-                  700, "transmittance rises with grain size, 400-700 nm", "Fig 12"),
-        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", +1, 400, 700,
-                  "transmittance rises with saturation, 400-700 nm", "Fig 13"),
-        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", -1, 800, 1450,
-                  "transmittance falls with every step of saturation, mean over 800-1450 nm",
-                  "Fig 13"),
-        monotone({"ends": datasets["saturation_transmittance"].isel(saturation=[0, -1])}, "ends",
-                  "transmittance", "saturation", -1, 800, 1450,
-                  "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
-        monotone(datasets, "saturation_transmittance", "transmittance", "saturation", -1, 940, 1450,
-                  "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
-        monotone(datasets, "density_transmittance", "transmittance", "density_kg_m3", -1, 400, 700,
-                  "transmittance falls with density, 400-700 nm", "Fig 14"),
+        monotone(datasets["grain_size"], "reflectance", "grain_size_um", -1, (700, 1300),
+                 "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
+        monotone(datasets["depth"], through, "depth_m", -1, (400, 700),
+                 "transmittance falls with depth, 400-700 nm", "Fig 11"),
+        monotone(datasets["grain_size_transmittance"], through, "grain_size_um", +1, (400, 700),
+                 "transmittance rises with grain size, 400-700 nm", "Fig 12"),
+        monotone(wetness, through, "saturation", +1, (400, 700),
+                 "transmittance rises with saturation, 400-700 nm", "Fig 13"),
+        monotone(wetness, through, "saturation", -1, (800, 1450),
+                 "transmittance falls with every step of saturation, mean over 800-1450 nm",
+                 "Fig 13"),
+        monotone(ends, through, "saturation", -1, (800, 1450),
+                 "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
+        monotone(wetness, through, "saturation", -1, (940, 1450),
+                 "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
+        monotone(datasets["density_transmittance"], through, "density_kg_m3", -1, (400, 700),
+                 "transmittance falls with density, 400-700 nm", "Fig 14"),
     ]  # fmt: skip
     sizes = datasets["grain_size"]
     rows += [
@@ -131,11 +132,11 @@ def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> d
 
 
 def monotone(
-    datasets: Mapping[str, xr.Dataset], role: str, quantity: str, dimension: str,
-    sign: int, low: float, high: float, statement: str, place: str,
+    dataset: xr.Dataset, quantity: str, dimension: str, sign: int,
+    band: tuple[float, float], statement: str, place: str,
 ) -> dict[str, object]:  # fmt: skip
     """Return the row of a band mean (nm) that rises (+1) or falls (-1) along a grid's dimension."""
-    step, error = steps(datasets[role], quantity, dimension, low, high)
+    step, error = steps(dataset, quantity, dimension, *band)
     return beyond(f"{statement}: smallest step", place, sign * step, error)
 
 

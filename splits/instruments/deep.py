@@ -115,11 +115,7 @@ def deep_transmittance(
             optics = shared_optics(index[row], absorption[row : row + 1])
             source = _Source(pool, seed, scene, optics)
             number = streams.DEEP + (STAGES + 1) * row
-            rate = _SAFE * guess
-            for stage in range(STAGES):
-                pilot = _Sum()
-                pilot.add(source, number + stage, PILOT, rate)
-                rate = min(pilot.rate(float(medium.depth_m), rate), guess)
+            rate = _piloted(source, number, guess, float(medium.depth_m))
             run = _Sum()
             wanted = PILOT
             while True:
@@ -220,6 +216,16 @@ class _Sum:
             return fallback
         place = depth * (np.arange(SLICES)[inside] + 0.5) / SLICES
         return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
+
+
+def _piloted(source: _Source, number: int, guess: float, depth: float) -> float:
+    """Return the rate (1/m) at which rays are to be split, as pilots see the light fall off."""
+    rate = _SAFE * guess
+    for stage in range(STAGES):
+        pilot = _Sum()
+        pilot.add(source, number + stage, PILOT, rate)
+        rate = min(pilot.rate(depth, rate), guess)
+    return rate
 
 
 def attenuation_rate(

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.checks import in_range, increasing, one_of, refuse, row_of
-from splits.instruments.angular import (
-    BIAS,
-    Estimate,
-    estimate,
-    largest_error,
-    rays_wanted,
-    reference,
-)
+from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.arguments import (
     check_beam,
     check_medium,
@@ -33,34 +27,25 @@ from splits.instruments.cells import (
     estimate_cells,
     stokes_of_cells,
 )
-from splits.instruments.detail import angles_of
-from splits.instruments.directional import ROUND, Directional
 from splits.instruments.ensemble import Paths
+from splits.instruments.expansion import counted, expand
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.local import Goal, listen
+from splits.instruments.local import Goal, Listened, listen
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
-from splits.transport.directions import basis_of
 from splits.uncertainty import Variable, quantity
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
-
-DEGREE = 24
-"""Largest degree of polynomials: details of about 180°/24."""
-
-STEEPEST_DEG = 82.5
-"""Polar angle up to which the error asked for is to be reached."""
 
 ESTIMATORS = ("expansion", "cells", "local")
 SIDES = {"brdf": 0, "btdf": 1}
 OF_LIGHT_BELOW = ("btdf", "transmittance", "direct_transmittance")
 """What a dataset tells of light that leaves below: nothing of it over a ground."""
 
-_GROWTH = 8.0
 _NODES_SHARE = 0.05
 """Bound on what interpolation between refractive indices may miss of a reflectance, as a part of
 the relative error asked for."""
@@ -173,143 +158,89 @@ def goniophotometer(
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
-    paths: Sequence[Paths] = ()
     heard = Heard(orders=True)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
-    stokes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    unseen: tuple[str, ...] = OF_LIGHT_BELOW if grounded else ()
     if estimator == "cells":
         polar, azimuth = centres(check_cells(cells))
-        check_size(len(wavelengths), len(polar) * len(azimuth))
-        collected, result, reached = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
-        paths, stokes = collected, stokes_of_cells(collected)
     else:
         polar = check_angles("polar_deg", polar_deg, 90.0)
         azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
-        check_size(len(wavelengths), len(polar) * len(azimuth))
+    check_size(len(wavelengths), len(polar) * len(azimuth))
+    if estimator == "cells":
+        found = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
+    else:
         goal = Goal(side, relative_stderr, rays, max_rays)
         if estimator == "local":
-            local = listen(medium, incidence, polar, azimuth, goal, runner)
-            result, reached = local.estimate(len(wavelengths)), local.reached
-            stokes = local.stokes(len(wavelengths)) if local.polarized else {}
-            # A bottom hears light at other angles than detectors outside would.
-            unseen = () if local.below else ("btdf",)
+            found = _listen(listen(medium, incidence, polar, azimuth, goal, runner), wavelengths)
         else:
-            paths, result, reached = _expand(runner, nodes, absorption, polar, azimuth, goal)
-    seen = counted(polar, azimuth)
-    worst = largest_error(result, side, seen | (estimator == "local"))
+            paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
+            found = _Found(result, reached, _traced(paths), paths)
+    seen = counted(polar, azimuth) | (estimator == "local")
     facts = {
         **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
         "relative_stderr": relative_stderr,
-        "relative_stderr_reached": worst,
-        "stopped_by": reached,
+        "relative_stderr_reached": largest_error(found.result, side, seen),
+        "stopped_by": found.reached,
         "interpolation_error_bound": float(nodes.bias.max()),
-        "degree": result.degree[side],
+        "degree": found.result.degree[side],
         "max_rays": max_rays,
-        "rays": sum(level.rays for e in paths for level in e.levels) if paths else local.rays,
+        "rays": found.rays,
         "ensembles": len(nodes.index),
-        "kernel": runner.kernels(paths) or "scalar",
+        "kernel": runner.kernels(found.paths) or "scalar",
     }
-    dataset = _dataset(result, stokes, wavelengths, polar, azimuth, facts)
+    dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
+    unseen = OF_LIGHT_BELOW if grounded else found.unseen
     return dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
 
 
-def _expand(
-    runner: Runner,
-    nodes: Nodes,
-    absorption: np.ndarray,
-    polar: np.ndarray,
-    azimuth: np.ndarray,
-    goal: Goal,
-) -> tuple[list[Directional], Estimate, str]:
-    """Trace until the goal is reached; return the paths, the estimate and what stopped them."""
-    symmetric = runner.tracer.upright
-    angles = angles_of(polar, azimuth, basis_of(DEGREE))
-    seen = counted(polar, azimuth)
-    ensembles = [
-        Directional(number, m, absorption, w, angles.basis)
-        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
-    ]
-    levels = [(e, level) for e in ensembles for level in e.levels]
-    limit = goal.rays or goal.max_rays
-    runner.trace([(e, level, ROUND) for e, level in levels], 1.0, goal.relative_stderr)
-    reached: list[tuple[float, float]] = []
-    while True:
-        result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
-        error = largest_error(result, goal.side, seen, steering=True)
-        have = np.array([level.rays for _, level in levels])
-        if goal.rays is None and error <= goal.relative_stderr:
-            stated = largest_error(result, goal.side, seen)
-            return ensembles, result, "error" if stated <= goal.relative_stderr else "detail"
-        # Eight times the rays should divide a statistical error by nearly three.
-        idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)
-        if goal.rays is None and (idle or _too_fine(result, goal, seen)):
-            return ensembles, result, "degree"
-        reached.append((float(have.sum()), error))
-        if have.sum() >= limit:
-            return ensembles, result, "rays"
-        missed = BIAS * nodes.bias[:, np.newaxis]
-        scale = reference(result)[goal.side][:, seen]
-        target = (goal.relative_stderr**2 - missed**2) * scale**2
-        wanted = rays_wanted(ensembles, variance, target)
-        step = _share_out(wanted, have, limit, goal.rays is not None)
-        work = [(*who, int(n)) for who, n in zip(levels, step, strict=True) if n > 0]
-        left = float((wanted - have - step).clip(0).sum())
-        runner.trace(work, error, goal.relative_stderr, left)
+class _Found(NamedTuple):
+    """What an estimator found: result, what stopped it, rays, their paths, polarization.
+
+    `unseen` are variables of which it tells nothing.
+    """
+
+    result: Estimate
+    reached: str
+    rays: int
+    paths: Sequence[Paths] = ()
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({})
+    unseen: tuple[str, ...] = ()
 
 
-def counted(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """Tell in which directions the error counts: all of them if only steeper ones are wanted."""
-    low = polar <= STEEPEST_DEG
-    return np.repeat(low if low.any() else ~low, len(azimuth))
+def _traced(paths: Sequence[Paths]) -> int:
+    """Return how many rays were traced."""
+    return sum(level.rays for one in paths for level in one.levels)
 
 
-def _too_fine(result: Estimate, goal: Goal, seen: np.ndarray) -> bool:
-    """Tell whether only detail finer than the polynomials keeps a run from its goal."""
-    side = goal.side
-    scale, stderr = reference(result)[side][:, seen], result.steering[side][:, seen]
-    rest = np.sqrt(np.maximum(stderr**2 - result.beyond[side][:, seen] ** 2, 0.0))
-    return bool((rest <= goal.relative_stderr * scale).all())
-
-
-def _share_out(wanted: np.ndarray, have: np.ndarray, limit: int, fixed: bool) -> np.ndarray:
-    """Return how many rays to add to each level: those wanted, or as many in these proportions."""
-    room = float(limit - have.sum())
-    more = wanted - have
-    if fixed:
-        low, high = 0.0, (have.sum() + room) / wanted.min()
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            enough = np.clip(middle * wanted - have, 0.0, None).sum() >= room
-            low, high = (low, middle) if enough else (middle, high)
-        more = high * wanted - have
-    step = np.clip(more, 0.0, (_GROWTH - 1.0) * have)
-    if not step.any():
-        # All have what was foretold, but the error has grown: finer detail came into sight.
-        step = 0.25 * have
-    step *= min(1.0, room / step.sum())
-    return np.ceil(step / ROUND).astype(np.int64) * ROUND
+def _listen(local: Listened, wavelengths: np.ndarray) -> _Found:
+    """Return what local estimation found."""
+    stokes = local.stokes(len(wavelengths)) if local.polarized else {}
+    # A bottom hears light at other angles than detectors outside would.
+    unseen = () if local.below else ("btdf",)
+    result = local.estimate(len(wavelengths))
+    return _Found(result, local.reached, local.rays, (), stokes, unseen)
 
 
 def _collect(
     runner: Runner, nodes: Nodes, absorption: np.ndarray, cells: tuple[int, int], rays: int
-) -> tuple[list[Cells], Estimate, str]:
-    """Trace so many rays and count them in cells; return what `_expand` returns."""
+) -> _Found:
+    """Trace so many rays and count them in cells."""
     paths = [
         Cells(number, m, absorption, w, cells, runner.tracer.stokes)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     each = -(-rays // len(paths))
     runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
-    return paths, estimate_cells(paths, nodes.bias), "rays"
+    result = estimate_cells(paths, nodes.bias)
+    return _Found(result, "rays", _traced(paths), paths, stokes_of_cells(paths))
 
 
 def _dataset(
     result: Estimate,
-    stokes: dict[str, tuple[np.ndarray, np.ndarray]],
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
     wavelengths: np.ndarray,
     polar: np.ndarray,
     azimuth: np.ndarray,

@@ -43,7 +43,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Heard:
+class Listened:
     """What detectors heard.
 
     Attributes
@@ -131,7 +131,7 @@ def listen(
     azimuth: np.ndarray,
     goal: Goal,
     runner: Runner,
-) -> Heard:
+) -> Listened:
     """Trace rays until every direction has the relative error asked for, or so many.
 
     Parameters
@@ -224,7 +224,7 @@ class _Sums:
         self.square += one**2
         np.maximum(self.largest, np.abs(one), out=self.largest)
 
-    def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Heard:
+    def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Listened:
         """Return means and standard errors.
 
         As if one more batch had come that heard as much as the loudest so far; and where nothing
@@ -245,4 +245,4 @@ class _Sums:
                 stderr[1, :, 0][heard[1, :, 0] == 0.0] = 1.0 / (np.pi * rays)
         if not certain:
             of_totals = np.maximum(of_totals, 1.0 / rays)
-        return Heard(heard, stderr, totals, of_totals, rays, "", polarized, below)
+        return Listened(heard, stderr, totals, of_totals, rays, "", polarized, below)

@@ -34,8 +34,8 @@ def over_depth(values, stderr=0.01):
 
 
 def verdict(values, sign, stderr=0.01):
-    datasets = {"made": over_depth(values, stderr)}
-    return monotone(datasets, "made", "transmittance", "depth_m", sign, 400, 600, "falls", "Fig 0")
+    made = over_depth(values, stderr)
+    return monotone(made, "transmittance", "depth_m", sign, (400, 600), "falls", "Fig 0")
 
 
 def test_a_band_mean_takes_its_band_only():

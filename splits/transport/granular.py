@@ -13,7 +13,7 @@ import numpy as np
 
 from splits.transport.faces import facing, meet
 from splits.transport.flight import FIRST_ROULETTE, Flier, Purse, roulette
-from splits.transport.jit import entry, kernel
+from splits.transport.jit import entry, part
 from splits.transport.legs import arrived, beyond, find, pass_face, settled, travelled
 from splits.transport.light import launched
 from splits.transport.march import GONE
@@ -60,7 +60,7 @@ from splits.transport.walk import walk
 from splits.transport.window import left_window
 
 
-@kernel
+@part
 def at_face(state, ray, scene, optics, length, notes):
     """Return a ray that passes the face at which it stands, or is sent back there."""
     layers, beam = scene.layers, ray.beam
@@ -84,7 +84,7 @@ def at_face(state, ray, scene, optics, length, notes):
     return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order, ray.most)
 
 
-@kernel
+@part
 def scattered_by_particle(state, beam, scene):
     """Return the beam that a particle scatters, if it is not absorbed there."""
     row = scene.layers.particles[beam.layer]
@@ -98,7 +98,7 @@ def scattered_by_particle(state, beam, scene):
     return Entered(True, Beam(d, beam.layer, beam.u, purse))
 
 
-@kernel
+@part
 def met(state, ray, found, scene, optics, length):
     """Return a ray after the particle or the grain that it has met."""
     if ray.order == ray.most:
@@ -114,7 +114,7 @@ def met(state, ray, found, scene, optics, length):
     return Ray(fate, flier, walked.beam, ray.legs, ray.order + 1, ray.most)
 
 
-@kernel
+@part
 def played(state, purse):
     """Let a ray play roulette as often as it is due, see `splits.transport.flight`."""
     alive = True
@@ -124,7 +124,7 @@ def played(state, purse):
     return Paid(purse, alive)
 
 
-@kernel
+@part
 def follow(state, ray, scene, optics, length, notes, window, roof):
     """Follow a ray until it leaves the scene or is absorbed, or until its worth wants a decision.
 
@@ -184,7 +184,7 @@ def follow(state, ray, scene, optics, length, notes, window, roof):
     return ray
 
 
-@kernel
+@part
 def entered(state, d, layer, purse, scene, optics):
     """Return the beam of a ray that comes from outside to a layer, if that lets it in.
 
@@ -199,7 +199,7 @@ def entered(state, d, layer, purse, scene, optics):
     return Entered(crossing.passed, Beam(crossing.d, layer, u, purse))
 
 
-@kernel
+@part
 def launch(state, scene, optics, roof, most):
     """Start a ray at the top, which may meet so many grains."""
     light = scene.light
@@ -212,7 +212,7 @@ def launch(state, scene, optics, roof, most):
     return Ray(fate, Flier(ORIGIN, ORIGIN, beam.d, NO_LEG, 0.0), beam, 0, 0, most)
 
 
-@kernel
+@part
 def risen(state, ray, scene, optics, length):
     """Return a ray that comes back from the ground by Lambert's law, or stays there.
 

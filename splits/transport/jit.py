@@ -32,7 +32,7 @@ def part(function: Any) -> Any:
     There it stays as it is written.  What takes apart and puts together named tuples at the border
     to Python takes as long to compile as a small function itself.
     """
-    options: Any = {**ALIKE, "no_cpython_wrapper": True}
+    options: Any = {**ALIKE, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     overload(function, jit_options=options, strict=False)(lambda *types: function)
     return function
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from splits.transport.features import EVERYTHING
 from splits.transport.flight import Fates, Flier, next_grain, to_boundary
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.notes import note, passage
 from splits.transport.rng import uniform
 from splits.transport.scalar import (
@@ -30,13 +30,13 @@ from splits.transport.spheroid import Segment
 from splits.transport.vectors import ORIGIN, Vector
 
 
-@kernel
+@part
 def beyond(layers, layer, d):
     """Return the layer behind the face that a ray along d has ahead; −1 or their number outside."""
     return layer - 1 if d.z > 0.0 else layer + 1
 
 
-@kernel
+@part
 def alike(layers, optics, one, other, u):
     """Tell whether the pores of two layers are the same to light."""
     a = index_of(optics, pore_of(layers, one, u))
@@ -44,14 +44,14 @@ def alike(layers, optics, one, other, u):
     return a.n == b.n and a.k == b.k
 
 
-@kernel
+@part
 def pass_face(notes, scene, layer, upward, purse, length):
     """Note a ray that passes from a layer into the next one, where somebody listens."""
     if notes is not None and scene.listens:
         note(notes, passage(layer if upward else layer + 1, upward), purse.weight, length)
 
 
-@kernel
+@part
 def settled(flier, beam, scene, optics, length, notes):
     """Return a ray that left a grain, its layer that in which it now is.
 
@@ -75,7 +75,7 @@ def settled(flier, beam, scene, optics, length, notes):
     return Flier(flier.place, way, beam.d, flier.last, 0.0), Beam(beam.d, layer, beam.u, beam.purse)
 
 
-@kernel
+@part
 def find(state, flier, beam, scene, optics):
     """Draw the next grain on a ray, or find the face that it reaches first.
 
@@ -116,7 +116,7 @@ def find(state, flier, beam, scene, optics):
             return Found(candidate, meeting, layer, True)
 
 
-@kernel
+@part
 def arrived(flier, found, space):
     """Return a ray at the grain that it meets, or at the face that comes before."""
     leg, height = found.meeting.leg, found.meeting.height
@@ -128,7 +128,7 @@ def arrived(flier, found, space):
     return Flier(Vector(x, y, height), ORIGIN, flier.d, Segment(ORIGIN, flier.d, leg), 0.0)
 
 
-@kernel
+@part
 def travelled(state, beam, goal, leg, scene, optics, length, notes):
     """Take a leg through the pores of the layers up to that in which it ends.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from splits.transport.faces import meet
 from splits.transport.flight import Flier
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.march import GONE, cleared, first_crossing, no_hit, normal_of
 from splits.transport.march import LOST as ASTRAY
 from splits.transport.rng import uniform
@@ -24,7 +24,7 @@ TALLEST = 50.0
 root of −ln u, u the least random number, is below it."""
 
 
-@kernel
+@part
 def realised(state, fields, room):
     """Return a realisation of the rough surface, None where it is smooth."""
     if room is None:
@@ -32,7 +32,7 @@ def realised(state, fields, room):
     return draw_waves(state, fields, room)
 
 
-@kernel
+@part
 def facet_ahead(roof, flier, found, leg):
     """Return the facet, a `march.Hit`, that a ray in the sample meets before its leg's end (m)."""
     if roof is None:
@@ -43,14 +43,14 @@ def facet_ahead(roof, flier, found, leg):
     return first_crossing(roof, begin, flier.d, -1.0, leg)
 
 
-@kernel
+@part
 def _begin(flier):
     """Return where a ray's leg begins."""
     place, way = flier.place, flier.way
     return Vector(place.x + way.x, place.y + way.y, place.z + way.z)
 
 
-@kernel
+@part
 def cut_short(flier, found, hit):
     """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer."""
     place = along(hit.distance, flier.d, _begin(flier))
@@ -58,14 +58,14 @@ def cut_short(flier, found, hit):
     return flier, Found(found.candidate, found.meeting, 0, hit.distance == ASTRAY)
 
 
-@kernel
+@part
 def aimed(d, purse, roof, most):
     """Return a ray along d from outside that aims at the origin of the mean surface."""
     place = Vector(roof.reach * d.x / d.z, 0.0, roof.reach)
     return Ray(TRAVELS, Flier(place, ORIGIN, d, NO_LEG, 0.0), Beam(d, 0, 0.0, purse), 0, 0, most)
 
 
-@kernel
+@part
 def at_facet(state, ray, slope, side, scene, optics):
     """Return a ray that a facet reflects or refracts, and the side of the surface on which it is.
 
@@ -91,7 +91,7 @@ def at_facet(state, ray, slope, side, scene, optics):
     return Ray(ray.fate, turned(ray.flier, d), beam, ray.legs, ray.order + 1, ray.most), side
 
 
-@kernel
+@part
 def outside(state, ray, scene, optics, roof):
     """Follow a ray above the surface until it is in the sample, or away.
 
@@ -115,7 +115,7 @@ def outside(state, ray, scene, optics, roof):
     return ray
 
 
-@kernel
+@part
 def struck(state, ray, slope, scene, optics, roof):
     """Return a ray from the sample after a facet: sent back, away, or in the sample again.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from splits.transport.elementary import Angle
 from splits.transport.faces import Index
 from splits.transport.flight import Fates, Flier, Meeting, Purse, Space
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.phase import Phase
 from splits.transport.rng import from_table, pick, uniform, unit_circle
 from splits.transport.scene import KEPT, SKIPPED
@@ -94,19 +94,19 @@ class Paid(NamedTuple):
     alive: bool
 
 
-@kernel
+@part
 def ended(ray, fate):
     """Return a ray that has come to its end."""
     return Ray(fate, ray.flier, ray.beam, ray.legs, ray.order, ray.most)
 
 
-@kernel
+@part
 def turned(flier, d):
     """Return a ray at the same place that goes along d now."""
     return Flier(flier.place, flier.way, d, flier.last, 0.0)
 
 
-@kernel
+@part
 def paid(state, purse, leg, material, optics, analog, length):
     """Take a leg through a material, and tell whether the ray goes on.
 
@@ -120,19 +120,19 @@ def paid(state, purse, leg, material, optics, analog, length):
     return Paid(Purse(purse.depth + depth, purse.limit, purse.weight), True)
 
 
-@kernel
+@part
 def pore_of(layers, layer, u):
     """Return the material of the pore space for a leg in a layer (SPLITS 4.3.2)."""
     return layers.pore[layer] + (1 if u < layers.saturation[layer] else 0)
 
 
-@kernel
+@part
 def index_of(optics, material):
     """Return the complex refractive index of a material."""
     return Index(optics.n[material], optics.k[material])
 
 
-@kernel
+@part
 def space_of(layers, layer):
     """Return the space of a layer of a scene."""
     bottom = layers.face[layers.face.size - 1]
@@ -140,7 +140,7 @@ def space_of(layers, layer):
     return Space(1.0 / layers.attenuation[layer], low, high, bottom, layers.face[0])
 
 
-@kernel
+@part
 def candidate_of(state, scene, layer):
     """Draw type, size, shape and roughness of a grain of a layer."""
     share, types = scene.layers.share[layer], scene.types
@@ -153,7 +153,7 @@ def candidate_of(state, scene, layer):
     return Candidate(kind, Size(major, 1.0 - sphericity * sphericity), roughness)
 
 
-@kernel
+@part
 def aim_of(state, flattening):
     """Draw how a ray strikes a grain."""
     while True:
@@ -162,7 +162,7 @@ def aim_of(state, flattening):
             return Aim(aim.facing, unit_circle(state), unit_circle(state), aim.axial, aim.area)
 
 
-@kernel
+@part
 def phase_of(particles, row):
     """Return the phase function of a layer's particles."""
     size = particles.size[row]
@@ -172,7 +172,7 @@ def phase_of(particles, row):
     )  # fmt: skip
 
 
-@kernel
+@part
 def fates_of(rules):
     """Return what becomes of grains that do not fit."""
     return Fates(

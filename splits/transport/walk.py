@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from splits.transport.elementary import Angle
 from splits.transport.features import EVERYTHING
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 from splits.transport.rng import half_normal, uniform, unit_circle
 from splits.transport.scalar import Beam, index_of, paid, pore_of
 from splits.transport.scene import LOBE
@@ -40,7 +40,7 @@ class Sides(NamedTuple):
     u: float
 
 
-@kernel
+@part
 def media_of(state, stand, kind, beam, scene, optics):
     """Return the media that a ray at a grain has on both sides."""
     shell, beyond = int(stand.shell), int(stand.shell + stand.side)
@@ -54,7 +54,7 @@ def media_of(state, stand, kind, beam, scene, optics):
     return Sides(contrast(index_of(optics, here), index_of(optics, there)), u)
 
 
-@kernel
+@part
 def trial(state, d, stand, grain, roughness, media, rules):
     """Return what one trial at a grain's surface leads to."""
     facet = facing(d, grain, stand.side)
@@ -70,7 +70,7 @@ def trial(state, d, stand, grain, roughness, media, rules):
     return outcome(d, stand, facet, media, u, rules.wrong_side != LOBE, EVERYTHING)
 
 
-@kernel
+@part
 def walk(state, beam, found, scene, optics, length):
     """Follow a ray from its entry point on a grain until it is back in the pore space.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import kernel
+from splits.transport.jit import part
 
 
 class Window(NamedTuple):
@@ -32,20 +32,20 @@ class Window(NamedTuple):
     profile: np.ndarray
 
 
-@kernel
+@part
 def height(ray, layers):
     """Return the height at which a ray stands (m)."""
     bottom = layers.face[layers.face.size - 1]
     return min(max(ray.flier.place.z + ray.flier.way.z, bottom), 0.0)
 
 
-@kernel
+@part
 def worth_of(ray, layers, weight, kappa):
     """Return what a ray can be expected to contribute, see `Window`."""
     return weight * math.exp(-ray.beam.purse.depth - kappa * height(ray, layers))
 
 
-@kernel
+@part
 def left_window(window, ray, layers):
     """Tell whether a ray's worth lies outside its window, and note where it is."""
     bottom = layers.face[layers.face.size - 1]

@@ -108,7 +108,7 @@ def alone(optics):
 
 def passing(scene):
     """Return what the passes over lanes need to know of a scene, in the precision they take."""
-    return passing_of.py_func(scene)
+    return passing_of(scene)
 
 
 def boundless(scene):

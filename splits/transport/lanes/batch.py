@@ -8,7 +8,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.transport.flight import Space
-from splits.transport.jit import ZERO, entry, kernel
+from splits.transport.jit import ZERO, entry, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import (
     Lanes,
@@ -31,7 +31,7 @@ from splits.transport.scene import LOBE
 from splits.transport.tally import Told
 
 
-@kernel
+@part
 def passing_of(scene):
     """Return what the passes need to know of a scene."""
     layers, rules = scene.layers, scene.rules
@@ -41,7 +41,7 @@ def passing_of(scene):
     return Passing(space, fates_of(rules), single(layers.saturation[0]), rules.facets, mirrored)
 
 
-@kernel
+@part
 def room(materials):
     """Return lanes of which none is in use."""
     state = np.zeros(rows.STATE, dtype=np.float32)
@@ -52,7 +52,7 @@ def room(materials):
     return Lanes(state, words, length, ray, item, np.zeros(1, dtype=np.uint64))
 
 
-@kernel
+@part
 def advance(lanes, width, features, tables, task, notes):
     """Give all lanes between grains their next grain; see `flight` for what it returns."""
     draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share)
@@ -94,7 +94,7 @@ class Queue(NamedTuple):
     lost: bool
 
 
-@kernel
+@part
 def next_of(queue, work):
     """Return the queue with the item of the next ray settled."""
     item, number = queue.item, queue.number
@@ -104,7 +104,7 @@ def next_of(queue, work):
     return Queue(queue.ray, queue.rays, item, number, queue.busy, False)
 
 
-@kernel
+@part
 def refill(lanes, lane, task, exits, queue):
     """Launch rays in a lane that is free until one enters the slab, or none is left."""
     state = lanes.state
@@ -123,7 +123,7 @@ def refill(lanes, lane, task, exits, queue):
     return queue
 
 
-@kernel
+@part
 def at_face(lanes, lane, task, notes, status):
     """Serve a ray that meets a face or has to change its layer; return whether it leaves."""
     if status == rows.AT_GROUND:
@@ -139,7 +139,7 @@ def at_face(lanes, lane, task, notes, status):
     return at_interface(lanes, lane, task, notes)
 
 
-@kernel
+@part
 def serve(lanes, width, task, notes, exits, legs, queue):
     """End the rays that are done, bring others through boundaries, and launch new ones."""
     state = lanes.state
@@ -171,7 +171,7 @@ def serve(lanes, width, task, notes, exits, legs, queue):
     return queue
 
 
-@kernel
+@part
 def count_flying(state, width):
     """Return how many lanes wait for a grain, or for the next call of `serve`."""
     flying = 0

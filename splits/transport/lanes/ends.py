@@ -10,7 +10,7 @@ from numpy import float32 as single
 from splits.transport.faces import Index, facing, meet
 from splits.transport.features import Features
 from splits.transport.flight import FIRST_ROULETTE, to_boundary
-from splits.transport.jit import ONE, ZERO, kernel
+from splits.transport.jit import ONE, ZERO, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.flight import flier_at, travel
 from splits.transport.lanes.numbers import double, word
@@ -70,7 +70,7 @@ class Lanes(NamedTuple):
     stream: np.ndarray
 
 
-@kernel
+@part
 def draw(words, lane):
     """Return the lane's next random number in double precision."""
     u = double(word(words, lane, 0))
@@ -78,13 +78,13 @@ def draw(words, lane):
     return u
 
 
-@kernel
+@part
 def index_of(optics, item, material):
     """Return the refractive index of a material for an item."""
     return Index(optics.n[item, material], optics.k[item, material])
 
 
-@kernel
+@part
 def launch(lanes, lane, task, number):
     """Start a ray of the lane's item; return whether the slab's wet top lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
@@ -109,7 +109,7 @@ def launch(lanes, lane, task, number):
     return passed
 
 
-@kernel
+@part
 def let_in(lanes, lane, task, layer, d):
     """Draw the pore of a lane's ray that comes from outside; return whether its face lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
@@ -129,7 +129,7 @@ def let_in(lanes, lane, task, layer, d):
     return passed
 
 
-@kernel
+@part
 def illuminate(state, lane, scene, optics, item):
     """Give a lane its layer, and the optics of its light there.
 
@@ -164,14 +164,14 @@ def illuminate(state, lane, scene, optics, item):
     state[rows.K_OUT_WET + lane] = k
 
 
-@kernel
+@part
 def seen(near, far):
     """Return real part, real part less 1, and imaginary part of an index seen from another."""
     k = 0.0 if near.n == far.n and near.k == far.k else far.k / near.n
     return single(far.n / near.n), single((far.n - near.n) / near.n), single(k)
 
 
-@kernel
+@part
 def put_down(lanes, lane, scene):
     """Add the lane's paths since last time to its lengths."""
     state, length, types = lanes.state, lanes.length, scene.types
@@ -184,7 +184,7 @@ def put_down(lanes, lane, scene):
         state[row + lane] = ZERO
 
 
-@kernel
+@part
 def dress(lanes, lane, task):
     """Give a lane the materials of the grain that it has just met."""
     state, item, types, optics = lanes.state, lanes.item[lane], task.scene.types, task.optics
@@ -202,7 +202,7 @@ def dress(lanes, lane, task):
     state[rows.THICKNESS + lane] = single(2.0 * types.thickness[kind, 0]) * major
 
 
-@kernel
+@part
 def at_boundary(lanes, lane, task):
     """Bring a ray to the boundary ahead; return whether it leaves there."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
@@ -227,7 +227,7 @@ def at_boundary(lanes, lane, task):
     return crossing.passed
 
 
-@kernel
+@part
 def leave(lanes, lane, exits, features):
     """Write a ray that left into its row of the exits."""
     state, row = lanes.state, exits[lanes.ray[lane]]
@@ -243,7 +243,7 @@ def leave(lanes, lane, exits, features):
     row[EXIT_LENGTH : EXIT_LENGTH + lanes.length.shape[1]] = lanes.length[lane]
 
 
-@kernel
+@part
 def close_ranks(lanes, width, busy):
     """Move the last rays of a batch together, and return how many lanes are then in use.
 

@@ -13,7 +13,7 @@ from numpy import float32 as single
 from splits.transport.arithmetic import root
 from splits.transport.elementary import circle
 from splits.transport.flight import Flier, Purse, Space, next_grain, roulette
-from splits.transport.jit import HALF, ONE, ZERO, entry, kernel
+from splits.transport.jit import HALF, ONE, ZERO, entry, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import fine, three, word
 from splits.transport.lanes.rows import put, vector
@@ -44,7 +44,7 @@ class Waiting(NamedTuple):
     ended: int
 
 
-@kernel
+@part
 def position(u, last):
     """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last`."""
     below = u < HALF
@@ -52,7 +52,7 @@ def position(u, last):
     return (x if below else ONE - x) * last
 
 
-@kernel
+@part
 def draws(state, words, first, features, last):
     """Draw the numbers that decide the next grain of `STRIDE` lanes from `first` on."""
     widest_vectors()
@@ -80,7 +80,7 @@ def draws(state, words, first, features, last):
     two_at_a_time()
 
 
-@kernel
+@part
 def picks(state, first, share, features):
     """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
     widest_vectors()
@@ -136,7 +136,7 @@ def draw_types(state, words, width, features, tables, share):
         state[rows.NEW_FLATTENING + i] = old if state[rows.KEEP + i] > ZERO else drawn
 
 
-@kernel
+@part
 def numbers_at(words, i, active):
     """Draw a lane's random numbers of a flight; lanes that wait keep their place in the stream."""
     roulette_, facing, azimuth = three(word(words, i, 0))
@@ -149,7 +149,7 @@ def numbers_at(words, i, active):
     return Numbers(roulette_, leg, Aim(facing, circle(azimuth), circle(turn), axial, area))
 
 
-@kernel
+@part
 def flier_at(state, i, layered):
     """Return a lane's ray between grains."""
     last = Segment(vector(state, rows.LX + i), vector(state, rows.LX + i), state[rows.LAST + i])
@@ -160,7 +160,7 @@ def flier_at(state, i, layered):
     return Flier(place, way, vector(state, rows.DX + i), last, skipped)
 
 
-@kernel
+@part
 def space_at(state, i, scene, layered):
     """Return the space that a lane's ray is in."""
     space = scene.space
@@ -172,7 +172,7 @@ def space_at(state, i, scene, layered):
     return Space(mean_leg, low, high, space.floor, space.ceiling)
 
 
-@kernel
+@part
 def astray(state, i, ray, space):
     """Tell whether a lane's ray left a grain on the other side of a face between layers."""
     z = ray.place.z + ray.way.z
@@ -184,7 +184,7 @@ def astray(state, i, ray, space):
     return setting_out & (above | below)
 
 
-@kernel
+@part
 def redrawn(state, i, ray, met, refused):
     """Note from where a lane's next grain is drawn; tell whether that is in another layer."""
     left_out = refused & (met.skipped == met.leg)
@@ -199,7 +199,7 @@ def redrawn(state, i, ray, met, refused):
     return back
 
 
-@kernel
+@part
 def fly(state, words, i, features, scene):
     """Give a lane its next grain or another fate, and return what it then waits for."""
     status = state[rows.STATUS + i]
@@ -249,7 +249,7 @@ def fly(state, words, i, features, scene):
     return after
 
 
-@kernel
+@part
 def arrive(state, i, ray, met, fits, features):
     """Bring a lane's ray to the grain that it meets, if there is one."""
     place, way, d, leg = ray.place, ray.way, ray.d, met.leg
@@ -265,7 +265,7 @@ def arrive(state, i, ray, met, fits, features):
         travel(state, i, leg if fits else ZERO, features)
 
 
-@kernel
+@part
 def travel(state, i, leg, features):
     """Take a lane's leg through its pore."""
     wet = state[rows.WET + i]
@@ -279,7 +279,7 @@ def travel(state, i, leg, features):
         state[rows.DEPTH + i] += path * state[rows.A_DRY + i]
 
 
-@kernel
+@part
 def take(state, i, grain, fits, features):
     """Give a lane the grain that its ray meets, if it does."""
     put(state, rows.QX + i, chosen(fits, grain.q, vector(state, rows.QX + i)))
@@ -298,7 +298,7 @@ def take(state, i, grain, fits, features):
         state[rows.KIND + i] = new if fits else old
 
 
-@kernel
+@part
 def flights(state, words, first, features, scene):
     """Do what `flight` does for `STRIDE` lanes from `first` on."""
     flying = np.int32(0)

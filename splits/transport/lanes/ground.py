@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.jit import ZERO, kernel
+from splits.transport.jit import ZERO, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, let_in, put_down
 from splits.transport.lanes.layers import enter, set_out, take_note
@@ -14,13 +14,13 @@ from splits.transport.scene import NO_GROUND
 from splits.transport.vectors import UP, lobe
 
 
-@kernel
+@part
 def reaches_ground(lanes, lane, task):
     """Tell whether a lane's ray that leaves the sample goes down to a ground."""
     return task.scene.ground != NO_GROUND and lanes.state[rows.DZ + lane] < ZERO
 
 
-@kernel
+@part
 def at_ground(lanes, lane, task, notes):
     """Note a lane's ray as it meets the ground, and send it back by Lambert's law.
 

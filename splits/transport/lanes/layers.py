@@ -11,7 +11,7 @@ from numpy import float32 as single
 from splits.transport.faces import facing, meet
 from splits.transport.flight import to_boundary
 from splits.transport.granular import beyond
-from splits.transport.jit import ONE, ZERO, kernel
+from splits.transport.jit import ONE, ZERO, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, illuminate, index_of
 from splits.transport.lanes.flight import flier_at, space_at
@@ -20,14 +20,14 @@ from splits.transport.notes import note, of_ray, passage
 from splits.transport.vectors import Vector
 
 
-@kernel
+@part
 def pore_of(lanes, lane, layers, layer):
     """Return the material of the pore space that a lane's ray has, or would have, in a layer."""
     wet = lanes.state[rows.PORE + lane] < single(layers.saturation[layer])
     return layers.pore[layer] + (1 if wet else 0)
 
 
-@kernel
+@part
 def alike(lanes, lane, task, one, other):
     """Tell whether the pores of two layers are the same to a lane's light."""
     layers, item = task.scene.layers, lanes.item[lane]
@@ -36,7 +36,7 @@ def alike(lanes, lane, task, one, other):
     return a.n == b.n and a.k == b.k
 
 
-@kernel
+@part
 def enter(lanes, lane, task, layer):
     """Bring a lane's ray into a layer; its pore there is the one that its number decides."""
     state, layers = lanes.state, task.scene.layers
@@ -46,7 +46,7 @@ def enter(lanes, lane, task, layer):
     illuminate(state, lane, task.scene, task.optics, lanes.item[lane])
 
 
-@kernel
+@part
 def set_out(state, lane):
     """Let a lane's flight set out in the layer in which its ray is."""
     layer = state[rows.LAYER + lane]
@@ -55,21 +55,21 @@ def set_out(state, lane):
     state[rows.STANDS + lane] = ZERO
 
 
-@kernel
+@part
 def take_note(lanes, lane, notes, event):
     """Note where a lane's ray is; its lengths must have been put down."""
     of_ray(notes, lanes.ray[lane])
     note(notes, event, np.float64(lanes.state[rows.WEIGHT + lane]), lanes.length[lane])
 
 
-@kernel
+@part
 def pass_face(lanes, lane, task, notes, layer, upward):
     """Note a lane's ray that passes from a layer into the next one, where somebody listens."""
     if task.scene.listens:
         take_note(lanes, lane, notes, passage(layer if upward else layer + 1, upward))
 
 
-@kernel
+@part
 def land(lanes, lane, task, notes):
     """Take the leg that a lane's ray has just flown through the pores of its layers."""
     state, item, layers = lanes.state, lanes.item[lane], task.scene.layers
@@ -97,7 +97,7 @@ def land(lanes, lane, task, notes):
     set_out(state, lane)
 
 
-@kernel
+@part
 def begin_again(lanes, lane, task):
     """Let a lane's ray draw its next grain from where it set out, or left the last one out."""
     state = lanes.state
@@ -106,7 +106,7 @@ def begin_again(lanes, lane, task):
     state[rows.STATUS + lane] = rows.FLYING
 
 
-@kernel
+@part
 def relocate(lanes, lane, task, notes):
     """Find the layer of a lane's ray that left a grain on the other side of a face.
 
@@ -134,7 +134,7 @@ def relocate(lanes, lane, task, notes):
     state[rows.STATUS + lane] = rows.FLYING
 
 
-@kernel
+@part
 def at_interface(lanes, lane, task, notes):
     """Bring a lane's ray to the face ahead; return whether it leaves the sample there.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.jit import HALF, kernel
+from splits.transport.jit import HALF, part
 from splits.transport.lanes.rows import COUNT, KEY_HIGH, KEY_LOW
 from splits.transport.rng import GOLDEN, mix64
 
@@ -16,7 +16,7 @@ _TO_23 = single(2.0**-23)
 _TO_46 = single(2.0**-46)
 
 
-@kernel
+@part
 def word(words, lane, offset):
     """Return 64 random bits: the number `offset` after those that the lane has drawn."""
     key = (np.uint64(words[KEY_HIGH + lane]) << np.uint64(32)) | np.uint64(words[KEY_LOW + lane])
@@ -24,7 +24,7 @@ def word(words, lane, offset):
     return mix64(key + np.uint64(number) * GOLDEN)
 
 
-@kernel
+@part
 def three(bits):
     """Return three numbers uniform on (0, 1), of 21 bits each, centred in their cells."""
     return (
@@ -34,7 +34,7 @@ def three(bits):
     )
 
 
-@kernel
+@part
 def fine(bits):
     """Return a number uniform on (0, 1] with 46 bits near 0: for logarithms of it.
 
@@ -45,7 +45,7 @@ def fine(bits):
     return high * _TO_23 + (low + HALF) * _TO_46
 
 
-@kernel
+@part
 def double(bits):
     """Return a number uniform on (0, 1) of 52 bits, as `rng.uniform` does."""
     return (float(bits >> np.uint64(12)) + 0.5) * 2.0**-52

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.flight import Fates, Space
-from splits.transport.jit import exact, kernel
+from splits.transport.jit import exact, part
 from splits.transport.vectors import Vector
 
 LANES = 64
@@ -78,13 +78,13 @@ waits for the plain loop between the passes: to meet a face, or the ground, to b
 again in the layer in which it set out, to find its layer, to be ended, and to be launched."""
 
 
-@kernel
+@part
 def vector(state, row):
     """Return the vector whose first component stands at `row`, and the others in the rows below."""
     return Vector(state[row], state[row + LANES], state[row + 2 * LANES])
 
 
-@kernel
+@part
 def put(state, row, v):
     """Store a vector where `vector` finds it."""
     state[row], state[row + LANES], state[row + 2 * LANES] = v.x, v.y, v.z

@@ -7,7 +7,7 @@ import numpy as np
 from splits.transport.arithmetic import root
 from splits.transport.elementary import Angle, half_circle, logarithm
 from splits.transport.faces import Index
-from splits.transport.jit import ONE, ZERO, entry, exact, kernel
+from splits.transport.jit import ONE, ZERO, entry, exact, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import three, word
 from splits.transport.lanes.rows import put, vector
@@ -30,7 +30,7 @@ from splits.transport.vectors import Vector, chosen, scaled
 _MINUS_TWO = exact(-2.0)
 
 
-@kernel
+@part
 def numbers_at(words, i, active, faceted):
     """Draw a lane's random numbers of a trial; lanes that wait keep their place in their stream."""
     choice, fresnel, pore = three(word(words, i, 0))
@@ -47,7 +47,7 @@ def numbers_at(words, i, active, faceted):
     return Numbers(choice, fresnel, pore, normal, azimuth)
 
 
-@kernel
+@part
 def mixed_media(state, i, stand, pore_wet):
     """Return the contrast of the media on both sides of a surface, for grains of any type."""
     outward = stand.side < ZERO
@@ -68,7 +68,7 @@ def mixed_media(state, i, stand, pore_wet):
     return contrast(near, Index(n_last if outward else n_next, k_last if outward else k_next))
 
 
-@kernel
+@part
 def plain_media(state, i, stand, pore_wet, features):
     """Return what `mixed_media` does, where all grains are of one type without coatings."""
     outward = stand.side < ZERO
@@ -93,7 +93,7 @@ def plain_media(state, i, stand, pore_wet, features):
     return Contrast(m, less_one, k, m_in if outward else m_out, False)
 
 
-@kernel
+@part
 def trial(state, words, i, features, scene):
     """Let a lane try once; return what became of it and the pore on the surface's outer side."""
     status = state[rows.STATUS + i]
@@ -156,7 +156,7 @@ def trial(state, words, i, features, scene):
     return next_status
 
 
-@kernel
+@part
 def move(state, i, grain, after, gone, features):
     """Bring a lane's ray through the coating or the core that it now crosses."""
     chord = across(grain, after.d)
@@ -175,7 +175,7 @@ def move(state, i, grain, after, gone, features):
     state[rows.DEPTH + i] += depth
 
 
-@kernel
+@part
 def trials(state, words, first, features, scene):
     """Do what `surface` does for `STRIDE` lanes from `first` on."""
     flying = np.int32(0)

@@ -60,17 +60,56 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(known[:MOST_NAMES]) + more
 
 
-def refuse(key: str, value: object, allowed: str, hint: str = "") -> ValueError:
+class Refusal(ValueError):
+    """A value that cannot be taken.
+
+    Attributes
+    ----------
+    key : str
+        What the user knows it by, with the sections that it stands in.
+    value : object
+    allowed : str
+        What it must be.
+    hint : str
+        What to do instead, or nothing.
+    """
+
+    def __init__(self, key: str, value: object, allowed: str, hint: str = "") -> None:
+        super().__init__(key, value, allowed, hint)
+        self.key, self.value, self.allowed, self.hint = key, value, allowed, hint
+
+    def __str__(self) -> str:
+        """Return the message, one line."""
+        return self.text() + (f" ({self.hint})" if self.hint else "")
+
+    def text(self) -> str:
+        """Return the message without the hint."""
+        return f"{self.key} = {shown(self.value)}: must be {self.allowed}"
+
+    def within(self, place: str, more: str = "") -> Refusal:
+        """Return the refusal of the same value in a section, with one more hint."""
+        hint = ") (".join(part for part in (self.hint, more) if part)
+        return type(self)(f"{place}.{self.key}", self.value, self.allowed, hint)
+
+
+class UnknownKey(Refusal):
+    """A key that there is not; `value` is None, `allowed` names those that there are."""
+
+    def text(self) -> str:
+        """Return the message without the hint."""
+        return f"{named(self.key)}: unknown key, must be {self.allowed}"
+
+
+def refuse(key: str, value: object, allowed: str, hint: str = "") -> Refusal:
     """Return the error that says why `value` cannot be taken for `key`."""
-    return ValueError(f"{key} = {shown(value)}: must be {allowed}" + (f" ({hint})" if hint else ""))
+    return Refusal(key, value, allowed, hint)
 
 
-def unknown_key(key: str, known: Iterable[str]) -> ValueError:
+def unknown_key(key: str, known: Iterable[str]) -> UnknownKey:
     """Return the error that says that there is no such key, and suggests the nearest."""
     names = list(known)
     hint = suggestion(key.rsplit(".", 1)[-1], names)
-    text = f"{named(key)}: unknown key, must be one of {listed(names)}"
-    return ValueError(text + (f" ({hint})" if hint else ""))
+    return UnknownKey(key, None, f"one of {listed(names)}", hint)
 
 
 def known_keywords(kind: Class) -> Class:
@@ -91,11 +130,11 @@ def known_keywords(kind: Class) -> Class:
 
 @contextmanager
 def under(place: str) -> Iterator[None]:
-    """Put the place of a section before the key that a refusal within begins with."""
+    """Put the place of a section before the key of a refusal within."""
     try:
         yield
-    except ValueError as error:
-        raise ValueError(f"{place}.{error}") from None
+    except Refusal as error:
+        raise error.within(place) from None
 
 
 def scalar(value: object) -> Any:

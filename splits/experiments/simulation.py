@@ -18,7 +18,7 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import named, one_of, refuse, unknown_key
+from splits.checks import Refusal, named, one_of, refuse, unknown_key
 from splits.experiments.grids import labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
 from splits.experiments.stacks import (
@@ -189,8 +189,8 @@ class Simulation(Section):
         """Put before the key of a refusal the section that gives it at a point of the grid."""
         try:
             yield
-        except ValueError as error:
-            path = str(error).split(" ", 1)[0]
+        except Refusal as error:
+            path = error.key.split(" ", 1)[0]
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid[SAMPLE][labels[SAMPLE]] if SAMPLE in self.grid else {}
             if key in self.grid:
@@ -200,8 +200,8 @@ class Simulation(Section):
             else:
                 place = "fit" if key in FitSection.model_fields else "medium"
                 place = "instrument" if key in Instrument.model_fields else place
-            hint = f" ({SEVERAL})" if place == "medium" and self._is_several(key) else ""
-            raise ValueError(f"{place}.{error}{hint}") from None
+            several = place == "medium" and self._is_several(key)
+            raise error.within(place, SEVERAL if several else "") from None
 
     def _is_several(self, key: str) -> bool:
         """Tell whether a keyword of the medium holds a list of what a grid takes."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, number, one_of, refuse, row_of
+from splits.checks import Refusal, in_range, number, one_of, refuse, row_of
 from splits.materials.datasets import dataset, dataset_names
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
 from splits.materials.tables import user_table
@@ -53,9 +53,9 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
             return _user_table(key, Path(spec))
         try:
             return Constant(complex(spec.replace(" ", "")))
-        except ValueError as error:
-            if "must be" in str(error):
-                raise
+        except Refusal:
+            raise
+        except ValueError:
             one_of(key, spec, [*names, "a complex number", "a .csv file"])
     if isinstance(spec, Path):
         return _user_table(key, spec)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion
+from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
 from splits.transport import waves as kernels
 from splits.transport.rng import start_stream, table_probabilities
 
@@ -312,10 +312,8 @@ def _field(where: str, given: Any) -> SurfaceField:
             raise refuse(where, name, allowed, suggestion(name, names))
     if "rms_height_m" not in given:
         raise refuse(f"{where}.rms_height_m", None, "given (m)")
-    try:
+    with under(where):
         return SurfaceField(**given)
-    except ValueError as error:
-        raise ValueError(f"{where}.{error}") from None
 
 
 def _whole(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
 
-from splits.checks import in_range, number, numbers, one_of, refuse, suggestion
+from splits.checks import in_range, number, numbers, one_of, refuse, suggestion, unknown_key
 
 
 def test_a_refusal_names_key_value_range_and_hint():
@@ -83,3 +84,15 @@ def test_suggestions_need_some_likeness():
     assert suggestion("saturaton", ["density", "saturation"]) == "did you mean saturation?"
     assert suggestion("qqq", ["density", "saturation"]) == ""
     assert suggestion(7, ["density"]) == ""
+
+
+def test_a_refusal_is_a_value_that_keeps_its_parts():
+    refused = refuse("depth_m", -1.0, "above 0", "in metres")
+    assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
+    inside = pickle.loads(pickle.dumps(refused)).within("medium", "not in cm")
+    assert str(inside) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"
+    missing = unknown_key("depth", ["depth_m"]).within("medium")
+    assert isinstance(missing, ValueError)
+    assert str(missing) == (
+        "medium.depth: unknown key, must be one of depth_m (did you mean depth_m?)"
+    )

@@ -61,6 +61,25 @@ def test_every_parameter_has_a_long_name_and_units():
     assert all(long_name and units for long_name, units in PARAMETERS.values())
 
 
+def test_ranges_have_means_to_interpolate_between():
+    experiment = Experiment.model_validate(
+        {
+            "name": "sizes",
+            "medium": {"kind": "snow", "depth_m": 0.01},
+            "instrument": {"wavelength_nm": [900]},
+            "grid": {"grain_size_um": {"fine": [100, 200], "coarse": [400, 800]}},
+        }
+    )
+    ds = run(experiment, Accuracy(max_stderr=0.05))
+    assert ds.grain_size_um.values.tolist() == ["fine", "coarse"]
+    assert ds.grain_size_um_mean.values.tolist() == [150.0, 600.0]
+    assert ds.grain_size_um_mean.attrs["units"] == "um"
+    between = ds.swap_dims(grain_size_um="grain_size_um_mean").reflectance.interp(
+        grain_size_um_mean=375.0
+    )
+    assert between.item() == pytest.approx(ds.reflectance.mean().item())
+
+
 def test_grid_coordinates_have_units_if_they_are_numbers(small_lens):
     index = small_lens.refractive_index
     assert index.attrs == {"long_name": "refractive index", "units": "1"}
@@ -74,7 +93,8 @@ def test_units_of_labels_stand_in_their_long_name():
     from splits.experiments.coordinates import grid_coordinates
 
     grid = {"grain_size_um": {"100-200": [100, 200]}, "temperature_c": {"-1": -1, "-5": -5}}
-    sizes, degrees = grid_coordinates(grid).values()
+    sizes, means, degrees = grid_coordinates(grid).values()
+    assert means[1].tolist() == [150.0]
     assert sizes[2]["long_name"].endswith("(um)")
     assert degrees[2]["units"] == "degC"
     assert degrees[1].tolist() == [-1.0, -5.0]

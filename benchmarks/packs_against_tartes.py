@@ -1,13 +1,17 @@
 """Dense packs of dry snow against two theories of radiative transfer, with our single scattering.
 
-Discrete ordinates take the grains' whole phase function; TARTES takes two streams, and two numbers
-that say most of single scattering, B and g.  To both the grains are far apart.  So
+Discrete ordinates take the grains' whole phase function; TARTES takes two streams and an asymmetry.
+To both, grains are points; the way of light through them is allowed for in the optical thickness
+(`packed`).  Four steps lead from ours to TARTES:
 
-    ours − ordinates    is what density does: a grain is met at its surface, and has a size;
-    ordinates − TARTES  is what two streams do, and an asymmetry in place of a phase function.
+    ours − kept         the rules of a packed medium: grains that would reach across a boundary or
+                        lie on the leg before are drawn again;
+    kept − ordinates    the rest of what density does;
+    ordinates − TARTES  two streams, and an asymmetry in place of a phase function.
 
-With diffraction, as TARTES counts, extinction is twice that of the cross-section, g' = (1 + g)/2
-and 1 − ω' = (1 − ω)/2; B follows from ω', and specific surface area from the extinction.
+With diffraction, as TARTES counts, extinction is twice that of the cross-section, the albedo is
+(1 + ω)/2 and the asymmetry (1 + ω g)/(1 + ω).  Its delta-Eddington streams take the peak out again.
+The grains' B, 1 − ω' = 2 B γ/(ρ SSA) for little absorption γ, is printed for comparison.
 
     python benchmarks/packs_against_tartes.py [--max-stderr 0.001]
 """
@@ -15,6 +19,7 @@ and 1 − ω' = (1 − ω)/2; B follows from ω', and specific surface area from
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,63 +28,96 @@ import xarray as xr
 
 import splits
 from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import packed
 from splits.instruments.scenes import constants_of
 
 WAVELENGTHS = np.array([450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0])
 ICE_KG_M3 = 917.0
+KEPT = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
 FINE = {"grain_size_um": (100.0, 200.0), "saturation": 0.0}
 COARSE = {"grain_size_um": (400.0, 800.0), "saturation": 0.0}
-PACKS = {
-    "5 cm fine on 30 cm coarse": (
-        [{**FINE, "density_kg_m3": 150.0, "depth_m": 0.05},
-         {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.3}], 0.2),
-    "1 cm fine on 4 cm coarse on soil": (
-        [{**FINE, "density_kg_m3": 150.0, "depth_m": 0.01},
-         {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.04}], 0.2),
-    "2 cm of packed coarse on soil": ([{**COARSE, "density_kg_m3": 550.0, "depth_m": 0.02}], 0.2),
-}  # fmt: skip
+PACKS: dict[str, list[dict[str, Any]]] = {
+    "5 cm fine on 30 cm coarse": [
+        {**FINE, "density_kg_m3": 150.0, "depth_m": 0.05},
+        {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.3},
+    ],
+    "1 cm fine on 4 cm coarse": [
+        {**FINE, "density_kg_m3": 150.0, "depth_m": 0.01},
+        {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.04},
+    ],
+    "2 cm of packed coarse": [{**COARSE, "density_kg_m3": 550.0, "depth_m": 0.02}],
+}
+SOIL = 0.2
 INCIDENCE = (30.0, 60.0)
-W0 = 0.0611
-"""Reflection of light at ice that TARTES takes for n = 1.3, see `shape_of`."""
 
 
 def shape_of(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
-    """Return over wavelength what TARTES wants to know of snow: B, g, and surface area (m²/kg).
-
-    Its 1 − ω' = (1 − W)/2 (1 − exp(−2/3 B c/(1 − W))), c = 24 π k/(ρ λ SSA), is solved for B.
-    """
-    index = constants_of(snow, WAVELENGTHS).indices[:, snow.materials().index("ice")]
+    """Return B and g over wavelength, diffraction counted."""
+    gamma = constants_of(snow, WAVELENGTHS).absorption[:, snow.materials().index("ice")]
     ssa = 4.0 * optics.extinction.values / snow.density_kg_m3
-    left = 1.0 - W0 - 0.17 * (index.real - 1.3)
-    c = 24.0 * np.pi * index.imag / (ICE_KG_M3 * WAVELENGTHS * 1e-9 * ssa)
-    lost = (1.0 - optics.single_scattering_albedo.values) / left
-    b = -1.5 * left / c * np.log1p(-np.minimum(lost, 1.0 - 1e-9))
-    g = 0.5 * (1.0 + optics.asymmetry_parameter.values)
-    return pd.DataFrame({"B": b, "g": g, "ssa": ssa, "n": index.real, "k": index.imag})
+    albedo = optics.single_scattering_albedo.values
+    b = 0.5 * (1.0 - albedo) * ICE_KG_M3 * ssa / (2.0 * gamma)
+    g = (1.0 + albedo * optics.asymmetry_parameter.values) / (1.0 + albedo)
+    return pd.DataFrame({"B": b, "g": g}, WAVELENGTHS.astype(int))
 
 
-def two_streams(layers: list[splits.Snow], shapes: list[pd.DataFrame], angle: float, soil: float):
-    """Return the albedo of a pack by TARTES, wavelength by wavelength: B and g depend on it."""
-    density = [one.density_kg_m3 for one in layers]
-    thickness = [one.depth_m for one in layers]
-    return np.array(
-        [
-            tartes.tartes(
-                wavelength * 1e-9,
-                [one.ssa[i] for one in shapes],
-                density,
-                thickness,
-                shape_parameterization="constant",
-                g0=np.array([one.g[i] for one in shapes]),
-                B0=np.array([one.B[i] for one in shapes]),
-                refrac_index=(shapes[0].n[i], shapes[0].k[i]),
-                soilalbedo=soil,
-                dir_frac=1.0,
-                mudir=np.cos(np.radians(angle)),
+def two_streams(layers: list[splits.Snow], optics: list[xr.Dataset], angle: float) -> np.ndarray:
+    """Return the albedo of a pack by the two streams of TARTES."""
+    albedo = np.stack([one.single_scattering_albedo.values for one in optics], axis=-1)
+    asymmetry = np.stack([one.asymmetry_parameter.values for one in optics], axis=-1)
+    extinction = np.stack([one.extinction.values for one in optics], axis=-1)
+    found = [
+        tartes.two_stream_rt(
+            np.array([one.depth_m for one in layers]),
+            0.5 * (1.0 + albedo[i : i + 1]),
+            (1.0 + albedo * asymmetry)[i : i + 1] / (1.0 + albedo[i : i + 1]),
+            2.0 * extinction[i],
+            bottom_albedo=np.array([SOIL]),
+            dir_frac=np.array([1.0]),
+            mudir=float(np.cos(np.radians(angle))),
+        )
+        for i in range(len(WAVELENGTHS))
+    ]
+    return np.array(found).ravel()
+
+
+def compared(name: str, number: int, max_stderr: float) -> pd.DataFrame:
+    """Print the shapes of a pack's layers, and return its reflectance in four ways."""
+    plain = [splits.Snow(**one) for one in PACKS[name]]
+    kept = [splits.Snow(**one, readings=KEPT) for one in PACKS[name]]
+    single = [
+        splits.single_scattering(one, WAVELENGTHS, seed=10 * number + i)
+        for i, one in enumerate(plain)
+    ]
+    for layer, optics in zip(plain, single, strict=True):
+        print(f"{name}: {layer.density_kg_m3:g} kg/m3")
+        print(shape_of(layer, optics).T.round(3).to_string())
+    thinner = [packed(one) for one in single]
+    tables = []
+    for angle in INCIDENCE:
+        ours, loose = (
+            splits.spectrophotometer(
+                splits.Stack(layers, ground=SOIL), WAVELENGTHS, angle, max_stderr, seed
             )
-            for i, wavelength in enumerate(WAVELENGTHS)
-        ]
-    ).ravel()
+            for seed, layers in ((7, plain), (8, kept))
+        )
+        ordinates = discrete_ordinates(thinner, angle, ground=SOIL)
+        streams = two_streams(plain, thinner, angle)
+        table = {
+            "pack": [name] * len(WAVELENGTHS),
+            "incidence": np.full(len(WAVELENGTHS), angle),
+            "nm": WAVELENGTHS,
+            "ours": ours.reflectance,
+            "kept": loose.reflectance,
+            "ordinates": ordinates.reflectance,
+            "TARTES": streams,
+            "ours - kept": ours.reflectance - loose.reflectance,
+            "kept - ordinates": loose.reflectance - ordinates.reflectance,
+            "stderr": np.hypot(loose.reflectance_stderr, ordinates.reflectance_stderr),
+            "ordinates - TARTES": ordinates.reflectance - streams,
+        }
+        tables.append(pd.DataFrame({key: np.asarray(value) for key, value in table.items()}))
+    return pd.concat(tables)
 
 
 def main() -> None:
@@ -89,40 +127,10 @@ def main() -> None:
     )
     parser.add_argument("--max-stderr", type=float, default=0.001)
     given = parser.parse_args()
-    rows = []
-    for number, (name, (settings, soil)) in enumerate(PACKS.items()):
-        layers = [splits.Snow(**one) for one in settings]
-        optics = [
-            splits.single_scattering(one, WAVELENGTHS, seed=10 * number + i)
-            for i, one in enumerate(layers)
-        ]
-        shapes = [shape_of(one, o) for one, o in zip(layers, optics, strict=True)]
-        for one, layer in zip(shapes, layers, strict=True):
-            print(f"{name}: {layer.density_kg_m3:g} kg/m3, {one.ssa[0]:.1f} m2/kg")
-            shape = one.set_axis(WAVELENGTHS.astype(int))[["B", "g"]].T
-            print(shape.round(3).to_string())
-        for angle in INCIDENCE:
-            ordinates = discrete_ordinates(optics, angle, ground=soil)
-            stack = splits.Stack(layers, ground=soil)
-            ours = splits.spectrophotometer(stack, WAVELENGTHS, angle, given.max_stderr, seed=7)
-            told = two_streams(layers, shapes, angle, soil)
-            table = {
-                "pack": name,
-                "incidence": angle,
-                "wavelength": WAVELENGTHS,
-                "ours": ours.reflectance.values,
-                "stderr": ours.reflectance_stderr.values,
-                "ordinates": ordinates.reflectance.values,
-                "their stderr": ordinates.reflectance_stderr.values,
-                "TARTES": told,
-                "ours - ordinates": (ours.reflectance - ordinates.reflectance).values,
-                "ordinates - TARTES": ordinates.reflectance.values - told,
-            }
-            rows.append(pd.DataFrame(table))
-    found = pd.concat(rows)
+    found = pd.concat(compared(name, i, given.max_stderr) for i, name in enumerate(PACKS))
     print(found.round(4).to_string(index=False))
-    columns = ["ours - ordinates", "ordinates - TARTES"]
-    summary = found.groupby(["pack", "incidence"], sort=False)[columns].agg(["mean", "min", "max"])
+    steps = ["ours - kept", "kept - ordinates", "ordinates - TARTES"]
+    summary = found.groupby(["pack", "incidence"], sort=False)[steps].agg(["mean", "min", "max"])
     print(summary.round(4).to_string())
 
 

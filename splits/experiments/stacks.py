@@ -32,9 +32,10 @@ def kind_of(layer: Mapping[str, Any]) -> str:
     return str(layer.get("kind", "snow"))
 
 
-def keywords_of(layer: Mapping[str, Any]) -> list[str]:
-    """Return the keywords that a layer of this kind has in a stack."""
-    return [f.name for f in fields(MEDIA[kind_of(layer)]) if f.name not in NOT_IN_STACKS]
+def keywords_of(layer: Mapping[str, Any], top: bool) -> list[str]:
+    """Return the keywords that a layer of this kind has in a stack, as its top or below."""
+    left_out = NOT_IN_STACKS if top else (*NOT_IN_STACKS, "surface")
+    return [f.name for f in fields(MEDIA[kind_of(layer)]) if f.name not in left_out]
 
 
 def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -52,7 +53,7 @@ def check_layers(place: str, layers: Any) -> None:
     """Refuse layers of a kind, or with a keyword, that does not exist."""
     for here, layer in each_layer(place, layers):
         one_of(f"{here}.kind", kind_of(layer), MEDIA)
-        known = keywords_of(layer)
+        known = keywords_of(layer, here.endswith(".0"))
         for key in layer:
             if key == "ground":
                 hint = "give it to the stack"
@@ -96,7 +97,7 @@ def check_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
             f"0 to {len(layers) - 1}",
             "counted from the top",
         )
-    known = keywords_of(layers[number])
+    known = keywords_of(layers[number], number == 0)
     if key not in known:
         raise unknown_key(f"grid.{parameter}", [f"{LAYERS}.{number}.{one}" for one in known])
     return True

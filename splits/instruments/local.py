@@ -150,7 +150,7 @@ def listen(
         For grains, and for a rough surface.
     """
     if not isinstance(medium, TurbidMedium):
-        raise refuse("estimator", "local", "expansion or cells for grains")
+        raise refuse("estimator", "local", "expansion or cells for grains and stacks")
     if medium.fields() is not None:
         raise refuse(
             "estimator", "local", "expansion or cells under a rough surface",

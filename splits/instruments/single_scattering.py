@@ -92,7 +92,8 @@ def single_scattering(
 
     As in the papers' model, diffraction is left out: the extinction is that of the geometric
     cross-section, half of what Mie theory has for large grains, and the phase function lacks the
-    narrow forward peak.  With diffraction, g' = (1 + g)/2 and 1 − ω' = (1 − ω)/2.
+    narrow forward peak.  With diffraction, ω' = (1 + ω)/2 and
+    g' = (1 + ω g)/(1 + ω).
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class Tracer(Protocol):
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
     depths_m : float, shape (faces,)
-        Depths (m) of all faces of the scene.
+        Depths (m) of all faces of the scene; of a rough top, a height above it.
     stokes : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """

@@ -95,7 +95,8 @@ def scattered_by_particle(state, beam, scene):
         # Roulette must hear of it; all wavelengths lose as much.
         purse = Purse(purse.depth - math.log(albedo), purse.limit, purse.weight * albedo)
     d = scattered(state, phase_of(scene.particles, row), beam.d)
-    return Entered(True, Beam(d, beam.layer, beam.u, purse))
+    # Another leg begins; its pore matters in the next layer, if that has two.
+    return Entered(True, Beam(d, beam.layer, uniform(state), purse))
 
 
 @part
@@ -163,7 +164,7 @@ def follow(state, ray, scene, optics, length, notes, window, roof):
         arrival = arrived(flier, found, space_of(layers, found.layer))
         hit = facet_ahead(roof, flier, found, arrival.last.length)
         if hit.distance != GONE:
-            arrival, found = cut_short(flier, found, hit)
+            arrival, found = cut_short(flier, found, hit, layers.face[1])
         ray = Ray(TRAVELS, arrival, beam, ray.legs + 1, ray.order, ray.most)
         if found.lost:
             return ended(ray, LOST)

@@ -51,11 +51,15 @@ def _begin(flier):
 
 
 @part
-def cut_short(flier, found, hit):
-    """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer."""
+def cut_short(flier, found, hit, low):
+    """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer.
+
+    The surface should end above the layer's lower face, `low` (m); see `Layer.depth_m`.
+    """
     place = along(hit.distance, flier.d, _begin(flier))
     flier = Flier(place, ORIGIN, flier.d, Segment(ORIGIN, flier.d, hit.distance), 0.0)
-    return flier, Found(found.candidate, found.meeting, 0, hit.distance == ASTRAY)
+    lost = hit.distance == ASTRAY or place.z < low
+    return flier, Found(found.candidate, found.meeting, 0, lost)
 
 
 @part
@@ -105,11 +109,12 @@ def outside(state, ray, scene, optics, roof):
     while side > 0.0:
         hit = first_crossing(roof, ray.flier.place, ray.beam.d, side)
         if hit.distance < 0.0:
-            return ended(ray, REFLECTED if hit.distance == GONE else LOST)
+            away = hit.distance == GONE and ray.beam.d.z > 0.0
+            return ended(ray, REFLECTED if away else LOST)
         if ray.order >= ray.most:
             return ended(ray, ABSORBED)
         place = along(hit.distance, ray.beam.d, ray.flier.place)
-        flier = Flier(place, ORIGIN, ray.beam.d, ray.flier.last, 0.0)
+        flier = Flier(place, ORIGIN, ray.beam.d, NO_LEG, 0.0)
         ray = Ray(TRAVELS, flier, ray.beam, ray.legs, ray.order, ray.most)
         ray, side = at_facet(state, ray, hit.slope, side, scene, optics)
     return ray

@@ -50,9 +50,10 @@ class Ray(NamedTuple):
     flier : Flier
     beam : Beam
     legs, order : int
-        Legs through the pore space, which is what the ray cost, and grains met.
+        Legs through the sample, which is what the ray cost, and grains, particles and facets of a
+        rough surface met.
     most : int
-        Grains met after which it counts as absorbed.
+        As many of these, after which it counts as absorbed.
     """
 
     fate: int
@@ -135,9 +136,12 @@ def index_of(optics, material):
 @part
 def space_of(layers, layer):
     """Return the space of a layer of a scene."""
-    bottom = layers.face[layers.face.size - 1]
+    bottom, top = layers.face[layers.face.size - 1], layers.face[0]
+    if layer > 0:
+        # A rough surface reaches above its mean height, at which grains end.
+        top = min(top, 0.0)
     low, high = layers.face[layer + 1], layers.face[layer]
-    return Space(1.0 / layers.attenuation[layer], low, high, bottom, layers.face[0])
+    return Space(1.0 / layers.attenuation[layer], low, high, bottom, top)
 
 
 @part

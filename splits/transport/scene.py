@@ -99,7 +99,7 @@ class Layers(NamedTuple):
     Attributes
     ----------
     face : float64[layers + 1]
-        Heights of the faces (m), 0 at the top.
+        Heights of the faces (m), 0 at the top; where that is rough, a height above all of it.
     attenuation : float64[layers]
         Expected number of grains met per metre of pore-space path.
     saturation : float64[layers]

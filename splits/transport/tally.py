@@ -30,7 +30,8 @@ EXIT_SIDE = 0
 EXIT_WEIGHT = 1
 """Column of the inverse probability of having survived roulette."""
 EXIT_ORDER = 2
-"""Column of the order of scattering: grains met; NaN where a kernel does not count them."""
+"""Column of the order of scattering: grains, particles, facets of a rough surface met; NaN where a
+kernel does not count them."""
 EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
 EXIT_POSITION = 6

@@ -155,8 +155,17 @@ LAYER_OF_STACK = st.one_of(
         key: KEYWORDS["sand"][key] for key in ("iron_oxide", "partition", "saturation")
     }),
 )  # fmt: skip
+LID = st.fixed_dictionaries(
+    {"kind": st.just("layer"), "optical_thickness": within(0.0, 5.0), "depth_m": within(0.1, 1.0)},
+    optional={
+        key: KEYWORDS["layer"][key]
+        for key in ("single_scattering_albedo", "asymmetry", "refractive_index", "surface")
+    },
+)
+"""A layer of particles; its surface is refused but on top."""
+GRAINS = st.lists(LAYER_OF_STACK, min_size=1, max_size=3)
 KEYWORDS["stack"] = {
-    "layers": st.lists(LAYER_OF_STACK, min_size=1, max_size=3),
+    "layers": GRAINS | st.tuples(LID, GRAINS).map(lambda both: [both[0], *both[1]]),
     "ground": GROUNDS,
 }
 BASES = {

@@ -56,6 +56,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
 	$(BIN)/python benchmarks/deep_transmittance.py
+	$(BIN)/python benchmarks/deep_packs.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py
 	$(BIN)/python benchmarks/reciprocity.py

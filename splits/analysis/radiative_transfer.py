@@ -15,6 +15,7 @@ import xarray as xr
 
 from splits.analysis.propagation import LEFT_OUT, MISSED, left_out, missed, response
 from splits.checks import in_range, one_of
+from splits.diffusion import scattering_mean_step
 from splits.uncertainty import quantity
 
 EXTRAPOLATION = 1.072
@@ -24,14 +25,8 @@ EXTRAPOLATION = 1.072
 def packed(optics: xr.Dataset) -> xr.Dataset:
     """Return optics whose optical thickness allows for the way of light through the grains.
 
-    Radiative transfer counts the way between grains, of mean length l = 1/extinction.  The model's
-    rays also advance by the grains themselves, δ from entry to exit.  Diffusion over many grains
-    is that of points at the mean distance
-
-        l'² = (l + <δ·d>) (l + <δ·d'>) + (1 − g) <δ²>/2,
-
-    d and d' the directions before and after: half the mean square distance gone per grain, summed
-    over the memory g, g², … of directions, is l'²/(1 − g).
+    Radiative transfer counts the way between grains.  The model's rays also advance by the grains
+    themselves: see `splits.diffusion.scattering_mean_step`.
 
     Parameters
     ----------
@@ -60,11 +55,7 @@ def packed(optics: xr.Dataset) -> xr.Dataset:
 
 def _thinner(optics: xr.Dataset) -> np.ndarray:
     """Return the mean distance between grains over that of `packed`."""
-    free = 1.0 / optics.extinction
-    square = (free + optics.displacement_before) * (free + optics.displacement_after)
-    square = square + 0.5 * (1.0 - optics.asymmetry_parameter) * optics.displacement_square
-    values: np.ndarray = (free / np.sqrt(square)).values
-    return values
+    return 1.0 / optics.extinction.values / scattering_mean_step(optics)
 
 
 def kz04(

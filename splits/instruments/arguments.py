@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from numbers import Integral
@@ -30,7 +31,7 @@ MEDIA: dict[type, tuple[str, ...]] = {
 """Names of the media that are what an instrument asks for."""
 
 
-def check_medium(medium: Any, *kinds: type) -> None:
+def check_medium(medium: Any, *kinds: type, endless: bool = False) -> None:
     """Refuse what is no medium of these kinds, by default of any.
 
     Parameters
@@ -38,12 +39,17 @@ def check_medium(medium: Any, *kinds: type) -> None:
     medium : object
     *kinds : type
         Keys of `MEDIA`.
+    endless : bool
+        Whether packs without end are taken.
     """
     kinds = kinds or (GranularMedium, LayeredMedium, TurbidMedium)
     is_class = isinstance(medium, type)
     if isinstance(medium, kinds) and not is_class:
         if isinstance(medium, GranularMedium | LayeredMedium):
             check_room(medium)
+            if math.isinf(medium.depth_m) and not endless:
+                hint = "splits.spectrophotometer takes packs without end"
+                raise refuse("depth_m", math.inf, "finite", hint)
         return
     names = [name for kind in kinds for name in MEDIA[kind]]
     given = medium if is_class else getattr(medium, "kind", medium)

@@ -16,6 +16,7 @@ from splits.instruments.arguments import (
     check_wavelengths,
     check_whole,
 )
+from splits.instruments.deep_packs import SHARE, cut_of
 from splits.instruments.estimators import ESTIMATORS
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress, Runner
@@ -79,7 +80,9 @@ def spectrophotometer(
         ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
         ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
         see `splits.analysis.errors`; absorptance's are minus their sum.  All inputs stand in
-        the attributes.
+        the attributes.  Of packs so deep that they are cut (`splits.instruments.deep_packs`), the
+        attribute ``traced_to_m`` says where, and ``optically_deep_m`` from which depth on they
+        are as bright as without end; what theory may miss of the rest is in the errors.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def spectrophotometer(
     SPLITSnow section 4.1, Eq 8: reflectance is the share of rays that leave upwards, n/N (the
     printed 1/π belongs to a radiance, not to a share of rays).
     """
-    check_medium(medium)
+    check_medium(medium, endless=estimator == "spectral")
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
@@ -102,8 +105,14 @@ def spectrophotometer(
     threads = check_threads(threads)
 
     begun = time.perf_counter()
-    runner = Runner(medium, incidence, seed, threads, estimator == "analog", kernel, progress)
-    result = ESTIMATORS[estimator](runner, medium, wavelengths, max_stderr, max_rays)
+    analog = estimator == "analog"
+    cut = None if analog else cut_of(medium, wavelengths, max_stderr, seed, threads)
+    traced = medium if cut is None else cut.medium
+    goal = max_stderr if cut is None else max_stderr * (1.0 - SHARE**2) ** 0.5
+    runner = Runner(traced, incidence, seed, threads, analog, kernel, progress)
+    result = ESTIMATORS[estimator](runner, traced, wavelengths, goal, max_rays)
+    if cut is not None:
+        result = cut.completed(result, max_stderr)
 
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     variables: dict[str, Variable] = {}
@@ -125,4 +134,6 @@ def spectrophotometer(
         "ensembles": result.ensembles,
         "kernel": result.kernel,
     }
+    if cut is not None:
+        facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.enough_m}
     return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
-from splits.checks import in_range, numbers, refuse, suggestion
+from splits.checks import in_range, numbers, refuse, scalar, suggestion
 from splits.materials import RefractiveIndex, refractive_index
 from splits.media.ground import ground_facts
 
@@ -20,6 +21,14 @@ def limited_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
         raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
     in_range(f"{key} (sd)", sd, 0.0, 1.0)
     return minimum, maximum, mean, sd
+
+
+def sample_depth(depth_m: Any) -> float:
+    """Return the thickness of a sample of grains (m), above 0 to 1e4 or infinite, or refuse it."""
+    hint = "or infinite: .inf in YAML, math.inf in Python"
+    if isinstance(scalar(depth_m), float) and depth_m == math.inf:
+        return math.inf
+    return in_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
 
 
 def indices_of(materials: Iterable[str], given: Any) -> dict[str, RefractiveIndex]:

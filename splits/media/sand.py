@@ -16,7 +16,7 @@ from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose
 from splits.media.granular import Interface
 from splits.media.ground import Ground
-from splits.media.inputs import described, indices_of, limited_normal
+from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
@@ -56,7 +56,8 @@ class Sand:
     relative_coating_thickness : float
         Thickness of coatings per major axis, above 0 and at most 0.05.
     depth_m : float
-        Thickness of the sample (m), more than the largest particle.
+        Thickness of the sample (m), more than the largest particle, to 1e4, or infinite for the
+        spectrophotometer.
     size_tail : float
         Mass beyond the outermost size limits, see `splits.media.soil_sizes.soil_sizes`.
     refractive_index : mapping, optional
@@ -127,7 +128,7 @@ class Sand:
         put("partition", numbers("partition", self.partition, ("pure", "mixed", "coated")))
         put("texture", numbers("texture", self.texture, ("clay", "silt", "sand")))
         put("ground", Ground.of(self.ground))
-        put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
+        put("depth_m", sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], self.refractive_index))

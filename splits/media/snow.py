@@ -14,7 +14,7 @@ from splits.materials import ice_density
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
 from splits.media.ground import Ground
-from splits.media.inputs import described, indices_of, limited_normal
+from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.readings import Readings
 from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
 
@@ -42,8 +42,8 @@ class Snow:
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
-        Thickness of the sample (m); a sample, which may have several layers, must be thicker than
-        its largest grain.
+        Thickness of the sample (m), above 0 to 1e4, or infinite for the spectrophotometer.  A
+        sample, which may have several layers, must be thicker than its largest grain.
     refractive_index : mapping, optional
         Per material ("ice", "water") a dataset's name, a complex constant n + kj or a table; see
         `splits.materials.refractive_index`.
@@ -111,7 +111,7 @@ class Snow:
             ),
         )
         put("ground", Ground.of(self.ground))
-        put("depth_m", in_range("depth_m", self.depth_m, 0.0, 1e4, "m", open_low=True))
+        put("depth_m", sample_depth(self.depth_m))
         put("readings", Readings.of(self.readings))
         put("refractive_index", indices_of(("ice", "water"), self.refractive_index))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -74,6 +75,9 @@ class Stack:
                 near = suggestion(str(given).capitalize(), ["Snow", "Sand", "Layer"])
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.Layer(...)"
                 raise refuse(f"layers[{number}]", given, allowed, near)
+            if layer.depth_m == math.inf and number < len(layers) - 1:
+                hint = "only the lowest layer has no end"
+                raise refuse(f"layers[{number}].depth_m", math.inf, "finite", hint)
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)

@@ -1,0 +1,175 @@
+"""Packs so deep that paths in them have no end: a cut, and a ground that stands for what is below.
+
+Where little is absorbed, light wanders through a deep pack for ten thousand grains, and comes back.
+Far below the surface it is diffuse, and what the rest of the pack does with it is known from
+diffusion theory: F↓ and F↑ are φ/4 ± J/2, and φ obeys D φ″ = μ φ (Ishimaru 1978, Wave Propagation
+and Scattering in Random Media, chapter 9).  So rays are traced down to a cut only.  A ground there
+sends back what the rest would, and keeps what that absorbs or lets through, at every wavelength.
+
+What theory may miss is stated: `DOUBT` of what the rest keeps, times the chance that light from the
+cut leaves at the top.  The cut lies so deep that this is a part of the error asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.diffusion import Rest, scattering_mean_step
+from splits.instruments.estimators import Estimate
+from splits.instruments.single_scattering import single_scattering
+from splits.media.granular import GranularMedium
+from splits.media.ground import Ground
+from splits.media.stack import Stack
+from splits.media.turbid import Medium
+
+DOUBT = 0.3
+"""How far, as a part of itself, theory may be off in what the rest of a pack keeps."""
+SHARE = 0.4
+"""Part of the error asked for that the cut may take."""
+LEAST = 600.0
+"""Mean distances between grains below which no pack is cut: it is traced in no time."""
+REACH = 5.0
+"""Light that decays by more than exp(−REACH) down to the cut, at all wavelengths, asks for none."""
+DIFFUSE = 30.0
+"""Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
+RAYS = 20_000
+
+
+class Cut(NamedTuple):
+    """A pack that is cut.
+
+    Attributes
+    ----------
+    medium : Medium
+        Down to the cut, over a ground that stands for the rest.
+    depth_m : float
+        Of the cut (m).
+    passed : float, shape (wavelengths,)
+        Share that the rest lets through of what it keeps.
+    escape : float, shape (wavelengths,)
+        Chance that light from the cut leaves at the top.
+    enough_m : float
+        Depth from which on the lowest layer reflects diffuse light like one without end, within
+        the error asked for, to diffusion theory (m).
+    """
+
+    medium: Medium
+    depth_m: float
+    passed: np.ndarray
+    escape: np.ndarray
+    enough_m: float
+
+    def completed(self, found: Estimate, max_stderr: float) -> Estimate:
+        """Return the estimate of the whole pack from that of the part above the cut."""
+        kept = found.mean[1]
+        mean = np.stack([found.mean[0], kept * self.passed, np.zeros_like(kept)])
+        mean[2] = 1.0 - mean[0] - mean[1]
+        doubt = DOUBT * kept * self.escape
+        through = DOUBT * kept * self.passed
+        scale = np.stack([np.ones_like(kept), self.passed, np.ones_like(kept)])
+        missed = np.stack([doubt, through, np.hypot(doubt, through)])
+        stderr = np.hypot(scale * found.stderr, missed)
+        # Absorbed is what neither leaves above nor below.
+        stderr[2] = np.hypot(found.stderr[0] + self.passed * found.stderr[1], missed[2])
+        groups = found.groups * scale[:2]
+        bias = np.hypot(scale * found.bias, missed)
+        converged = bool(stderr.max() <= max_stderr)
+        return Estimate(
+            mean, stderr, bias, groups, found.rays, found.ensembles, converged, found.kernel
+        )
+
+
+def cut_of(
+    medium: Medium, wavelengths: np.ndarray, max_stderr: float, seed: int, threads: int
+) -> Cut | None:
+    """Return a pack cut where that serves the error asked for, None where it is traced as it is.
+
+    Raises
+    ------
+    ValueError
+        For a pack without end whose lowest layer is not of grains.
+    """
+    part = medium.layers[-1] if isinstance(medium, Stack) else medium
+    if not isinstance(part, GranularMedium):
+        return None
+    lowest: Any = part
+    depth = float(lowest.depth_m)
+    if depth * lowest.grains().attenuation < LEAST:
+        return None
+    finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
+    optics = single_scattering(finite, wavelengths, 1, RAYS, seed, threads, wet_pores="equilibrium")
+    return _cut(medium, lowest, depth, optics, max_stderr)
+
+
+def _cut(
+    medium: Medium, lowest: Any, depth: float, optics: xr.Dataset, max_stderr: float
+) -> Cut | None:
+    """Return what `cut_of` returns, for a lowest layer of such optics and depth (m)."""
+    step = scattering_mean_step(optics)
+    loss = 1.0 - optics.single_scattering_albedo.values
+    turning = (1.0 - optics.asymmetry_parameter.values + loss) / step
+    diffusion = 1.0 / (3.0 * turning)
+    # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
+    needed = DOUBT / (SHARE * max_stderr)
+    height = max(float(diffusion.max()) * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
+    # Where nothing is absorbed a rate of almost 0 says the same, without 0/0.
+    rate = np.maximum(np.sqrt(loss / step / diffusion), 1e-9 / height)
+    endless = math.isinf(depth)
+    if not endless and (depth < 2.0 * height or (rate * height).min() > REACH):
+        return None
+    below = Ground.of(medium.ground)  # type: ignore[union-attr]
+    albedo = np.zeros_like(rate) if below is None else below.albedo(optics.wavelength.values)
+    rest = Rest(rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo))
+    sent = rest.sent()
+    arriving = 1.0 / (1.0 + 0.75 * height / (diffusion * 3.0))
+    escape = arriving / (arriving + 1.0 - sent)
+    ground = _ground(optics.wavelength.values, _through_face(sent, lowest, optics))
+    shorter = replace(lowest, depth_m=height)
+    if isinstance(medium, Stack):
+        part: Medium = replace(medium, layers=(*medium.layers[:-1], shorter), ground=ground)
+    else:
+        part = replace(shorter, ground=ground)
+    enough = _enough(rate, diffusion, max_stderr)
+    return Cut(part, height, rest.passed(), escape, enough)
+
+
+def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float:
+    """Return the least depth (m) over a black ground that is as bright as any."""
+    depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
+    black = np.full_like(rate, 0.5)
+    shallow = Rest(rate * diffusion, rate * depths, black).sent()
+    endless = Rest(rate * diffusion, np.full_like(rate, np.inf), black).sent()
+    far = np.abs(endless - shallow).max(axis=1) > max_stderr
+    return float(depths[min(far.sum(), len(depths) - 1), 0])
+
+
+def _through_face(sent: np.ndarray, lowest: GranularMedium, optics: xr.Dataset) -> np.ndarray:
+    """Return the albedo of a ground that, below the face of wet pores, sends back so much.
+
+    A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
+    entering: by n², as reciprocity asks for.
+    """
+    if not lowest.saturation or not lowest.readings.rules(False).boundary_fresnel:
+        return sent
+    n = 1.33
+    outer = 0.066
+    inner = 1.0 - (1.0 - outer) / n**2
+    wet = optics.wet_share.values
+    out, back = 1.0 - wet * inner, 1.0 - float(lowest.saturation) * outer
+    # What the ground keeps, in units of what reaches the face from within, is to be 1 − sent.
+    kept = 1.0 - sent
+    albedo: np.ndarray = np.clip((out - kept) / (out - kept * (1.0 - back)), 0.0, 1.0)
+    return albedo
+
+
+def _ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:
+    """Return the ground that stands for the rest of a pack."""
+    name = "rest of the pack"
+    if wavelengths.size == 1:
+        return Ground(name, "diffusion theory", albedo)
+    return Ground(name, "diffusion theory", albedo, wavelengths)

@@ -1,0 +1,138 @@
+"""Packs that are cut: against the same packs traced to their end, and limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.checks import Refusal
+from splits.diffusion import Rest
+from splits.instruments import deep_packs
+from splits.instruments.deep_packs import DOUBT, cut_of
+
+CLEAR = {"ice": 1.31, "water": 1.33}
+WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
+FINE = {"grain_size_um": (50.0, 100.0), "density_kg_m3": 300.0}
+PACKS = {
+    "dry": splits.Snow(**FINE, saturation=0.0, depth_m=0.03),
+    "wet": splits.Snow(**FINE, saturation=0.3, depth_m=0.03),
+    "soaked": splits.Snow(**FINE, saturation=1.0, depth_m=0.06),
+    "on soil": splits.Snow(**FINE, saturation=0.0, depth_m=0.02, ground=0.6),
+    "layered": splits.Stack(
+        [splits.Snow(depth_m=0.003), splits.Snow(**FINE, saturation=0.0, depth_m=0.02)]
+    ),
+}
+
+
+@pytest.fixture
+def always(monkeypatch):
+    """Cut however thin a pack is."""
+    monkeypatch.setattr(deep_packs, "LEAST", 0.0)
+
+
+@NEEDS_JIT
+@pytest.mark.long
+@pytest.mark.parametrize("name", PACKS)
+def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
+    """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
+    pack = PACKS[name]
+    cut = cut_of(pack, WAVELENGTHS, 0.02, 1, 2)
+    assert cut is not None
+    assert cut.depth_m < 0.7 * pack.depth_m
+    monkeypatch.setattr(deep_packs, "LEAST", math.inf)
+    for seed, incidence in ((2, 0.0), (3, "diffuse")):
+        part, whole = (
+            splits.spectrophotometer(one, WAVELENGTHS, incidence, 0.0015, seed)
+            for one in (cut.medium, pack)
+        )
+        kept = part.transmittance.values
+        doubts = {"reflectance": DOUBT * kept * cut.escape, "transmittance": DOUBT * kept}
+        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.passed}
+        for quantity, doubt in doubts.items():
+            noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
+            off = np.abs(guessed[quantity] - whole[quantity].values)
+            print(name, incidence, quantity, np.round(off / np.maximum(doubt / DOUBT, 1e-9), 2))
+            assert (off <= doubt + 3.0 * noise).all(), (name, incidence, quantity, off, doubt)
+
+
+@NEEDS_JIT
+def test_errors_of_cut_packs_hold(always, monkeypatch):
+    light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
+    cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)
+    assert cut.attrs["traced_to_m"] < PACKS["dry"].depth_m
+    monkeypatch.setattr(deep_packs, "LEAST", math.inf)
+    whole = splits.spectrophotometer(PACKS["dry"], seed=5, max_stderr=0.002, **light)
+    z = [
+        (cut[n] - whole[n]) / np.hypot(cut[f"{n}_stderr"], whole[f"{n}_stderr"])
+        for n in ("reflectance", "transmittance")
+    ]
+    judge_z(np.array(z), independent=1, bound_added=True)
+    total = cut.reflectance + cut.transmittance + cut.absorptance
+    assert total.values == pytest.approx(1.0, abs=1e-12)
+
+
+@NEEDS_JIT
+def test_a_pack_without_end_that_absorbs_nothing_sends_all_light_back():
+    snow = splits.Snow(**FINE, saturation=0.2, refractive_index=CLEAR, depth_m=math.inf)
+    ds = splits.spectrophotometer(snow, [500.0], 30.0, 0.01)
+    assert ds.reflectance.item() == pytest.approx(1.0, abs=1e-5)
+    assert ds.attrs["stopped_by"] == "error"
+
+
+@NEEDS_JIT
+def test_a_pack_without_end_is_one_that_is_deep_enough():
+    light = {"wavelength_nm": [800.0, 1000.0, 1300.0], "incidence_deg": 50.0, "max_stderr": 0.004}
+    endless = splits.spectrophotometer(splits.Snow(depth_m=math.inf), seed=6, **light)
+    enough = endless.attrs["optically_deep_m"]
+    finite = splits.spectrophotometer(splits.Snow(depth_m=enough), seed=7, **light)
+    error = np.hypot(endless.reflectance_stderr, finite.reflectance_stderr)
+    off = np.abs(endless.reflectance - finite.reflectance)
+    assert (off <= 0.004 + 3.0 * error).all()
+    assert (endless.transmittance == 0.0).all()
+
+
+def test_diffusion_below_a_cut_has_its_limits():
+    """Nothing absorbed: 1/(2 + h/D) through to a black bottom; a white one sends all back."""
+    one = np.ones(1)
+    diffusion, height = 1e-4, 0.5
+    rate = 1e-8
+    black = Rest(rate * diffusion * one, rate * height * one, 0.5 * one)
+    expected = 1.0 / (2.0 + height / diffusion)
+    assert black.entering() == pytest.approx(expected, rel=1e-9)
+    assert black.passed() == pytest.approx(1.0, rel=1e-9)
+    white = Rest(rate * diffusion * one, rate * height * one, 0.0 * one)
+    assert white.sent() == pytest.approx(1.0, abs=1e-9)
+    endless = Rest(0.3 * one, math.inf * one, 0.5 * one)
+    assert endless.entering() == pytest.approx(0.3)
+    assert endless.passed() == 0.0
+    thick, thin = (Rest(0.3 * one, h * one, 0.5 * one) for h in (30.0, 1e-12))
+    assert thick.sent() == pytest.approx(endless.sent())
+    assert thin.sent() == pytest.approx(0.0, abs=1e-9)
+    assert thin.passed() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "instrument",
+    [
+        lambda snow: splits.goniophotometer(snow, [500.0]),
+        lambda snow: splits.bssrdf(snow, [500.0]),
+        lambda snow: splits.profile(snow, [500.0], [0.1]),
+        lambda snow: splits.deep_transmittance(snow, [500.0]),
+        lambda snow: splits.single_scattering(snow, [500.0]),
+        lambda snow: splits.spectrophotometer(snow, [500.0], estimator="analog"),
+    ],
+)
+def test_other_instruments_refuse_packs_without_end(instrument):
+    with pytest.raises(Refusal, match="depth_m = inf: must be finite"):
+        instrument(splits.Snow(depth_m=math.inf))
+
+
+def test_only_the_lowest_layer_has_no_end():
+    endless = splits.Snow(depth_m=math.inf)
+    assert splits.Stack([splits.Snow(), endless]).depth_m == math.inf
+    with pytest.raises(Refusal, match=r"layers\[0\].depth_m = inf: must be finite"):
+        splits.Stack([endless, splits.Snow()])

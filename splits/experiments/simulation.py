@@ -40,6 +40,8 @@ from splits.media.turbid import Medium, TurbidMedium
 MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer, "stack": Stack}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
+ENDLESS = ("spectrophotometer", "refractive_index")
+"""Instruments that take packs without end."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
@@ -161,6 +163,10 @@ class Simulation(Section):
         if instrument.kind in SURFACES and not rough:
             given = kind if not layer else "a layer without surface"
             raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
+        endless = not layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
+        if endless and (instrument.kind not in ENDLESS or instrument.estimator == "analog"):
+            hint = "the spectrophotometer takes packs without end"
+            raise refuse("medium.depth_m", math.inf, "finite", hint)
         if instrument.estimator == "local" and (rough or not layer):
             raise refuse("instrument.estimator", "local", "left out but for smooth layers")
         if instrument.target == "btdf" and ground_of(medium) is not None:

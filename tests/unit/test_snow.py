@@ -41,7 +41,7 @@ BAD = [
     ("temperature_c", 1.0, "[-40, 0]"),
     ("temperature_c", -41.0, "[-40, 0]"),
     ("depth_m", -0.1, "(0, 10000]"),
-    ("depth_m", float("inf"), "(0, 10000]"),
+    ("depth_m", float("-inf"), "(0, 10000]"),
     ("refractive_index", 1.31, "mapping"),
     ("readings", "projected", "mapping"),
 ]

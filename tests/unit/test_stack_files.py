@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
+import splits
+from splits.dataset import save
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments.coordinates import grid_coordinates
+from splits.experiments.model import Experiment
+from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
 from splits.figures.style import parameter_label
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
@@ -138,3 +145,25 @@ def test_the_example_of_the_documents_can_be_run(tmp_path):
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
     assert len(list(loaded(tmp_path, example).points())) == 6
+
+
+def endless(kind):
+    return {
+        "name": "endless",
+        "medium": {"kind": "snow", "saturation": 0.0},
+        "instrument": {"kind": kind, "wavelength_nm": [1300]},
+        "grid": {"depth_m": [0.02, math.inf]},
+    }
+
+
+def test_packs_without_end_are_for_the_spectrophotometer():
+    with pytest.raises(ValidationError, match=r"medium.depth_m = inf: must be finite"):
+        Experiment.model_validate(endless("goniophotometer"))
+
+
+def test_a_pack_without_end_in_a_grid_is_run_and_kept(tmp_path):
+    experiment = Experiment.model_validate(endless("spectrophotometer"))
+    save(run(experiment, Accuracy(max_stderr=0.1)), tmp_path / "endless.nc")
+    ds = splits.load(tmp_path / "endless.nc")
+    assert ds.depth_m.values.tolist() == [0.02, math.inf]
+    assert ds.transmittance.sel(depth_m=math.inf).item() == 0.0

@@ -52,7 +52,7 @@ def measured(medium, incidence, seed, **settings):
 
 
 @pytest.mark.parametrize("name", MEDIA)
-@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize("kernel", ["lanes", pytest.param("scalar", marks=pytest.mark.long)])
 def test_light_goes_to_and_fro_between_sample_and_ground(name, kernel):
     """R(ρ) = R + T ρ T′/(1 − ρ R′), and the ground keeps (1 − ρ) T/(1 − ρ R′)."""
     medium, reverse = MEDIA[name]

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.checks import refuse
 from splits.diffusion import Rest, scattering_mean_step
 from splits.instruments.estimators import Estimate
 from splits.instruments.single_scattering import single_scattering
@@ -37,6 +38,8 @@ REACH = 5.0
 """Light that decays by more than exp(−REACH) down to the cut, at all wavelengths, asks for none."""
 DIFFUSE = 30.0
 """Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
+LEAST_TURN = 0.01
+"""Least 1 − ωg of grains among which light gets diffuse before it has gone far."""
 RAYS = 20_000
 
 
@@ -67,15 +70,22 @@ class Cut(NamedTuple):
     def completed(self, found: Estimate, max_stderr: float) -> Estimate:
         """Return the estimate of the whole pack from that of the part above the cut."""
         kept = found.mean[1]
-        mean = np.stack([found.mean[0], kept * self.passed, np.zeros_like(kept)])
-        mean[2] = 1.0 - mean[0] - mean[1]
+        back = np.minimum(found.mean[0], 1.0)
+        # Weights are single: where nothing is absorbed, all that does not come back goes through.
+        through = np.where(self.passed == 1.0, 1.0 - back, kept * self.passed)
+        through = np.minimum(through, 1.0 - back)
+        mean = np.stack([back, through, 1.0 - back - through])
+        clear = self.passed == 1.0
         doubt = DOUBT * kept * self.escape
-        through = DOUBT * kept * self.passed
+        # Where nothing is absorbed, what does not come back goes through, in error as in size.
+        below = np.where(clear, doubt, DOUBT * through)
+        rest = np.where(clear, 0.0, np.hypot(doubt, below))
+        missed = np.stack([doubt, below, rest])
         scale = np.stack([np.ones_like(kept), self.passed, np.ones_like(kept)])
-        missed = np.stack([doubt, through, np.hypot(doubt, through)])
-        stderr = np.hypot(scale * found.stderr, missed)
-        # Absorbed is what neither leaves above nor below.
-        stderr[2] = np.hypot(found.stderr[0] + self.passed * found.stderr[1], missed[2])
+        own = scale * found.stderr
+        # Absorbed is what was so above the cut, and what the rest keeps for itself.
+        own[2] += (1.0 - self.passed) * found.stderr[1]
+        stderr = np.hypot(own, missed)
         groups = found.groups * scale[:2]
         bias = np.hypot(scale * found.bias, missed)
         converged = bool(stderr.max() <= max_stderr)
@@ -113,19 +123,25 @@ def _cut(
     step = scattering_mean_step(optics)
     loss = 1.0 - optics.single_scattering_albedo.values
     turning = (1.0 - optics.asymmetry_parameter.values + loss) / step
+    endless = math.isinf(depth)
+    if (turning * step).min() < LEAST_TURN:
+        if endless:
+            raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+        return None
     diffusion = 1.0 / (3.0 * turning)
     # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
     needed = DOUBT / (SHARE * max_stderr)
     height = max(float(diffusion.max()) * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
     # Where nothing is absorbed a rate of almost 0 says the same, without 0/0.
     rate = np.maximum(np.sqrt(loss / step / diffusion), 1e-9 / height)
-    endless = math.isinf(depth)
-    if not endless and (depth < 2.0 * height or (rate * height).min() > REACH):
+    if not endless and (depth < 4.0 * height or (rate * height).min() > REACH):
         return None
     below = Ground.of(medium.ground)  # type: ignore[union-attr]
     albedo = np.zeros_like(rate) if below is None else below.albedo(optics.wavelength.values)
     rest = Rest(rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo))
-    sent = rest.sent()
+    clear = loss <= 0.0
+    sent = np.where(clear & (endless | (albedo == 1.0)), 1.0, rest.sent())
+    passed = np.where(clear & (sent < 1.0), 1.0, rest.passed())
     arriving = 1.0 / (1.0 + 0.75 * height / (diffusion * 3.0))
     escape = arriving / (arriving + 1.0 - sent)
     ground = _ground(optics.wavelength.values, _through_face(sent, lowest, optics))
@@ -135,7 +151,7 @@ def _cut(
     else:
         part = replace(shorter, ground=ground)
     enough = _enough(rate, diffusion, max_stderr)
-    return Cut(part, height, rest.passed(), escape, enough)
+    return Cut(part, height, passed, escape, enough)
 
 
 def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float:

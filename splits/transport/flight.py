@@ -89,6 +89,8 @@ class Space(NamedTuple):
         Heights of the faces of the layer (m).
     floor, ceiling : float
         Heights of the faces of the whole sample (m).
+    brim : float
+        Height (m) above which no grain may reach: the ceiling, or the mean height of a rough one.
     """
 
     mean_leg: float
@@ -96,6 +98,7 @@ class Space(NamedTuple):
     high: float
     floor: float
     ceiling: float
+    brim: float
 
 
 class Fates(NamedTuple):
@@ -191,7 +194,7 @@ def next_grain(ray, size, aim, u, space, fates, features):
     height = fused(leg, d.z, start)
     outside = (height > space.high) if d.z > ZERO else (height < space.low)
     entry = strike(d, size, aim, fates.entry, features.variant)
-    across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.ceiling)
+    across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.brim)
     behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
     backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)

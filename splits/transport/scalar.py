@@ -137,11 +137,8 @@ def index_of(optics, material):
 def space_of(layers, layer):
     """Return the space of a layer of a scene."""
     bottom, top = layers.face[layers.face.size - 1], layers.face[0]
-    if layer > 0:
-        # A rough surface reaches above its mean height, at which grains end.
-        top = min(top, 0.0)
     low, high = layers.face[layer + 1], layers.face[layer]
-    return Space(1.0 / layers.attenuation[layer], low, high, bottom, top)
+    return Space(1.0 / layers.attenuation[layer], low, high, bottom, top, min(top, 0.0))
 
 
 @part

@@ -96,6 +96,20 @@ def test_a_flattening_surface_becomes_the_flat_one(incidence):
     judge_z(apart(rough, smooth), independent=1)
 
 
+def test_a_rough_lid_of_nothing_changes_nothing():
+    """Rays fly from high above through it into the snow in one leg."""
+    tall = {**WAVES, "rms_height_m": 0.03}
+    nothing = lid(1.0, tall, optical_thickness=0.0, refractive_index=1.0)
+    # A grain that reaches into the lid is kept, so those that reach above the snow are, too.
+    kept = {"readings": {"grain_across_boundary": "keep"}}
+    below = [splits.Snow(depth_m=0.006, **kept), splits.Sand(depth_m=0.004, **kept)]
+    with_lid, without = (
+        measured(splits.Stack(layers, ground=0.3), 0.0, seed)
+        for seed, layers in ((32, [nothing, *below]), (33, below))
+    )
+    judge_z(apart(with_lid, without), independent=1)
+
+
 def test_grains_below_a_rough_lid_do_not_reach_above_its_mean_height():
     """A lid thinner than grains: those that cross z = 0 are refused, however rough it is."""
     waves = {**WAVES, "rms_height_m": 1e-6}

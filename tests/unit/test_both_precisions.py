@@ -278,7 +278,7 @@ def _next(x, fates, features, out):
         place, way = Vector(zero, zero, row[13]), Vector(row[14], row[15], row[16])
         last = Segment(way, Vector(row[17], row[18], row[19]), row[20])
         ray = Flier(place, way, d, last, row[21])
-        space = Space(row[22], row[23], row[25], row[26], zero)
+        space = Space(row[22], row[23], row[25], row[26], zero, zero)
         met = flight.next_grain(ray, size, aim, row[24], space, fates, features)
         there = flight.to_boundary(ray, space)
         n = met.entry.normal

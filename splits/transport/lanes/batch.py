@@ -36,7 +36,7 @@ def passing_of(scene):
     """Return what the passes need to know of a scene."""
     layers, rules = scene.layers, scene.rules
     top, bottom = single(layers.face[0]), single(layers.face[layers.face.size - 1])
-    space = Space(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top)
+    space = Space(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top, top)
     mirrored = rules.wrong_side != LOBE
     return Passing(space, fates_of(rules), single(layers.saturation[0]), rules.facets, mirrored)
 

@@ -169,7 +169,7 @@ def space_at(state, i, scene, layered):
     mean_leg, low, high = (
         state[rows.MEAN_LEG + i], state[rows.LOW + i], state[rows.HIGH + i]
     )  # fmt: skip
-    return Space(mean_leg, low, high, space.floor, space.ceiling)
+    return Space(mean_leg, low, high, space.floor, space.ceiling, space.brim)
 
 
 @part

@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from splits.transport.jit import ALIKE, HALF, ONE_AND_HALF
+from splits.transport.jit import HALF, INSIDE, ONE_AND_HALF
 
 
 def fused(a, b, c):
@@ -21,7 +21,7 @@ def fused(a, b, c):
     return a * b + c
 
 
-@overload(fused, jit_options=ALIKE)
+@overload(fused, jit_options=INSIDE)
 def _fused(a, b, c):
     if a == b == c and isinstance(a, types.Float):
         return lambda a, b, c: _multiply_add(a, b, c)
@@ -53,7 +53,7 @@ def reciprocal_root(x):
     return 1.0 / math.sqrt(x)
 
 
-@overload(reciprocal_root, jit_options=ALIKE)
+@overload(reciprocal_root, jit_options=INSIDE)
 def _reciprocal_root(x):
     if x != types.float32:
         return lambda x: 1.0 / math.sqrt(x)
@@ -73,7 +73,7 @@ def root(x):
     return math.sqrt(x)
 
 
-@overload(root, jit_options=ALIKE)
+@overload(root, jit_options=INSIDE)
 def _root(x):
     if x != types.float32:
         return lambda x: math.sqrt(x)
@@ -108,7 +108,7 @@ def precise(x):
     return _SINGLE if isinstance(x, np.float32) else _DOUBLE
 
 
-@overload(precise, jit_options=ALIKE)
+@overload(precise, jit_options=INSIDE)
 def _precise(x):
     if x == types.float32:
         return lambda x: _SINGLE

@@ -17,7 +17,7 @@ from splits.transport.jit import entry, part
 from splits.transport.legs import arrived, beyond, find, pass_face, settled, travelled
 from splits.transport.light import launched
 from splits.transport.march import GONE
-from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken
+from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken, write
 from splits.transport.phase import scattered
 from splits.transport.rng import start_stream, uniform
 from splits.transport.roof import (
@@ -285,5 +285,5 @@ def batch(seed, work, scene, optics, exits, fields, room):
                 exits[number], ray.fate == REFLECTED, ray.flier.place, ray.beam.d, purse.weight,
                 ray.order,
             )  # fmt: skip
-            exits[number, EXIT_LENGTH : EXIT_LENGTH + length.size] = length
+            write(exits[number], EXIT_LENGTH, length)
     return Told(legs, False, taken(notes))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,30 @@ from numba import config, njit
 from numba.extending import overload
 
 from splits.transport.cache import keep
+from splits.transport.drafts import ONLY_INSIDE
 
 ALIKE: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `kernel`."""
+INSIDE: Any = {**ALIKE, **ONLY_INSIDE}
+"""Options of those that only kernels call."""
+
+
+class Kernel:
+    """A small function: compiled for Python when that calls it, and into kernels that do."""
+
+    def __init__(self, function: Any) -> None:
+        functools.update_wrapper(self, function)
+        self.compiled = keep(njit(**ALIKE)(function))
+        _inside(self, function)
+
+    def __call__(self, *values: Any) -> Any:
+        """Return what the compiled function does."""
+        return self.compiled(*values)
+
+
+def _inside(name: Any, function: Any) -> None:
+    """Let what kernels call by a name be a function, compiled into them."""
+    overload(name, jit_options=INSIDE, strict=False)(lambda *types: function)
 
 
 def kernel(function: Any) -> Any:
@@ -23,17 +45,15 @@ def kernel(function: Any) -> Any:
     on whether code was just compiled or comes from the cache; `arithmetic.fused` says where they
     are.
     """
-    return keep(njit(**ALIKE)(function))
+    return function if config.DISABLE_JIT else Kernel(function)  # type: ignore[attr-defined]
 
 
 def part(function: Any) -> Any:
     """Compile a function that only kernels call as `kernel` does, but not for calls from Python.
 
-    There it stays as it is written.  What takes apart and puts together named tuples at the border
-    to Python takes as long to compile as a small function itself.
+    There it stays as it is written.
     """
-    options: Any = {**ALIKE, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    overload(function, jit_options=options, strict=False)(lambda *types: function)
+    _inside(function, function)
     return function
 
 

@@ -51,6 +51,13 @@ def taken(notes):
 
 
 @kernel
+def write(row, first, values):
+    """Write values into a row from a column on: `row[first:] = values` takes seconds to compile."""
+    for i in range(values.size):
+        row[first + i] = values[i]
+
+
+@kernel
 def has_room(notes, more):
     """Tell whether there is room for so many more."""
     return notes.state[_TAKEN] + more <= notes.rows.shape[0]
@@ -63,7 +70,8 @@ def room_for(notes, more):
         return notes
     count = notes.state[_TAKEN]
     rows = np.empty((2 * (count + more), notes.rows.shape[1]))
-    rows[:count] = notes.rows[:count]
+    for i in range(count):
+        write(rows[i], 0, notes.rows[i])
     return Notes(rows, notes.state)
 
 
@@ -93,5 +101,5 @@ def note(notes, event, weight, length):
     """
     row = notes.rows[notes.state[_TAKEN]]
     row[NOTE_RAY], row[NOTE_EVENT], row[NOTE_WEIGHT] = notes.state[_RAY], event, weight
-    row[NOTE_LENGTH:] = length
+    write(row, NOTE_LENGTH, length)
     notes.state[_TAKEN] += 1

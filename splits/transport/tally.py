@@ -142,7 +142,8 @@ def tally(exits, notes, absorption, weighted, ground):
             first = _kept(notes, first, j, alpha, ground, sides[1])
             add(moments[0], sides[0])
             add(moments[1], sides[1])
-            sides[0] += sides[1]
+            for i in range(wavelengths):
+                sides[0, i] += sides[1, i]
             add(moments[2], sides[0])
             least_of(least, sides[0])
         if (j + 1) % BLOCK == 0 or j + 1 == rays:
@@ -152,8 +153,10 @@ def tally(exits, notes, absorption, weighted, ground):
                     before[side, i] = moments[side, 0, i]
     if ground < 0:
         # A ray leaves on one side only.
-        moments[2, :2] = moments[0, :2] + moments[1, :2]
-        moments[2, 2] = np.maximum(moments[0, 2], moments[1, 2])
+        for i in range(wavelengths):
+            moments[2, 0, i] = moments[0, 0, i] + moments[1, 0, i]
+            moments[2, 1, i] = moments[0, 1, i] + moments[1, 1, i]
+            moments[2, 2, i] = max(moments[0, 2, i], moments[1, 2, i])
     return moments, least, blocks
 
 

@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba.core import cgutils, errors, types
 from numba.extending import intrinsic, overload
 
-from splits.transport.jit import ALIKE
+from splits.transport.jit import INSIDE
 
 LANES = 8
 """Waves that are evaluated side by side."""
@@ -132,7 +132,7 @@ def _summed(formula: Callable[..., Any], kind: Any) -> Callable[..., Any]:
 
         return signature, generate
 
-    @overload(plain, jit_options=ALIKE)
+    @overload(plain, jit_options=INSIDE)
     def _compiled(waves, first, end, p, q):
         return lambda waves, first, end, p, q: vectors(waves, first, end, p, q)
 

@@ -28,7 +28,7 @@ state = np.zeros(1, dtype=np.uint64)
 start_stream(state, 1, 2, 3)
 print(uniform(state), mix64(np.uint64(7)))
 kernels = (mix64, start_stream, uniform)
-print(sum(sum(k.stats.cache_hits.values()) for k in kernels))
+print(sum(sum(k.compiled.stats.cache_hits.values()) for k in kernels))
 """
 COMMAND = [sys.executable, "-c", SCRIPT]
 

@@ -16,6 +16,7 @@ from splits.transport.lanes.flight import flier_at, travel
 from splits.transport.lanes.numbers import double, word
 from splits.transport.lanes.rows import Passing, put, vector
 from splits.transport.light import launched
+from splits.transport.notes import write
 from splits.transport.rng import start_stream
 from splits.transport.scene import DRY_PORE, WET_PORE, Optics, Scene
 from splits.transport.tally import EXIT_LENGTH, record
@@ -240,7 +241,7 @@ def leave(lanes, lane, exits, features):
         order = np.float64(lanes.words[rows.ORDER + lane])
     d = vector(state, rows.DX + lane)
     record(row, d.z > ZERO, place, d, state[rows.WEIGHT + lane], order)
-    row[EXIT_LENGTH : EXIT_LENGTH + lanes.length.shape[1]] = lanes.length[lane]
+    write(row, EXIT_LENGTH, lanes.length[lane])
 
 
 @part
@@ -261,7 +262,7 @@ def close_ranks(lanes, width, busy):
             state[row + free] = state[row + lane]
         for row in range(0, rows.WORDS, rows.LANES):
             words[row + free] = words[row + lane]
-        lanes.length[free] = lanes.length[lane]
+        write(lanes.length[free], 0, lanes.length[lane])
         lanes.ray[free] = lanes.ray[lane]
         lanes.item[free] = lanes.item[lane]
         state[rows.STATUS + lane] = rows.IDLE

@@ -3,7 +3,7 @@
 Numba turns every function into machine code of its own, after every optimisation, although all of
 it is done again in each function that it is inlined into: of the first call of a kernel that took
 most of the time.  What only other functions call is left as it was written here, and optimised
-once, with them.
+once, with them.  (All but passes within one function, which dissolve its named tuples.)
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ from numba.core.typed_passes import NativeLowering
 
 class _Library(JITCodeLibrary):
     """Code that waits to be linked into that of a caller."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
         """Leave that to the caller."""

@@ -112,6 +112,10 @@ def cut_of(
     depth = float(lowest.depth_m)
     if depth * lowest.grains().attenuation < LEAST:
         return None
+    if lowest.pores:
+        if math.isinf(depth):
+            raise refuse("depth_m", depth, "finite where other media are in pores")
+        return None
     finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
     optics = single_scattering(finite, wavelengths, 1, RAYS, seed, threads, wet_pores="equilibrium")
     return _cut(medium, lowest, depth, optics, max_stderr)

@@ -53,7 +53,7 @@ def coarseness(medium: GranularMedium | LayeredMedium, absorption: np.ndarray) -
     for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
         last = first + len(part.materials())
         chord = (1.0 - part.porosity) / part.grains().attenuation
-        solid = absorption[:, first + WET_PORE + 1 : last].max(axis=1)
+        solid = absorption[:, first + WET_PORE + 1 + len(part.pores) : last].max(axis=1)
         coarse = np.maximum(coarse, 0.5 * chord * solid)
         first = last
     bounded: np.ndarray = np.minimum(coarse, 1.0)

@@ -105,6 +105,7 @@ def granular_scene(
         share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
         first=types[:-1],
         pore=materials[:-1],
+        others=_others_of(media),
         particles=_rows_of_particles(media),
     )
     rules = (granular[0].readings if granular else Readings()).rules(analog)
@@ -112,6 +113,18 @@ def granular_scene(
     column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
     table = _together(grains, materials)
     return Scene(light_of(incidence_deg), layers, table, rules, particles, column, False)
+
+
+def _others_of(media: Sequence[Part]) -> np.ndarray:
+    """Return cumulative shares of what fills pores besides air and water."""
+    shares = [[] if isinstance(one, ParticleLayer) else list(one.pores.values()) for one in media]
+    most = max(len(row) for row in shares)
+    return np.array(
+        [
+            float(one.saturation) + np.cumsum([*row, *[0.0] * (most - len(row))])
+            for one, row in zip(media, shares, strict=True)
+        ]
+    ).reshape(len(media), most)
 
 
 def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:

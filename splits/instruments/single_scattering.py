@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import one_of
+from splits.checks import one_of, refuse
 from splits.instruments import streams
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
@@ -146,6 +146,8 @@ def single_scattering(
     """
     begun = time.perf_counter()
     check_medium(medium, GranularMedium)
+    if medium.pores:
+        raise refuse("pores", dict(medium.pores), "empty: pores are dry or wet here")
     wavelengths = check_wavelengths(wavelength_nm)
     moments = check_whole("moments", moments, 1, 4096)
     rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)

@@ -5,7 +5,11 @@ from splits.materials.density import MINERAL_KG_M3, ice_density
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Sellmeier, Tabulated
 from splits.materials.mixing import MIXING, linear, maxwell_garnett
 from splits.materials.oscillators import Band, Oscillators
-from splits.materials.refractive_index import absorption_coefficient, refractive_index
+from splits.materials.refractive_index import (
+    absorption_coefficient,
+    given_index,
+    refractive_index,
+)
 
 __all__ = [
     "MINERAL_KG_M3",
@@ -19,6 +23,7 @@ __all__ = [
     "Tabulated",
     "absorption_coefficient",
     "dataset_names",
+    "given_index",
     "ice_density",
     "linear",
     "maxwell_garnett",

@@ -5,7 +5,7 @@ Wherever an index is asked for, a named dataset can stand, a constant, or a user
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,16 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
     'oscillators, k x 0.5'
     """
     names = dataset_names(material)
-    key = f"refractive_index[{material}]"
     if spec is None:
         return dataset(material, names[0])
+    if isinstance(spec, Mapping) and {"dataset", "k_factor"} & set(spec):
+        return _scaled(f"refractive_index[{material}]", material, spec)
+    return given_index(material, spec, names)
+
+
+def given_index(material: str, spec: Any, names: Sequence[str] = ()) -> RefractiveIndex:
+    """Return what `refractive_index` does of a material with datasets of these names, or none."""
+    key = f"refractive_index[{material}]"
     if isinstance(spec, str):
         if spec in names:
             return dataset(material, spec)
@@ -60,8 +67,6 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
     if isinstance(spec, Path):
         return _user_table(key, spec)
     if isinstance(spec, Mapping):
-        if {"dataset", "k_factor"} & set(spec):
-            return _scaled(key, material, spec)
         return _user_values(key, material, spec)
     if isinstance(spec, (int, float, complex, np.number)) and not isinstance(spec, bool):
         known = spec if isinstance(spec, (complex, np.complexfloating)) else number(key, spec)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -97,6 +97,11 @@ class GranularMedium(Described, Protocol):
     @property
     def saturation(self) -> float:
         """Share of the pore space that is wet."""
+        ...
+
+    @property
+    def pores(self) -> Mapping[str, float]:
+        """Shares of the pore space that other media fill, by name."""
         ...
 
     @property

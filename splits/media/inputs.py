@@ -8,7 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 from splits.checks import in_range, numbers, refuse, scalar, suggestion
-from splits.materials import RefractiveIndex, refractive_index
+from splits.materials import RefractiveIndex, given_index, refractive_index
 from splits.media.ground import ground_facts
 
 _LIMITS = ("min", "max", "mean", "sd")
@@ -31,15 +31,27 @@ def sample_depth(depth_m: Any) -> float:
     return in_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
 
 
-def indices_of(materials: Iterable[str], given: Any) -> dict[str, RefractiveIndex]:
+def indices_of(
+    materials: Iterable[str], given: Any, pores: Iterable[str] = ()
+) -> dict[str, RefractiveIndex]:
     """Return the refractive index of every material, where nothing is given the default dataset.
+
+    Parameters
+    ----------
+    materials : iterable of str
+    given : mapping
+        Of air, too, which has no default: it is 1.
+    pores : iterable of str, optional
+        Media in pores, of which something must be given.
 
     Raises
     ------
     ValueError
         If `given` is not a mapping, or for a material that the medium does not have.
     """
-    names = list(materials)
+    known = list(materials)
+    others = [*pores, "air"] if isinstance(given, Mapping) and "air" in given else list(pores)
+    names = known + others
     if not isinstance(given, Mapping):
         raise refuse("refractive_index", given, "a mapping by material")
     for name in given:
@@ -50,7 +62,9 @@ def indices_of(materials: Iterable[str], given: Any) -> dict[str, RefractiveInde
                 "a mapping with keys " + ", ".join(names),
                 suggestion(name, names),
             )
-    return {m: refractive_index(m, given.get(m)) for m in names}
+    return {m: refractive_index(m, given.get(m)) for m in known} | {
+        m: given_index(m, given[m]) for m in others
+    }
 
 
 def described(medium: Any) -> dict[str, Any]:
@@ -64,8 +78,9 @@ def described(medium: Any) -> dict[str, Any]:
     inputs = {
         f.name: getattr(medium, f.name)
         for f in fields(medium)
-        if f.name not in ("refractive_index", "readings", "ground")
+        if f.name not in ("refractive_index", "readings", "ground", "pores")
     }
+    inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):

@@ -17,11 +17,10 @@ from splits.media.composition import Composition, ParticleType, coating_fraction
 from splits.media.granular import Interface
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
+from splits.media.pores import Pores, other_pores
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
-
-_PORES = ("air", "water")
+from splits.transport.scene import Grains, Types
 
 
 @known_keywords
@@ -47,6 +46,9 @@ class Sand:
         Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
     saturation : float
         Fraction of the pore space filled with water, 0 to 1.
+    pores : mapping, optional
+        Fractions of the pore space filled with other media, by name: ``{"oil": 0.1}``.
+        ``refractive_index`` has to know them.
     porosity : float
         Fraction of the volume that is pore space, above 0 and below 1.
     roundness : (mean, sd)
@@ -61,8 +63,9 @@ class Sand:
     size_tail : float
         Mass beyond the outermost size limits, see `splits.media.soil_sizes.soil_sizes`.
     refractive_index : mapping, optional
-        Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water") a
-        dataset's name, a constant or a table; see `splits.materials.refractive_index`.
+        Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water",
+        "air") a dataset's name, a constant or a table; see `splits.materials.refractive_index`.
+        Air, 1 by default, also lies above the sample.
     readings : SandReadings or mapping, optional
         Named readings of the paper.
     ground : number, str, mapping or path, optional
@@ -100,6 +103,7 @@ class Sand:
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
     readings: SandReadings = field(default_factory=SandReadings)
     ground: Any = None
+    pores: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -131,7 +135,9 @@ class Sand:
         put("depth_m", sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
-        put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], self.refractive_index))
+        given = self.refractive_index
+        put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
+        put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
         _ = self.sizes, self.composition
 
@@ -186,7 +192,13 @@ class Sand:
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        return _PORES + tuple(dict.fromkeys(m for layers in self._layers for m in layers))
+        minerals = dict.fromkeys(m for layers in self._layers for m in layers)
+        return (*self.fluids.names, *minerals)
+
+    @cached_property
+    def fluids(self) -> Pores:
+        """What fills the pores."""
+        return Pores.of(self.saturation, self.pores)
 
     def grains(self) -> Grains:
         """Return the table of particle types; sizes and shapes are those of all types."""
@@ -216,23 +228,19 @@ class Sand:
     def interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet at surfaces of particles and of the slab."""
         names = self.materials()
-        found = []
+        found: list[Interface] = []
         for layers, share in zip(self._layers, self.composition.volume_fractions, strict=True):
             rows = [names.index(m) for m in layers]
-            found.append(Interface(share * (1.0 - self.saturation), DRY_PORE, rows[0]))
-            found.append(Interface(share * self.saturation, WET_PORE, rows[0]))
+            found += self.fluids.interfaces(rows[0], share)
             found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
-        if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
-            found.append(Interface(self.saturation, DRY_PORE, WET_PORE, "face"))
-        return found
+        return found + self.fluids.faces(self.readings.rules().boundary_fresnel)
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         mix = MIXING[self.readings.mixing]
         index = np.ones((wavelength_nm.size, len(self.materials())), dtype=complex)
-        if self.saturation > 0.0:
-            index[:, WET_PORE] = self.refractive_index["water"](wavelength_nm)
+        self.fluids.fill(index, self.refractive_index, wavelength_nm)
         known: dict[str, np.ndarray] = {}
 
         def pure(mineral: str) -> np.ndarray:

@@ -15,10 +15,9 @@ from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
+from splits.media.pores import Pores, other_pores
 from splits.media.readings import Readings
-from splits.transport.scene import DRY_PORE, WET_PORE, Grains, Types
-
-_ICE = 2
+from splits.transport.scene import Grains, Types
 
 
 @known_keywords
@@ -37,6 +36,9 @@ class Snow:
         Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
     saturation : float
         Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
+    pores : mapping, optional
+        Fractions of the pore space filled with other media, by name: ``{"brine": 0.1}``.
+        ``refractive_index`` has to know them.
     density_kg_m3 : float
         Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
     temperature_c : float
@@ -45,8 +47,8 @@ class Snow:
         Thickness of the sample (m), above 0 to 1e4, or infinite for the spectrophotometer.  A
         sample, which may have several layers, must be thicker than its largest grain.
     refractive_index : mapping, optional
-        Per material ("ice", "water") a dataset's name, a complex constant n + kj or a table; see
-        `splits.materials.refractive_index`.
+        Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
+        see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
     readings : Readings or mapping, optional
         Named readings of the papers.
     ground : number, str, mapping or path, optional
@@ -79,6 +81,7 @@ class Snow:
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
     readings: Readings = field(default_factory=Readings)
     ground: Any = None
+    pores: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -113,7 +116,9 @@ class Snow:
         put("ground", Ground.of(self.ground))
         put("depth_m", sample_depth(self.depth_m))
         put("readings", Readings.of(self.readings))
-        put("refractive_index", indices_of(("ice", "water"), self.refractive_index))
+        given = self.refractive_index
+        put("pores", other_pores(self.pores, self.saturation, given, ("ice",)))
+        put("refractive_index", indices_of(("ice", "water"), given, self.pores))
 
     @cached_property
     def _diameters_m(self) -> tuple[float, float]:
@@ -161,7 +166,7 @@ class Snow:
             share=np.ones(1),
             types=Types(
                 shells=np.ones(1, dtype=np.int64),
-                material=np.array([[_ICE]], dtype=np.int64),
+                material=np.array([[self._ice]], dtype=np.int64),
                 thickness=np.zeros((1, 1)),
                 curvature=2.0 * sizes[np.newaxis],
                 sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
@@ -171,23 +176,29 @@ class Snow:
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        return ("air", "water", "ice")
+        return (*self.fluids.names, "ice")
+
+    @cached_property
+    def fluids(self) -> Pores:
+        """What fills the pores."""
+        return Pores.of(self.saturation, self.pores)
+
+    @property
+    def _ice(self) -> int:
+        """Row of ice in index arrays."""
+        return len(self.fluids.names)
 
     def interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet at surfaces of grains and of the slab."""
-        dry = Interface(1.0 - self.saturation, DRY_PORE, _ICE)
-        found = [dry, Interface(self.saturation, WET_PORE, _ICE)]
-        if self.saturation > 0.0 and self.readings.rules().boundary_fresnel:
-            found.append(Interface(self.saturation, DRY_PORE, WET_PORE, "face"))
-        return found
+        fresnel = self.readings.rules().boundary_fresnel
+        return self.fluids.interfaces(self._ice) + self.fluids.faces(fresnel)
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return complex refractive indices, shape (wavelengths, 3); water only if present."""
+        """Return complex refractive indices, shape (wavelengths, materials); 1 if absent."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        index = np.ones((wavelength_nm.size, 3), dtype=complex)
-        index[:, _ICE] = self.refractive_index["ice"](wavelength_nm)
-        if self.saturation > 0.0:
-            index[:, WET_PORE] = self.refractive_index["water"](wavelength_nm)
+        index = np.ones((wavelength_nm.size, self._ice + 1), dtype=complex)
+        self.fluids.fill(index, self.refractive_index, wavelength_nm)
+        index[:, self._ice] = self.refractive_index["ice"](wavelength_nm)
         return index
 
     def describe(self) -> dict[str, Any]:

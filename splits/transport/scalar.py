@@ -123,8 +123,14 @@ def paid(state, purse, leg, material, optics, analog, length):
 
 @part
 def pore_of(layers, layer, u):
-    """Return the material of the pore space for a leg in a layer (SPLITS 4.3.2)."""
-    return layers.pore[layer] + (1 if u < layers.saturation[layer] else 0)
+    """Return the material of the pore space for a leg in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
+    pore = layers.pore[layer]
+    if u < layers.saturation[layer]:
+        return pore + 1
+    for other in range(layers.others.shape[1]):
+        if u < layers.others[layer, other]:
+            return pore + 2 + other
+    return pore
 
 
 @part

@@ -109,7 +109,9 @@ class Layers(NamedTuple):
     first : int64[layers]
         Row of the layer's first type.
     pore : int64[layers]
-        Material of its dry pores; that of its wet ones follows.
+        Material of its dry pores; that of its wet ones follows, then those of others.
+    others : float64[layers, most]
+        Cumulative probabilities, from the saturation on, that a leg runs in one of the other media.
     particles : int64[layers]
         Row of `Particles` of a layer that has these and no grains; `GRAINS` of others.
     """
@@ -120,6 +122,7 @@ class Layers(NamedTuple):
     share: np.ndarray
     first: np.ndarray
     pore: np.ndarray
+    others: np.ndarray
     particles: np.ndarray
 
 

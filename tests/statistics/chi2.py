@@ -62,6 +62,7 @@ def stream(ray: int = 0) -> np.ndarray:
 
 def draw(sampler, count: int, *args, width: int = 0, ray: int = 0) -> np.ndarray:
     """Return `count` values (or tuples of `width` values) of ``sampler(state, *args)``."""
+    sampler = getattr(sampler, "compiled", sampler)
     if width == 0:
         out = np.empty(count)
         _fill_scalar(sampler, stream(ray), args, out)

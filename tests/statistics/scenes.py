@@ -55,7 +55,8 @@ def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0
     rules = splits.Readings().rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
-        grains.share[np.newaxis], np.array([0]), np.array([0]), np.array([GRAINS]),
+        grains.share[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),
+        np.array([GRAINS]),
     )  # fmt: skip
     return Scene(
         Light(float(cos), float(diffuse)),

@@ -198,7 +198,7 @@ def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
 def test_description_is_written_to_a_file_and_read_again(tmp_path):
     sand = Sand(**EIGHT, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
     facts = sand.describe()
-    inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "readings"}
+    inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "readings", "pores"}
     assert inputs | {f"reading_{name}" for name in READINGS} <= set(facts)
     assert facts["refractive_index_goethite"] == "oscillators, k x 2"
     assert facts["refractive_index_water"] == "1.33+0j"

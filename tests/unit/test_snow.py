@@ -56,6 +56,7 @@ def test_defaults_are_the_shipped_sample_of_table_1():
         "refractive_index",
         "readings",
         "ground",
+        "pores",
     }
     assert Snow(**shipped).describe() == Snow().describe()
 
@@ -141,9 +142,9 @@ def test_indices_have_air_water_and_ice():
 
 def test_description_names_every_input():
     facts = Snow(refractive_index={"water": 1.33}).describe()
-    assert {f for f in Snow.__dataclass_fields__ if f not in ("refractive_index", "readings")} <= (
-        set(facts)
-    )
+    assert {
+        f for f in Snow.__dataclass_fields__ if f not in ("refractive_index", "readings", "pores")
+    } <= (set(facts))
     assert facts["refractive_index_ice"] == "warren_brandt_2008"
     assert facts["refractive_index_water"] == "1.33+0j"
     assert {f"reading_{name}" for name in NAMES} <= set(facts)

@@ -42,6 +42,19 @@ def test_layers_stand_on_their_bases(tmp_path):
     assert pack.ground.name == "albedo 0.2"
 
 
+def test_pores_of_other_media_in_files(tmp_path):
+    text = """
+medium: {refractive_index: {brine: 1.38+2e-6j, oil: 1.47}, pores: {oil: 0.2}}
+grid: {pores: {little: {brine: 0.1}, much: {brine: 0.3}}}
+instrument: {wavelength_nm: [500]}
+"""
+    found = [snow.pores for _, snow, _ in loaded(tmp_path, text).points()]
+    assert found == [{"oil": 0.2, "brine": 0.1}, {"oil": 0.2, "brine": 0.3}]
+    pack = PACK.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
+    with pytest.raises(ConfigError, match=r"layers\.1\.pores = 'brine'.*give refractive_index"):
+        loaded(tmp_path, pack)
+
+
 def test_a_path_names_one_setting_of_a_layer(tmp_path):
     grid = "grid: {layers.0.depth_m: [0.01, 0.02], layers.1.depth_m: [0.02], ground: [0, 1]}\n"
     experiment = loaded(tmp_path, PACK + grid)

@@ -39,9 +39,9 @@ def features_for(
 ) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
-    Lanes do without layers of particles, absorption by coin toss, more than one coating, samples of
-    more than `DEEPEST` mean distances, extremely grazing beams, and indices beyond `LARGEST`; and
-    they need a compiler.
+    Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
+    more than one coating, samples of more than `DEEPEST` mean distances, extremely grazing beams,
+    and indices beyond `LARGEST`; and they need a compiler.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def features_for(
         return None
     light, layers, types, rules, *_ = scene
     depth = layers.face[0] - layers.face[-1]
-    if (layers.particles != GRAINS).any():
+    if (layers.particles != GRAINS).any() or layers.others.shape[1] > 0:
         return None
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None

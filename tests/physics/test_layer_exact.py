@@ -53,9 +53,10 @@ def comparisons(max_stderr: float) -> tuple[np.ndarray, int]:
 
 
 @compiled
-def test_reflectance_and_transmittance_are_exact():
+@pytest.mark.parametrize("error", [2e-3, pytest.param(1e-3, marks=pytest.mark.long)])
+def test_reflectance_and_transmittance_are_exact(error):
     # benchmarks/exact_layers.py does the same to an error of 2e-4.
-    z, certain = comparisons(1e-3)
+    z, certain = comparisons(error)
     # Each row is a run of its own, of a reflectance and, but for infinite layers, a transmittance.
     judge_z(z, f"reflectance and transmittance ({certain} certain)", independent=(z.size + 1) // 2)
 

@@ -29,6 +29,7 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "partition": ("mass fractions of pure, mixed and coated particles", "1"),
     "phase_function": ("phase function", "1"),
     "polarized": ("whether the Stokes vector is followed", "1"),
+    "pores": ("what fills the pores besides air and water", "1"),
     "porosity": ("volume of pores per volume", "1"),
     "readings": ("reading of the papers", "1"),
     "refractive_index": ("refractive index", "1"),

@@ -59,6 +59,7 @@ BETWEEN = {"texture": " / ", "partition": " / ", "roundness": ", "}
 NOMINAL = (
     "medium",
     "refractive_index",
+    "pores",
     "readings",
     "sample",
     "phase_function",

@@ -112,9 +112,10 @@ def cut_of(
     depth = float(lowest.depth_m)
     if depth * lowest.grains().attenuation < LEAST:
         return None
-    if lowest.pores:
+    if lowest.pores or "air" in lowest.refractive_index:
+        # The rest of a pack is reckoned for pores of water and of air of index 1.
         if math.isinf(depth):
-            raise refuse("depth_m", depth, "finite where other media are in pores")
+            raise refuse("depth_m", depth, "finite where pores hold other media or other air")
         return None
     finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
     optics = single_scattering(finite, wavelengths, 1, RAYS, seed, threads, wet_pores="equilibrium")

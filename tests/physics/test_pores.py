@@ -81,6 +81,20 @@ def test_what_comes_in_goes_somewhere(medium):
     np.testing.assert_allclose(by_material, ds.absorptance, rtol=0.0, atol=1e-9)
 
 
+def test_both_kernels_take_air_of_any_index():
+    index = {"air": 1.1 + 1e-7j}
+    snow = splits.Snow(depth_m=0.006, saturation=0.3, refractive_index=index)
+    z = []
+    for incidence in (0.0, 60.0):
+        one, two = (
+            splits.spectrophotometer(snow, WAVELENGTHS, incidence, 0.004, seed, kernel=kernel)
+            for seed, kernel in enumerate(("lanes", "scalar"))
+        )
+        (a, da), (b, db) = values(one), values(two)
+        z.append((a - b) / np.hypot(da, db))
+    judge_z(np.array(z), independent=2, bound_added=True)
+
+
 def test_a_cut_changes_nothing():
     whole = splits.Snow(depth_m=0.006, **MUDDY)
     cut = splits.Stack([splits.Snow(depth_m=d, **MUDDY) for d in (0.002, 0.003, 0.001)])
@@ -141,5 +155,6 @@ def test_what_does_not_serve_more_than_air_and_water_says_so():
         splits.single_scattering(snow, 500.0)
     with pytest.raises(ValueError, match="lanes"):
         splits.spectrophotometer(snow, 500.0, kernel="lanes")
-    with pytest.raises(ValueError, match="depth_m"):
-        splits.spectrophotometer(splits.Snow(**MUDDY | {"depth_m": np.inf}), 500.0)
+    for settings in (MUDDY, {"refractive_index": {"air": HAZE}}):
+        with pytest.raises(ValueError, match="depth_m"):
+            splits.spectrophotometer(splits.Snow(**settings | {"depth_m": np.inf}), 500.0)

@@ -20,14 +20,7 @@ from splits.transport.march import GONE
 from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken, write
 from splits.transport.phase import scattered
 from splits.transport.rng import start_stream, uniform
-from splits.transport.roof import (
-    aimed,
-    cut_short,
-    facet_ahead,
-    outside,
-    realised,
-    struck,
-)
+from splits.transport.roof import aimed, cut_short, facet_ahead, outside, struck
 from splits.transport.scalar import (
     NO_LEG,
     Beam,
@@ -57,6 +50,7 @@ from splits.transport.tally import (
 )
 from splits.transport.vectors import ORIGIN, UP, lobe
 from splits.transport.walk import walk
+from splits.transport.waves import realised
 from splits.transport.window import left_window
 
 
@@ -68,19 +62,25 @@ def at_face(state, ray, scene, optics, length, notes):
     inside = 0 <= other < layers.attenuation.size
     near = index_of(optics, pore_of(layers, beam.layer, beam.u))
     far = index_of(optics, layers.pore[beam.layer])
+    matrix = layers.particles[beam.layer] != GRAINS
     if inside:
         far = index_of(optics, pore_of(layers, other, beam.u))
-    if not scene.rules.boundary_fresnel:
+        matrix |= layers.particles[other] != GRAINS
+    # The reading is about wet pores; what particles lie in has a face in any case.
+    if not (scene.rules.boundary_fresnel or matrix):
         far = near
     crossing = meet(beam.d, facing(beam.d), near, far, uniform(state))
-    fate, layer = TRAVELS, beam.layer
+    fate, layer, u = TRAVELS, beam.layer, beam.u
     if crossing.passed and inside:
         layer = other
+        if layers.particles[layer] != GRAINS:
+            # Light that comes back from there, mirrored perhaps, comes to other pores.
+            u = uniform(state)
         pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
     elif crossing.passed:
         below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
         fate = REFLECTED if other < 0 else below
-    beam = Beam(crossing.d, layer, beam.u, beam.purse)
+    beam = Beam(crossing.d, layer, u, beam.purse)
     return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order, ray.most)
 
 
@@ -194,7 +194,7 @@ def entered(state, d, layer, purse, scene, optics):
     layers = scene.layers
     u = uniform(state)
     near, far = index_of(optics, layers.pore[layer]), index_of(optics, pore_of(layers, layer, u))
-    if not scene.rules.boundary_fresnel:
+    if not (scene.rules.boundary_fresnel or layers.particles[layer] != GRAINS):
         far = near
     crossing = meet(d, facing(d), near, far, uniform(state))
     return Entered(crossing.passed, Beam(crossing.d, layer, u, purse))

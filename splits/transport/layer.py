@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from splits.transport.flight import ROULETTE_BELOW
 from splits.transport.jit import entry, part
 from splits.transport.layer_events import (
+    ROULETTE_BELOW,
     at_facet,
     at_floor,
     at_surface,
@@ -39,29 +39,13 @@ from splits.transport.march import LOST as ASTRAY
 from splits.transport.rng import start_stream, uniform
 from splits.transport.stokes import rotated_to, unpolarized
 from splits.transport.tally import ABSORBED, EXIT_LENGTH, LOST, REFLECTED, TRAVELS, Traced, record
-from splits.transport.vectors import ORIGIN, Vector
-from splits.transport.waves import draw_waves
+from splits.transport.vectors import Vector
+from splits.transport.waves import entrance, realised
 
 WORK = ENSEMBLE, FIRST, RAYS, MOST = tuple(range(4))
 """Entries of a piece of work, see `splits.transport.granular.batch`."""
 ALL, STRAIGHT = range(2)
 """All light, and light that met nothing but smooth faces."""
-
-
-@part
-def _realised(state, fields, room):
-    """Return a realisation of the rough surface, None where it is smooth."""
-    if room is None:
-        return room
-    return draw_waves(state, fields, room)
-
-
-@part
-def _aimed(d, surface):
-    """Return where a ray from above begins that aims at the origin of the mean surface."""
-    if surface is None:
-        return ORIGIN
-    return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
 
 
 @part
@@ -87,9 +71,9 @@ def trace(state, scene, room, detectors, most):
     """
     layer, phase = scene.layer, scene.phase
     d = launched(scene.light, uniform(state) if scene.light.diffuse > 0.0 else 1.0)
-    surface = _realised(state, scene.fields, room)
+    surface = realised(state, scene.fields, room)
     stokes = unpolarized(d, scene.stokes)
-    ray = Ray(_aimed(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
+    ray = Ray(entrance(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
     # Arrays are handed to as few functions with branches as can be: each counts who holds them.
     while ray.fate == TRAVELS:
         ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)

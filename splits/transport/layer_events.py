@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from splits.transport.encounters import meet_face, only_reflected, reflect_diffusely, scatter
-from splits.transport.flight import ROULETTE_BELOW, ROULETTE_SURVIVAL
 from splits.transport.jit import part
 from splits.transport.layer_legs import Ray, ended, levelled, moved, once_more, weighing
 from splits.transport.local import listen_bottom
@@ -14,6 +13,11 @@ from splits.transport.rng import uniform
 from splits.transport.tally import ABSORBED, REFLECTED, TRANSMITTED, TRAVELS
 from splits.transport.turbid import OPEN
 from splits.transport.vectors import UP, scaled
+
+ROULETTE_BELOW = 0.1
+ROULETTE_SURVIVAL = 0.3
+"""Weight below which a ray plays roulette, and its chance there: low, for detectors hear of every
+scattering, and one ray that weighs much is heard over many that weigh little."""
 
 
 @part

@@ -79,8 +79,8 @@ def settled(flier, beam, scene, optics, length, notes):
 def find(state, flier, beam, scene, optics):
     """Draw the next grain on a ray, or find the face that it reaches first.
 
-    A grain that does not fit is drawn again from where the ray set out, or from where the last one
-    was left out.
+    A grain that does not fit is drawn again from where the ray set out, from where the last one
+    was left out, or from where the last layer of particles was left.
     """
     layers, usual = scene.layers, fates_of(scene.rules)
     start, layer = beam.layer, beam.layer
@@ -102,9 +102,12 @@ def find(state, flier, beam, scene, optics):
             inside = 0 <= other < layers.attenuation.size
             if not inside or not alike(layers, optics, layer, other, beam.u):
                 return Found(candidate, meeting, layer, False)
-            layer = other
             reach = to_boundary(flier, space).leg
             ahead = Flier(flier.place, flier.way, flier.d, flier.last, reach)
+            if layers.particles[layer] != GRAINS:
+                # Particles let the ray pass, whatever grain beyond them does not fit.
+                start, flier = other, ahead
+            layer = other
             continue
         if meeting.skipped == meeting.leg:
             start = layer

@@ -17,19 +17,11 @@ from splits.transport.scalar import NO_LEG, Beam, Found, Ray, ended, index_of, p
 from splits.transport.spheroid import Segment
 from splits.transport.tally import ABSORBED, LOST, REFLECTED, TRAVELS
 from splits.transport.vectors import ORIGIN, Vector, along, scaled
-from splits.transport.waves import draw_waves
+from splits.transport.waves import entrance
 
 TALLEST = 50.0
 """No point of a realisation is higher than so many standard deviations: `waves.EXTREME` times the
 root of −ln u, u the least random number, is below it."""
-
-
-@part
-def realised(state, fields, room):
-    """Return a realisation of the rough surface, None where it is smooth."""
-    if room is None:
-        return room
-    return draw_waves(state, fields, room)
 
 
 @part
@@ -65,8 +57,8 @@ def cut_short(flier, found, hit, low):
 @part
 def aimed(d, purse, roof, most):
     """Return a ray along d from outside that aims at the origin of the mean surface."""
-    place = Vector(roof.reach * d.x / d.z, 0.0, roof.reach)
-    return Ray(TRAVELS, Flier(place, ORIGIN, d, NO_LEG, 0.0), Beam(d, 0, 0.0, purse), 0, 0, most)
+    flier = Flier(entrance(d, roof), ORIGIN, d, NO_LEG, 0.0)
+    return Ray(TRAVELS, flier, Beam(d, 0, 0.0, purse), 0, 0, most)
 
 
 @part
@@ -84,7 +76,7 @@ def at_facet(state, ray, slope, side, scene, optics):
     """
     u = uniform(state) if side > 0.0 else ray.beam.u
     inside = index_of(optics, pore_of(scene.layers, 0, u))
-    outside = index_of(optics, scene.layers.pore[0]) if scene.rules.boundary_fresnel else inside
+    outside = index_of(optics, scene.layers.pore[0])
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = normal_of(slope)

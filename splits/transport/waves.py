@@ -20,6 +20,7 @@ import numpy as np
 
 from splits.transport.jit import entry, kernel, part
 from splits.transport.rng import from_table, uniform, unit_circle
+from splits.transport.vectors import ORIGIN, Vector
 from splits.transport.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE, ROWS, TURN, wave_sums
 
 PRINTED, EXPONENTIAL, GAUSSIAN, TABLE = range(4)
@@ -206,6 +207,22 @@ def draw_waves(state, fields, room):
             column += 1
     _sort(drawn, room.waves)
     return bounded(room)
+
+
+@part
+def realised(state, fields, room):
+    """Return what `draw_waves` does, None where the surface is smooth and has no room."""
+    if room is None:
+        return room
+    return draw_waves(state, fields, room)
+
+
+@part
+def entrance(d, surface):
+    """Return where a ray along d from above begins that aims at the origin of the mean surface."""
+    if surface is None:
+        return ORIGIN
+    return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
 
 
 @part

@@ -39,25 +39,47 @@ def apart(one, other):
     return ((one[0] - other[0])[told] / error[told]).ravel()
 
 
+def cut(settings, pieces):
+    """Return a layer of particles in so many unequal pieces."""
+    shares = np.geomspace(1.0, 20.0, pieces)
+    shares /= shares.sum()
+    thickness = settings["optical_thickness"]
+    return splits.Stack(
+        [
+            splits.Layer(
+                **{**settings, "optical_thickness": share * thickness}, bottom_albedo=None,
+                depth_m=share,
+            )
+            for share in shares
+        ]
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("name", LAYERS)
 def test_a_layer_in_a_stack_is_that_layer(name):
-    """Whole, and cut in three."""
-    settings = LAYERS[name]
-    layer = splits.Layer(**settings, bottom_albedo=None)
-    thickness = settings["optical_thickness"]
-    pieces = [
-        splits.Layer(
-            **{**settings, "optical_thickness": share * thickness}, bottom_albedo=None,
-            depth_m=share,
-        )
-        for share in (0.2, 0.5, 0.3)
-    ]  # fmt: skip
+    """Whole, and cut."""
+    layer = splits.Layer(**LAYERS[name], bottom_albedo=None)
     z = []
     for number, incidence in enumerate((0.0, 60.0, "diffuse")):
-        own = measured(layer, incidence, 3 * number)
-        z.append(apart(measured(splits.Stack([layer]), incidence, 3 * number + 1), own))
-        z.append(apart(measured(splits.Stack(pieces), incidence, 3 * number + 2), own))
+        own = measured(layer, incidence, 10 * number)
+        for pieces in (1, 2, 3, 7):
+            stack = cut(LAYERS[name], pieces)
+            z.append(apart(measured(stack, incidence, 10 * number + pieces), own))
     judge_z(np.concatenate(z), name, independent=3, bound_added=True)
+
+
+def test_a_cut_layer_has_the_brdf_of_the_whole():
+    view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
+    layer = splits.Layer(**LAYERS["forward"], bottom_albedo=None)
+    whole = splits.goniophotometer(layer, 550.0, 40.0, **view)
+    z = []
+    for pieces in (2, 3, 7):
+        part = splits.goniophotometer(
+            cut(LAYERS["forward"], pieces), 550.0, 40.0, seed=pieces, **view
+        )
+        error = np.hypot(part.brdf_stderr, whole.brdf_stderr)
+        z.append(((part.brdf - whole.brdf) / error).values.ravel())
+    judge_z(np.concatenate(z), independent=3, bound_added=True)
 
 
 def test_light_goes_to_and_fro_between_a_lid_on_snow_on_sand_and_the_ground():
@@ -99,6 +121,34 @@ def test_coin_tosses_and_weights_agree():
         measured(stack, 30.0, 6, estimator="analog", **light),
     )
     judge_z(apart(one, other), independent=1, bound_added=True)
+
+
+def test_particles_in_a_matrix_like_the_pores_obey_beer():
+    """Light may go on into the snow below without a face; grains refused there change nothing."""
+    haze = {"optical_thickness": 0.7, "bottom_albedo": None, "depth_m": 0.005}
+    thin = splits.Snow(saturation=0.0, depth_m=0.0008)
+    z = []
+    for incidence in (0.0, 60.0):
+        without_face, with_face = (
+            measured(
+                splits.Stack([splits.Layer(**haze, refractive_index=n), thin]), incidence, seed
+            )
+            for seed, n in ((21, 1.0), (22, 1.0 + 1e-9))
+        )
+        z.append(apart(without_face, with_face))
+    judge_z(np.concatenate(z), independent=2, bound_added=True)
+
+
+def test_a_matrix_has_faces_whatever_the_pores_reading():
+    """Dry snow has no face of its own, so that the reading says nothing about it."""
+    plate = splits.Layer(
+        optical_thickness=0.1, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
+    )
+    z = []
+    for number, readings in enumerate(({}, {"boundary_fresnel": "no"})):
+        snow = splits.Snow(depth_m=0.004, saturation=0.0, readings=readings)
+        z.append(measured(splits.Stack([plate, snow], ground=0.1), 30.0, 30 + number))
+    judge_z(apart(*z), independent=1, bound_added=True)
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,18 @@ def _words(words, lane, first, out):
 
 
 @njit
+def _below_one(bits):
+    return numbers.below_one(np.uint64(bits))
+
+
+def test_the_largest_numbers_are_below_one():
+    """Rounded to 1, a number would choose a type of grain beyond the last."""
+    assert max(_below_one(2**31 - 1 - i) for i in range(200)) == 1.0 - 2.0**-24
+    assert _below_one(0) == 2.0**-32
+    assert _below_one(2**30) == 0.5
+
+
+@njit
 def _stream_words(state, out):
     for i in range(out.size):
         out[i] = bits(state)

@@ -15,7 +15,7 @@ from splits.transport.elementary import circle
 from splits.transport.flight import Flier, Purse, Space, next_grain, roulette
 from splits.transport.jit import HALF, ONE, ZERO, entry, part
 from splits.transport.lanes import rows
-from splits.transport.lanes.numbers import fine, three, word
+from splits.transport.lanes.numbers import below_one, fine, three, word
 from splits.transport.lanes.rows import put, vector
 from splits.transport.lanes.vectors import look_up, two_at_a_time, widest_vectors
 from splits.transport.scene import MAX_REJECTIONS
@@ -25,8 +25,6 @@ from splits.transport.vectors import Vector, chosen
 _MOST_TRIES = single(MAX_REJECTIONS)
 _NUMBERS = np.uint32(5)
 _33 = np.uint64(33)
-_LOW31 = np.uint64(0x7FFFFFFF)
-_TO_31 = single(2.0**-31)
 
 
 class Numbers(NamedTuple):
@@ -60,19 +58,13 @@ def draws(state, words, first, features, last):
     for j in range(rows.STRIDE):
         i = first + j
         bits = word(words, i, 3)
-        state[rows.AT_CURVATURE + i] = position(
-            (single(np.int32(bits >> _33)) + HALF) * _TO_31, last
-        )
-        state[rows.AT_FLATTENING + i] = position(
-            (single(np.int32(bits & _LOW31)) + HALF) * _TO_31, last
-        )
+        state[rows.AT_CURVATURE + i] = position(below_one(bits >> _33), last)
+        state[rows.AT_FLATTENING + i] = position(below_one(bits), last)
         bits = word(words, i, 4)
         if features.faceted is not None:
-            state[rows.AT_SIGMA + i] = position(
-                (single(np.int32(bits >> _33)) + HALF) * _TO_31, last
-            )
+            state[rows.AT_SIGMA + i] = position(below_one(bits >> _33), last)
         if features.mixed is not None:
-            state[rows.AT_KIND + i] = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
+            state[rows.AT_KIND + i] = below_one(bits)
             picked = ZERO
             if features.layered is not None:
                 picked = state[rows.FIRST_KIND + i]

@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.jit import HALF, part
+from splits.transport.jit import HALF, ONE, part
 from splits.transport.lanes.rows import COUNT, KEY_HIGH, KEY_LOW
 from splits.transport.rng import GOLDEN, mix64
 
 _LOW21 = np.uint64(0x1FFFFF)
 _LOW23 = np.uint64(0x7FFFFF)
+_LOW31 = np.uint64(0x7FFFFFFF)
 _TO_21 = single(2.0**-21)
 _TO_23 = single(2.0**-23)
+_TO_31 = single(2.0**-31)
 _TO_46 = single(2.0**-46)
+_LARGEST = single(1.0 - 2.0**-24)
 
 
 @part
@@ -43,6 +46,16 @@ def fine(bits):
     high = single(np.int32(bits >> np.uint64(41)))
     low = single(np.int32((bits >> np.uint64(18)) & _LOW23))
     return high * _TO_23 + (low + HALF) * _TO_46
+
+
+@part
+def below_one(bits):
+    """Return a number uniform on (0, 1) from the lowest 31 bits.
+
+    Single precision rounds the last ones to 1, which no table of cumulative shares allows for.
+    """
+    u = (single(np.int32(bits & _LOW31)) + HALF) * _TO_31
+    return u if u < ONE else _LARGEST
 
 
 @part

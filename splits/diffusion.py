@@ -30,6 +30,27 @@ def scattering_mean_step(optics: xr.Dataset) -> np.ndarray:
     return values
 
 
+def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
+    """Return the reflectance of a face for diffuse light from the side of index 1.
+
+    Twice the mean of Fresnel's reflectance, each cosine by its own weight.
+
+    Parameters
+    ----------
+    n : float, shape (...)
+        Index of the far side, positive.
+    """
+    node, weight = np.polynomial.legendre.leggauss(256)
+    mu, weight = 0.5 * (1.0 + node), 0.5 * weight
+    n = np.asarray(n)[..., np.newaxis]
+    # Where n < 1 and light is totally reflected, the root of 0 reflects all of it.
+    inner = np.sqrt(np.maximum(1.0 - (1.0 - mu**2) / n**2, 0.0))
+    across = ((mu - n * inner) / (mu + n * inner)) ** 2
+    along = ((n * mu - inner) / (n * mu + inner)) ** 2
+    values: np.ndarray = (weight * mu * (across + along)).sum(axis=-1)
+    return values
+
+
 class Rest(NamedTuple):
     """What lies below a cut, to diffusion theory; one value per wavelength.
 

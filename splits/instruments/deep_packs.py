@@ -20,13 +20,14 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import refuse
-from splits.diffusion import Rest, scattering_mean_step
+from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
 from splits.instruments.estimators import Estimate
-from splits.instruments.single_scattering import single_scattering
+from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type
 from splits.media.granular import GranularMedium
 from splits.media.ground import Ground
 from splits.media.stack import Stack
 from splits.media.turbid import Medium
+from splits.transport.scene import DRY_PORE, WET_PORE
 
 DOUBT = 0.3
 """How far, as a part of itself, theory may be off in what the rest of a pack keeps."""
@@ -40,8 +41,8 @@ DIFFUSE = 30.0
 """Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
 LEAST_TURN = 0.01
 """Least 1 − ωg of grains among which light gets diffuse before it has gone far."""
-RAYS = 2_000
-"""To measure what single grains do: asymmetry to 2 %, far better than `DOUBT`."""
+RAYS = BATCH
+"""To measure what each type of grain does: asymmetry to 2 %, far better than `DOUBT`."""
 
 
 class Cut(NamedTuple):
@@ -84,8 +85,9 @@ class Cut(NamedTuple):
         missed = np.stack([doubt, below, rest])
         scale = np.stack([np.ones_like(kept), self.passed, np.ones_like(kept)])
         own = scale * found.stderr
-        # Absorbed is what was so above the cut, and what the rest keeps for itself.
-        own[2] += (1.0 - self.passed) * found.stderr[1]
+        # Absorbed is what was so above the cut, and what the rest keeps for itself: all that is
+        # neither reflected nor let through.
+        own[2] = np.minimum(own[2] + (1.0 - self.passed) * found.stderr[1], own[0] + own[1])
         stderr = np.hypot(own, missed)
         groups = found.groups * scale[:2]
         bias = np.hypot(scale * found.bias, missed)
@@ -118,7 +120,7 @@ def cut_of(
             raise refuse("depth_m", depth, "finite where pores hold other media or other air")
         return None
     finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
-    optics = single_scattering(finite, wavelengths, 1, RAYS, seed, threads, wet_pores="equilibrium")
+    optics = pooled_by_type(finite, wavelengths, Plan(1, RAYS, seed, threads, "equilibrium"))
     return _cut(medium, lowest, depth, optics, max_stderr)
 
 
@@ -178,8 +180,9 @@ def _through_face(sent: np.ndarray, lowest: GranularMedium, optics: xr.Dataset) 
     """
     if not lowest.saturation or not lowest.readings.rules(False).boundary_fresnel:
         return sent
-    n = 1.33
-    outer = 0.066
+    index = lowest.indices(optics.wavelength.values).real
+    n = index[:, WET_PORE] / index[:, DRY_PORE]
+    outer = diffuse_reflectance(n)
     inner = 1.0 - (1.0 - outer) / n**2
     wet = optics.wet_share.values
     out, back = 1.0 - wet * inner, 1.0 - float(lowest.saturation) * outer

@@ -10,9 +10,10 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.checks import Refusal
-from splits.diffusion import Rest
+from splits.diffusion import Rest, diffuse_reflectance
 from splits.instruments import deep_packs
 from splits.instruments.deep_packs import DOUBT, cut_of
+from splits.instruments.grain_optics import BATCH, RATIOS, Plan, pooled_by_type
 
 CLEAR = {"ice": 1.31, "water": 1.33}
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
@@ -76,6 +77,29 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
 
 
 @NEEDS_JIT
+def test_rare_dark_grains_are_not_overlooked():
+    """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
+    sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
+    cut = cut_of(sand, np.array([600.0]), 0.005, 1, 2)
+    assert cut is not None
+    assert cut.passed[0] < 0.5
+
+
+@NEEDS_JIT
+def test_types_measured_one_by_one_are_the_mixture():
+    sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
+    light = np.array([500.0, 800.0])
+    each = pooled_by_type(sand, light, Plan(1, 100 * BATCH, 1, 2, "equilibrium"))
+    mixed = splits.single_scattering(sand, light, 1, 100 * BATCH, 2, wet_pores="equilibrium")
+    z = []
+    for name in ("single_scattering_albedo", "asymmetry_parameter", *RATIOS):
+        # Types by themselves know a mean at least as well as a mixture.
+        error = np.sqrt(2.0) * mixed[f"{name}_stderr"]
+        z.append(((each[name] - mixed[name]) / error).values)
+    judge_z(np.array(z), independent=2, bound_added=True)
+
+
+@NEEDS_JIT
 def test_a_pack_without_end_that_absorbs_nothing_sends_all_light_back():
     snow = splits.Snow(**FINE, saturation=0.2, refractive_index=CLEAR, depth_m=math.inf)
     ds = splits.spectrophotometer(snow, [500.0], 30.0, 0.01)
@@ -93,6 +117,22 @@ def test_a_pack_without_end_is_one_that_is_deep_enough():
     off = np.abs(endless.reflectance - finite.reflectance)
     assert (off <= 0.004 + 3.0 * error).all()
     assert (endless.transmittance == 0.0).all()
+
+
+def test_faces_reflect_diffuse_light_as_the_closed_form_says():
+    """Walsh's integral of Fresnel's reflectance, for n > 1; reciprocity for the way back."""
+    n = np.array([1.1, 1.33, 1.5, 2.0])
+    square = n**2
+    closed = (
+        0.5
+        + (n - 1.0) * (3.0 * n + 1.0) / (6.0 * (n + 1.0) ** 2)
+        + square * (square - 1.0) ** 2 / (square + 1.0) ** 3 * np.log((n - 1.0) / (n + 1.0))
+        - 2.0 * n**3 * (square + 2.0 * n - 1.0) / ((square + 1.0) * (n**4 - 1.0))
+        + 8.0 * n**4 * (n**4 + 1.0) / ((square + 1.0) * (n**4 - 1.0) ** 2) * np.log(n)
+    )
+    assert diffuse_reflectance(n) == pytest.approx(closed, abs=1e-6)
+    assert diffuse_reflectance(1.0 / n) == pytest.approx(1.0 - (1.0 - closed) / square, abs=1e-3)
+    assert diffuse_reflectance(np.array(1.0)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_diffusion_below_a_cut_has_its_limits():

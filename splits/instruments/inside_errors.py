@@ -26,21 +26,33 @@ class Doubt(NamedTuple):
         See `missed`.
     least : float
         See `errors_of`.
-    coarse : float
-        See `coarseness`.
     """
 
     bias: np.ndarray
     least: np.ndarray
-    coarse: np.ndarray
 
 
-def coarseness(medium: GranularMedium | LayeredMedium, absorption: np.ndarray) -> np.ndarray:
-    """Return what paths by weight may miss, relative, shape (wavelengths,), 1 at most.
+class Steps(NamedTuple):
+    """In what steps weights fall inside a medium, each of shape (wavelengths,).
 
-    Between two planes weights are taken to fall evenly along the path.  They fall in grains: with
-    an optical depth d in each, the path by weight is too small by d/2 at most where d is small.
-    The mean chord of convex grains is their volume over their projected area.
+    Attributes
+    ----------
+    depth : float
+        Largest optical depth of a mean step: through a grain, or through a pore from one to the
+        next.
+    reach : float
+        Mean leg before a ray's first step (m), times the part of its light that stays there.
+    """
+
+    depth: np.ndarray
+    reach: np.ndarray
+
+
+def steps_of(medium: GranularMedium | LayeredMedium, absorption: np.ndarray) -> Steps:
+    """Return the steps in which weights fall inside a medium.
+
+    The mean chord of convex grains is their volume over their projected area; the mean leg between
+    two of them is that of a ray in the pore space.
 
     Parameters
     ----------
@@ -48,16 +60,59 @@ def coarseness(medium: GranularMedium | LayeredMedium, absorption: np.ndarray) -
     absorption : float, shape (wavelengths, columns)
         1/m; see `splits.instruments.scenes.Constants`.
     """
-    coarse = np.zeros(len(absorption))
+    depth, reach = np.zeros((2, len(absorption)))
     first = 0
     for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
         last = first + len(part.materials())
-        chord = (1.0 - part.porosity) / part.grains().attenuation
-        solid = absorption[:, first + WET_PORE + 1 + len(part.pores) : last].max(axis=1)
-        coarse = np.maximum(coarse, 0.5 * chord * solid)
+        leg = 1.0 / part.grains().attenuation
+        packed = getattr(part.readings, "attenuation", "solid") == "solid"
+        chord = leg * (1.0 - part.porosity) if packed else leg
+        pores = WET_PORE + 1 + len(part.pores)
+        used = np.ones(last - first, dtype=bool)
+        used[WET_PORE] = part.saturation > 0.0
+        length = np.where(np.arange(last - first) < pores, leg, chord) * used
+        here = (absorption[:, first:last] * length).max(axis=1)
+        depth = np.maximum(depth, here)
+        reach = np.maximum(reach, -np.expm1(-here) * leg)
         first = last
-    bounded: np.ndarray = np.minimum(coarse, 1.0)
-    return bounded
+    return Steps(depth, reach)
+
+
+def flux_missed(steps: Steps, flux: np.ndarray, arriving: np.ndarray) -> np.ndarray:
+    """Return what the mean path over thickness may miss, shape (..., wavelengths).
+
+    Between two planes weights are taken to fall evenly along the path.  They fall in steps, of
+    optical depth d, so that a path by weight may be d/(1 − exp(−d)) times as long.  Where steps are
+    so large that a ray ends in its first one, nobody hears of the leg that it came.
+
+    Parameters
+    ----------
+    steps : Steps
+    flux : float, shape (..., wavelengths)
+    arriving : float, shape (..., wavelengths)
+        Light that comes to an interval through its planes, over the interval's thickness (1/m).
+    """
+    d = np.maximum(steps.depth, 1e-9)
+    missed: np.ndarray = (d / -np.expm1(-d) - 1.0) * flux + steps.reach * arriving
+    return missed
+
+
+def share_missed(steps: Steps, share: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Return how far a material's absorbed share of an interval's may be off.
+
+    By what steps do to a path (see `flux_missed`), and never by more than there is; what one
+    material has too much of, the others have too little.
+
+    Parameters
+    ----------
+    steps : Steps
+    share, whole : float, shape (..., wavelengths)
+        What the material, and what all of them absorb.
+    """
+    d = np.maximum(steps.depth, 1e-9)
+    moved = np.minimum(share, np.maximum(whole - share, 0.0))
+    missed: np.ndarray = np.minimum((d / -np.expm1(-d) - 1.0) * moved, whole)
+    return missed
 
 
 def errors_of(groups: np.ndarray, bias: np.ndarray, least: np.ndarray) -> np.ndarray:

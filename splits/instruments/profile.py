@@ -19,7 +19,16 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.ensemble import GROUPS
 from splits.instruments.estimators import rays_wanted
-from splits.instruments.inside_errors import Doubt, coarseness, errors_of, missed, one_ray
+from splits.instruments.inside_errors import (
+    Doubt,
+    Steps,
+    errors_of,
+    flux_missed,
+    missed,
+    one_ray,
+    share_missed,
+    steps_of,
+)
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.planes import ROUND, Planes
@@ -117,8 +126,8 @@ def profile(
     face reflects does not, on either side of it.
 
     Actinic flux and shares of materials take weights to fall evenly along the path between planes.
-    Where single grains absorb much of the light that crosses them, both are rough; their errors
-    hold what that may be (`coarseness`).
+    Where single grains or pores absorb much of the light that crosses them, both are rough; their
+    errors hold what that may be (`splits.instruments.inside_errors`).
 
     References
     ----------
@@ -164,8 +173,8 @@ def profile(
         "ensembles": len(ensembles),
         "kernel": runner.kernels(ensembles),
     }
-    doubt = Doubt(nodes.bias, least, coarseness(medium, absorption))
-    return _dataset(found, doubt, wavelengths, planes, list(medium.materials()), facts)
+    doubt, steps = Doubt(nodes.bias, least), steps_of(medium, absorption)
+    return _dataset(found, doubt, steps, wavelengths, planes, list(medium.materials()), facts)
 
 
 def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
@@ -257,6 +266,7 @@ def _trace(
 def _dataset(
     found: Found,
     doubt: Doubt,
+    steps: Steps,
     wavelengths: np.ndarray,
     planes: np.ndarray,
     materials: list[str],
@@ -268,27 +278,25 @@ def _dataset(
     variables: dict[str, Variable] = {}
 
     def put(
-        name: str, dims: tuple[str, ...], groups: np.ndarray, label: str, coarse: Any = 0.0
+        name: str, dims: tuple[str, ...], groups: np.ndarray, label: str, more: Any = 0.0
     ) -> None:
         mean = groups.mean(axis=0)
-        stderr = np.hypot(errors_of(groups, doubt.bias, doubt.least), coarse * mean)
+        stderr = np.hypot(errors_of(groups, doubt.bias, doubt.least), more)
         values, error = np.moveaxis(mean, -1, 0), np.moveaxis(stderr, -1, 0)
         variables.update(quantity(name, dims, values, error, label))
 
     put("downward_irradiance", by_depth, found.light[:, DOWN], "downward irradiance")
     put("upward_irradiance", by_depth, found.light[:, UP], "upward irradiance")
     put("absorptance", by_interval, found.absorbed, "absorptance of the interval")
-    put(
-        "actinic_flux", by_interval, found.way / thickness, "mean path over thickness", doubt.coarse
-    )
+    light, flux = found.light.mean(axis=0), found.way / thickness
+    arriving = (light[DOWN, :-1] + light[UP, 1:]) / thickness
+    error = flux_missed(steps, flux.mean(axis=0), arriving)
+    put("actinic_flux", by_interval, flux, "mean path over thickness", error)
     shared = _shared(found)[:, :, : len(materials)]
-    put(
-        "absorptance_of_material",
-        (*by_interval, "material"),
-        shared,
-        "absorptance of a material",
-        doubt.coarse,
-    )
+    whole = found.absorbed.mean(axis=0)[:, np.newaxis]
+    error = share_missed(steps, shared.mean(axis=0), whole)
+    by_material = (*by_interval, "material")
+    put("absorptance_of_material", by_material, shared, "absorptance of a material", error)
     coordinates = {
         "wavelength": wavelength_axis(wavelengths),
         "depth": ("depth", planes, {"long_name": "depth", "units": "m", "positive": "down"}),

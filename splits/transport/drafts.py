@@ -12,9 +12,10 @@ from typing import Any
 
 from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
+
+from splits.transport.pruning import Pruned
 
 
 class _Library(JITCodeLibrary):
@@ -49,7 +50,7 @@ class _Lowering(NativeLowering):
         return True
 
 
-class Drafts(Compiler):
+class Drafts(Pruned):
     """The compiler of such functions."""
 
     def define_pipelines(self) -> list[Any]:

@@ -11,6 +11,7 @@ from numba.extending import overload
 
 from splits.transport.cache import keep
 from splits.transport.drafts import ONLY_INSIDE
+from splits.transport.pruning import Pruned
 
 ALIKE: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `kernel`."""
@@ -23,7 +24,7 @@ class Kernel:
 
     def __init__(self, function: Any) -> None:
         functools.update_wrapper(self, function)
-        self.compiled = keep(njit(**ALIKE)(function))
+        self.compiled = keep(njit(**ALIKE, pipeline_class=Pruned)(function))
         _inside(self, function)
 
     def __call__(self, *values: Any) -> Any:
@@ -59,7 +60,7 @@ def part(function: Any) -> Any:
 
 def entry(function: Any) -> Any:
     """Compile a function that Python calls, free of the interpreter's lock."""
-    return keep(njit(error_model="numpy", nogil=True)(function))
+    return keep(njit(error_model="numpy", nogil=True, pipeline_class=Pruned)(function))
 
 
 def exact(value: float) -> float | np.float32:

@@ -12,12 +12,12 @@ from splits.instruments import streams
 from splits.transport.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
 from splits.transport.tally import BLOCK, tally
 
-LEVELS = (-1.0, 0.002, 0.01, 0.06)
+LEVELS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
 Visible light needs few rays and long paths, the near infrared many rays and short paths."""
 
 _FIRST_LEGS = 400.0
-"""Legs per ray to expect at first at the level of least absorption; half as many at the next."""
+"""Legs per ray to expect at first at the level of least absorption; a third fewer at the next."""
 
 BATCH = 128
 """Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
@@ -119,7 +119,7 @@ def levels_of(
         if not part.any() or (levels and part.sum() == levels[-1].served.sum()):
             continue
         optics = shared_optics(index, absorption[part])
-        levels.append(Level(first + step, optics, part, _FIRST_LEGS / 2**step))
+        levels.append(Level(first + step, optics, part, _FIRST_LEGS / 1.5**step))
     return levels
 
 

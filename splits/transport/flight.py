@@ -17,12 +17,12 @@ from splits.transport.jit import ONE, ZERO, exact, kernel
 from splits.transport.spheroid import Entry, Segment, crosses, cuts, strike
 from splits.transport.vectors import Vector, combined
 
-ROULETTE_BELOW = 0.1
-ROULETTE_SURVIVAL = 0.3
+ROULETTE_BELOW = 0.8
+ROULETTE_SURVIVAL = 0.4
 FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
-"""Optical depth from which a ray that carries weights plays Russian roulette: it has become light
-for every wavelength that listens to it.  Opaque grains then end it early, and nothing is lost on
-average."""
+"""Optical depth from which a ray that carries weights plays Russian roulette: it has become lighter
+for every wavelength that listens to it.  Long paths cost as much as they are long, whatever they
+weigh, so it pays to end most of them early; nothing is lost on average."""
 _NEXT = exact(-math.log(ROULETTE_SURVIVAL))
 _SURVIVAL = exact(ROULETTE_SURVIVAL)
 _LIGHTER = exact(1.0 / ROULETTE_SURVIVAL)

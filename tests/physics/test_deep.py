@@ -43,10 +43,11 @@ def test_as_much_comes_through_as_by_brute_force():
     judge_z(z, "splitting against brute force", independent=2)
 
 
-def test_stated_errors_are_the_scatter_between_seeds():
+@pytest.mark.parametrize("error", [0.2, pytest.param(0.1, marks=pytest.mark.long)])
+def test_stated_errors_are_the_scatter_between_seeds(error):
     snow = splits.Snow(depth_m=0.06, saturation=0.0)
     runs = [
-        splits.deep_transmittance(snow, [950.0], relative_stderr=0.1, seed=seed)
+        splits.deep_transmittance(snow, [950.0], relative_stderr=error, seed=seed)
         for seed in range(20)
     ]
     values = np.array([float(ds.transmittance[0]) for ds in runs])

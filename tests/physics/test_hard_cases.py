@@ -335,7 +335,7 @@ def test_a_perfect_conductor():
 def test_pores_denser_than_grains_keep_energy(water, kernel):
     for geometry in ("sphericity 1", "sphericity 0.3", "facetness 1"):
         shares, _ = measure(
-            snow(geometry, 1.0, ice=1.31, water=water), 500.0, 30.0, 0.003, kernel=kernel
+            snow(geometry, 1.0, ice=1.31, water=water), 500.0, 30.0, 0.01, kernel=kernel
         )
         assert abs(shares[0] + shares[1] - 1.0) < SUM
         # Bubbles scatter: neither clear nor a mirror.

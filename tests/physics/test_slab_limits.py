@@ -101,9 +101,7 @@ def test_nothing_is_lost_without_absorption(depth_m, estimator):
     snow = splits.Snow(
         depth_m=depth_m, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    ds = splits.spectrophotometer(
-        snow, [300.0, 500.0, 1000.0, 2500.0], 30.0, max_stderr=0.02, estimator=estimator
-    )
+    ds = splits.spectrophotometer(snow, [300.0, 2500.0], 30.0, max_stderr=0.05, estimator=estimator)
     total = ds.reflectance + ds.transmittance
     assert np.abs(total - 1.0).max() < 1e-12
     assert np.abs(ds.absorptance).max() < 1e-12

@@ -14,6 +14,7 @@ import matplotlib.style
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
 
 from splits.files import whole
 
@@ -124,12 +125,22 @@ def _printed(number: str) -> str:
 
 
 SUFFIXES = (".png", ".svg")
+OTHER_SCRIPTS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
+    "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
+    "Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai",
+)  # fmt: skip
+"""Fonts for what DejaVu has no letters for; matplotlib warns where none of them has one."""
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the project's style."""
-    with matplotlib.style.context(Path(__file__).with_name("paper.mplstyle")):
+    """Draw in the project's style, labels of other scripts in fonts that are there."""
+    found = {font.name for font in fontManager.ttflist}
+    fonts = ["sans-serif", *(name for name in OTHER_SCRIPTS if name in found)]
+    with matplotlib.style.context(
+        [Path(__file__).with_name("paper.mplstyle"), {"font.family": fonts}]
+    ):
         yield
 
 

@@ -70,7 +70,8 @@ def _type_of(name: Any, definitions: Any, args: Any) -> Any:
         return args[value.index]
     if isinstance(value, ir.Expr) and value.op == "getattr":
         owner = _type_of(value.value, definitions, args)
-        if isinstance(owner, (types.NamedTuple, types.NamedUniTuple)) and value.attr in owner.fields:
+        named = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
+        if named and value.attr in owner.fields:
             return owner[owner.fields.index(value.attr)]
     return None
 

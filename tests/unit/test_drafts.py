@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import pytest
 from chi2 import NEEDS_JIT
 
@@ -49,3 +51,40 @@ def test_python_calls_a_small_function_compiled_and_a_part_as_it_is_written(fold
     assert square(3) == 9 and len(square.compiled.signatures) == 1
     assert cube(3) == 27 and not hasattr(cube, "compiled")
     assert square.__doc__ == "Return x²."
+
+
+class Inner(NamedTuple):
+    """Something that may lack a part."""
+
+    part: float | None
+
+
+class Outer(NamedTuple):
+    """What holds it."""
+
+    inner: Inner
+    other: float | None
+
+
+@part
+def with_part(outer, x):
+    """Return what takes both parts, and x without them; neither has a type without its part."""
+    if outer.inner.part is not None:
+        x = x + outer.inner.part.real
+    if outer.other is None:
+        return x
+    return (x, outer.other.real)
+
+
+def asked(outer, x):
+    """Return what `with_part` does."""
+    return with_part(outer, x)
+
+
+@NEEDS_JIT
+def test_what_a_named_tuple_lacks_is_never_looked_at(folder):
+    """Numba by itself gives types to both branches, and refuses two kinds of results."""
+    compiled = entry(asked)
+    assert compiled(Outer(Inner(None), None), 1.0) == 1.0
+    assert compiled(Outer(Inner(2.0), None), 1.0) == 3.0
+    assert compiled(Outer(Inner(2.0), 4.0), 1.0) == (3.0, 4.0)

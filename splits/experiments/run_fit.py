@@ -137,6 +137,23 @@ def _groups(
     return {"reflectance_groups": ((*dims, *tail), values, dict(found[0].attrs))}
 
 
+def _coordinates(
+    experiment: Simulation, fit: FitResult, samples: list[str], wavelength: np.ndarray
+) -> dict[str, Any]:
+    """Return the coordinates of a dataset of fits like this one."""
+    names = list(fit.names)
+    return {
+        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "sample": ("sample", samples, {"long_name": "sample measured"}),
+        "parameter": ("parameter", list(fit.parameters), {"long_name": "parameter of the sand"}),
+        **{
+            axis: (axis, names, {"long_name": "coordinate of the fit"})
+            for axis in ("coordinate", "other_coordinate")
+        },
+        **grid_coordinates(experiment.grid),
+    }
+
+
 def _dataset(
     experiment: Simulation,
     results: list[FitResult],
@@ -181,16 +198,7 @@ def _dataset(
         **quantity("rmse", dims, rmse, rmse_error, "root mean square misfit"),
         **quantity("evaluations", dims, tried, None, "number of sands simulated"),
     }
-    coordinates: dict[str, Any] = {
-        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
-        "sample": ("sample", samples, {"long_name": "sample measured"}),
-        "parameter": ("parameter", parameters, {"long_name": "parameter of the sand"}),
-        **{
-            axis: (axis, list(first.names), {"long_name": "coordinate of the fit"})
-            for axis in ("coordinate", "other_coordinate")
-        },
-        **grid_coordinates(experiment.grid),
-    }
+    coordinates = _coordinates(experiment, first, samples, wavelength)
     facts = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,

@@ -18,6 +18,8 @@ from splits.experiments.grids import evenly_spaced
 from splits.experiments.parameters import checked_ranges
 from splits.experiments.texts import LONGEST_LABEL, check_mathematics, check_text
 from splits.instruments.arguments import (
+    check_angles,
+    check_cells,
     check_half_width,
     check_incidence,
     check_wavelengths,
@@ -25,7 +27,7 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.bssrdf import CELLS, SIDES
 from splits.instruments.cells import CELLS_OF_5_DEG
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, check_angles, check_cells
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.lens import RAYS, check_depths, check_radius, check_ring
 from splits.instruments.surface_map import MOST_REALISATIONS, POINTS
 

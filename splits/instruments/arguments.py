@@ -147,3 +147,20 @@ def check_threads(threads: Any) -> int:
     if threads is None:
         return cpus()
     return check_whole("threads", threads, 1)
+
+
+def check_angles(key: str, values: Any, end: float) -> np.ndarray:
+    """Return increasing angles from 0 to below `end` degrees, or refuse them."""
+    angles = row_of(key, values, "numbers in degrees")
+    for angle in angles:
+        in_range(key, float(angle), 0.0, end, "degrees", open_high=True)
+    return increasing(key, angles)
+
+
+def check_cells(cells: Any) -> tuple[int, int]:
+    """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
+    try:
+        polar, azimuth = (check_whole("cells", n, 1, 1000) for n in cells)
+    except (TypeError, ValueError):
+        raise refuse("cells", cells, "two whole numbers from 1 to 1000") from None
+    return polar, azimuth

@@ -236,13 +236,9 @@ def _dataset(
     """Return the sums as a labelled dataset."""
     radial = _radial(ensembles, len(wavelengths))
     moment = np.zeros(radial.shape[:-1])
-    place = np.zeros((2, 2, len(wavelengths), CELLS, CELLS))
     for e in ensembles:
-        rays = e.levels[0].rays
-        moment[:, :, e.served] += e.weights * e.moment / (rays / GROUPS)
-        w = e.weights[:, np.newaxis, np.newaxis]
-        place[0][:, e.served] += w * e.place[0] / rays
-        place[1][:, e.served] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+        moment[:, :, e.served] += e.weights * e.moment / (e.levels[0].rays / GROUPS)
+    place = _places(ensembles, len(wavelengths))
     inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _COARSE).sum(axis=-1)
     edges = SHORTEST_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _COARSE / PER_DECADE)
     profile = inner / (np.pi * np.diff(edges**2))
@@ -288,6 +284,17 @@ def _dataset(
         "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
     }
     return xr.Dataset(variables, coordinates, facts)
+
+
+def _places(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+    """Return the light that leaves through each cell, and its variance, in the first axis."""
+    place = np.zeros((2, 2, wavelengths, CELLS, CELLS))
+    for e in ensembles:
+        rays = e.levels[0].rays
+        w = e.weights[:, np.newaxis, np.newaxis]
+        place[0][:, e.served] += w * e.place[0] / rays
+        place[1][:, e.served] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+    return place
 
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:

@@ -110,28 +110,15 @@ def deep_transmittance(
     index, absorption = constants_of(medium, wavelengths)
     first_guess = attenuation_rate(medium, wavelengths, seed, threads)
     results = np.zeros((5, len(wavelengths)))
+    goal = _Goal(relative_stderr, max_rays, begun, progress)
     with Threads(threads) as pool:
         for row, guess in enumerate(first_guess):
             optics = shared_optics(index[row], absorption[row : row + 1])
             source = _Source(pool, seed, scene, optics)
             number = streams.DEEP + (STAGES + 1) * row
             rate = _piloted(source, number, guess, float(medium.depth_m))
-            run = _Sum()
-            wanted = PILOT
-            while True:
-                run.add(source, number + STAGES, wanted, rate)
-                mean, stderr, share = run.estimate()
-                error = stderr / mean if mean > 0.0 else np.inf
-                if progress:
-                    seconds = time.perf_counter() - begun
-                    left = seconds * max((error / relative_stderr) ** 2 - 1.0, 0.0)
-                    progress(Progress(run.rays, error, relative_stderr, seconds, left))
-                done = error <= relative_stderr and share <= LARGEST_SHARE
-                if done or run.rays >= max_rays:
-                    break
-                needed = 1.1 * run.rays * (error / relative_stderr) ** 2
-                wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * max_rays))
-            results[:, row] = mean, stderr, share, run.rays, rate
+            run = _reached(goal, source, number + STAGES, rate)
+            results[:, row] = *run.estimate(), run.rays, rate
     transmittance, errors, shares, count, rates = results
     long_name = (
         "hemispherical" if incidence == "diffuse" else "directional"
@@ -154,6 +141,34 @@ def deep_transmittance(
         "max_rays": max_rays,
     }
     return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)
+
+
+class _Goal(NamedTuple):
+    """What is asked for, when that began, and who wants to know how far it is."""
+
+    relative_stderr: float
+    max_rays: int
+    begun: float
+    progress: Callable[[Progress], None] | None
+
+
+def _reached(goal: _Goal, source: _Source, number: int, rate: float) -> _Sum:
+    """Return families of rays of one wavelength, traced until the error or the rays asked for."""
+    run = _Sum()
+    wanted = PILOT
+    while True:
+        run.add(source, number, wanted, rate)
+        mean, stderr, share = run.estimate()
+        error = stderr / mean if mean > 0.0 else np.inf
+        if goal.progress:
+            seconds = time.perf_counter() - goal.begun
+            left = seconds * max((error / goal.relative_stderr) ** 2 - 1.0, 0.0)
+            goal.progress(Progress(run.rays, error, goal.relative_stderr, seconds, left))
+        done = error <= goal.relative_stderr and share <= LARGEST_SHARE
+        if done or run.rays >= goal.max_rays:
+            return run
+        needed = 1.1 * run.rays * (error / goal.relative_stderr) ** 2
+        wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * goal.max_rays))
 
 
 class _Source(NamedTuple):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, increasing, one_of, refuse, row_of
+from splits.checks import in_range, one_of, refuse
 from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.arguments import (
+    check_angles,
     check_beam,
+    check_cells,
     check_medium,
     check_size,
     check_threads,
@@ -22,19 +23,16 @@ from splits.instruments.arguments import (
 )
 from splits.instruments.cells import (
     CELLS_OF_5_DEG,
-    Cells,
     centres,
-    estimate_cells,
-    stokes_of_cells,
 )
-from splits.instruments.ensemble import Paths
 from splits.instruments.expansion import counted, expand
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.local import Goal, Listened, listen
-from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.local import Goal, listen
+from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS, Heard
+from splits.instruments.views import Found, collected, facts_of, heard_by, traced
 from splits.media.turbid import Medium
 from splits.uncertainty import Variable, quantity
 
@@ -144,14 +142,11 @@ def goniophotometer(
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_beam(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
-    side = SIDES[one_of("target", target, SIDES)]
     grounded = ground_of(medium) is not None
-    if grounded and side == 1:
-        raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
+    side = _side_of(target, grounded)
     one_of("estimator", estimator, ESTIMATORS)
     one_of("kernel", kernel, KERNELS)
-    seed = check_whole("seed", seed, 0)
-    max_rays = check_whole("max_rays", max_rays, 1)
+    seed, max_rays = check_whole("seed", seed, 0), check_whole("max_rays", max_rays, 1)
     if rays is not None:
         check_whole("rays", rays, 1)
     threads = check_threads(threads)
@@ -160,21 +155,16 @@ def goniophotometer(
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
     heard = Heard(orders=True)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
-    if estimator == "cells":
-        polar, azimuth = centres(check_cells(cells))
-    else:
-        polar = check_angles("polar_deg", polar_deg, 90.0)
-        azimuth = check_angles("azimuth_deg", azimuth_deg, 360.0)
+    polar, azimuth = _directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
     check_size(len(wavelengths), len(polar) * len(azimuth))
+    goal = Goal(side, relative_stderr, rays, max_rays)
     if estimator == "cells":
-        found = _collect(runner, nodes, absorption, cells, rays or 1_000_000)
+        found = collected(runner, nodes, absorption, cells, rays or 1_000_000)
+    elif estimator == "local":
+        found = heard_by(listen(medium, incidence, polar, azimuth, goal, runner), wavelengths)
     else:
-        goal = Goal(side, relative_stderr, rays, max_rays)
-        if estimator == "local":
-            found = _listen(listen(medium, incidence, polar, azimuth, goal, runner), wavelengths)
-        else:
-            paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
-            found = _Found(result, reached, _traced(paths), paths)
+        paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
+        found = Found(result, reached, traced(paths), paths)
     seen = counted(polar, azimuth) | (estimator == "local")
     facts = {
         **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
@@ -182,60 +172,33 @@ def goniophotometer(
         "estimator": estimator,
         "target": target,
         "relative_stderr": relative_stderr,
-        "relative_stderr_reached": largest_error(found.result, side, seen),
-        "stopped_by": found.reached,
-        "interpolation_error_bound": float(nodes.bias.max()),
-        "degree": found.result.degree[side],
         "max_rays": max_rays,
-        "rays": found.rays,
-        "ensembles": len(nodes.index),
-        "kernel": runner.kernels(found.paths) or "scalar",
+        "relative_stderr_reached": largest_error(found.result, side, seen),
+        "degree": found.result.degree[side],
+        **facts_of(found, nodes, runner),
     }
     dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
     unseen = OF_LIGHT_BELOW if grounded else found.unseen
     return dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
 
 
-class _Found(NamedTuple):
-    """What an estimator found: result, what stopped it, rays, their paths, polarization.
-
-    `unseen` are variables of which it tells nothing.
-    """
-
-    result: Estimate
-    reached: str
-    rays: int
-    paths: Sequence[Paths] = ()
-    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({})
-    unseen: tuple[str, ...] = ()
+def _side_of(target: str, grounded: bool) -> int:
+    """Return the side of the sample that the target is on, or refuse that of a ground."""
+    side = SIDES[one_of("target", target, SIDES)]
+    if grounded and side == 1:
+        raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
+    return side
 
 
-def _traced(paths: Sequence[Paths]) -> int:
-    """Return how many rays were traced."""
-    return sum(level.rays for one in paths for level in one.levels)
-
-
-def _listen(local: Listened, wavelengths: np.ndarray) -> _Found:
-    """Return what local estimation found."""
-    stokes = local.stokes(len(wavelengths)) if local.polarized else {}
-    # A bottom hears light at other angles than detectors outside would.
-    unseen = () if local.below else ("btdf",)
-    result = local.estimate(len(wavelengths))
-    return _Found(result, local.reached, local.rays, (), stokes, unseen)
-
-
-def _collect(
-    runner: Runner, nodes: Nodes, absorption: np.ndarray, cells: tuple[int, int], rays: int
-) -> _Found:
-    """Trace so many rays and count them in cells."""
-    paths = [
-        Cells(number, m, absorption, w, cells, runner.tracer.stokes)
-        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
-    ]
-    each = -(-rays // len(paths))
-    runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
-    result = estimate_cells(paths, nodes.bias)
-    return _Found(result, "rays", _traced(paths), paths, stokes_of_cells(paths))
+def _directions(
+    polar_deg: Any, azimuth_deg: Any, cells: tuple[int, int] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the directions asked for (degrees), or those of the centres of cells."""
+    if cells is not None:
+        return centres(check_cells(cells))
+    return check_angles("polar_deg", polar_deg, 90.0), check_angles(
+        "azimuth_deg", azimuth_deg, 360.0
+    )
 
 
 def _dataset(
@@ -288,20 +251,3 @@ def _dataset(
         ),
     }
     return xr.Dataset(variables, coordinates, facts)
-
-
-def check_angles(key: str, values: Any, end: float) -> np.ndarray:
-    """Return increasing angles from 0 to below `end` degrees, or refuse them."""
-    angles = row_of(key, values, "numbers in degrees")
-    for angle in angles:
-        in_range(key, float(angle), 0.0, end, "degrees", open_high=True)
-    return increasing(key, angles)
-
-
-def check_cells(cells: Any) -> tuple[int, int]:
-    """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
-    try:
-        polar, azimuth = (check_whole("cells", n, 1, 1000) for n in cells)
-    except (TypeError, ValueError):
-        raise refuse("cells", cells, "two whole numbers from 1 to 1000") from None
-    return polar, azimuth

@@ -6,7 +6,7 @@ Budak & Grimailo 2020, section 3.1 and Fig 2.
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -124,16 +124,47 @@ def lens(
         "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
         "rays": rays * realisations,
     }  # fmt: skip
+    return _dataset(contraction, caught, _First(start, shown, reached), depths, facts)
+
+
+class _First(NamedTuple):
+    """What the first surface did to the ring, to be shown.
+
+    Attributes
+    ----------
+    start : float, shape (rays, 3)
+        Where rays met the surface (m).
+    place : float, shape (screens, rays, 2)
+        Where they came to on the screens (m).
+    reached : bool, shape (screens, rays)
+        Whether they did.
+    """
+
+    start: np.ndarray
+    place: np.ndarray
+    reached: np.ndarray
+
+
+def _dataset(
+    contraction: np.ndarray,
+    caught: np.ndarray,
+    first: _First,
+    depths: np.ndarray,
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return what surfaces did to the ring as a labelled dataset."""
+    enough = caught >= LEAST_CAUGHT
     size = _mean(contraction, enough)
     density = _inverse(*_mean(contraction**2, enough))
     at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
+    seen = first.reached.astype(float)
     variables = {
         **quantity("contraction", at, *size, "size of the image over the ring's"),
         **quantity("concentration", at, *density, "inverse mean square size of the image"),
         **quantity("caught", ("realisation", at), caught, None, "share of rays on the screen"),
-        **quantity("path", ("ray", "point"), start, None, "point of the surface", "m"),
-        **quantity("place", by_ray, shown, None, "place on the screen", "m"),
-        **quantity("seen", by_ray[:2], reached.astype(float), None, "whether a ray reaches it"),
+        **quantity("path", ("ray", "point"), first.start, None, "point of the surface", "m"),
+        **quantity("place", by_ray, first.place, None, "place on the screen", "m"),
+        **quantity("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
     }
     coordinates = {
         at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),

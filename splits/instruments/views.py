@@ -1,0 +1,69 @@
+"""What the estimators of a goniophotometer found, in one form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.instruments.angular import Estimate
+from splits.instruments.cells import Cells, estimate_cells, stokes_of_cells
+from splits.instruments.ensemble import Paths
+from splits.instruments.local import Listened
+from splits.instruments.nodes import Nodes
+from splits.instruments.runner import Runner
+
+
+class Found(NamedTuple):
+    """What an estimator found: result, what stopped it, rays, their paths, polarization.
+
+    `unseen` are variables of which it tells nothing.
+    """
+
+    result: Estimate
+    reached: str
+    rays: int
+    paths: Sequence[Paths] = ()
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({})
+    unseen: tuple[str, ...] = ()
+
+
+def facts_of(found: Found, nodes: Nodes, runner: Runner) -> dict[str, Any]:
+    """Return what stopped an estimator, and what it spent."""
+    return {
+        "stopped_by": found.reached,
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "rays": found.rays,
+        "ensembles": len(nodes.index),
+        "kernel": runner.kernels(found.paths) or "scalar",
+    }
+
+
+def traced(paths: Sequence[Paths]) -> int:
+    """Return how many rays were traced."""
+    return sum(level.rays for one in paths for level in one.levels)
+
+
+def heard_by(local: Listened, wavelengths: np.ndarray) -> Found:
+    """Return what local estimation found."""
+    stokes = local.stokes(len(wavelengths)) if local.polarized else {}
+    # A bottom hears light at other angles than detectors outside would.
+    unseen = () if local.below else ("btdf",)
+    result = local.estimate(len(wavelengths))
+    return Found(result, local.reached, local.rays, (), stokes, unseen)
+
+
+def collected(
+    runner: Runner, nodes: Nodes, absorption: np.ndarray, cells: tuple[int, int], rays: int
+) -> Found:
+    """Trace so many rays and count them in cells."""
+    paths = [
+        Cells(number, m, absorption, w, cells, runner.tracer.stokes)
+        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    ]
+    each = -(-rays // len(paths))
+    runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
+    result = estimate_cells(paths, nodes.bias)
+    return Found(result, "rays", traced(paths), paths, stokes_of_cells(paths))

@@ -73,7 +73,7 @@ class Cut(NamedTuple):
         """Return the estimate of the whole pack from that of the part above the cut."""
         kept = found.mean[1]
         back = np.minimum(found.mean[0], 1.0)
-        # Weights are single: where nothing is absorbed, all that does not come back goes through.
+        # Where nothing is absorbed, all that does not come back goes through.
         through = np.where(self.passed == 1.0, 1.0 - back, kept * self.passed)
         through = np.minimum(through, 1.0 - back)
         mean = np.stack([back, through, 1.0 - back - through])
@@ -88,8 +88,10 @@ class Cut(NamedTuple):
         # Absorbed is what was so above the cut, and what the rest keeps for itself: all that is
         # neither reflected nor let through.
         own[2] = np.minimum(own[2] + (1.0 - self.passed) * found.stderr[1], own[0] + own[1])
+        own[1], own[2] = np.where(clear, own[0], own[1]), np.where(clear, 0.0, own[2])
         stderr = np.hypot(own, missed)
         groups = found.groups * scale[:2]
+        groups[:, 1] = np.where(clear, -groups[:, 0], groups[:, 1])
         bias = np.hypot(scale * found.bias, missed)
         converged = bool(stderr.max() <= max_stderr)
         return Estimate(
@@ -129,7 +131,7 @@ def _cut(
 ) -> Cut | None:
     """Return what `cut_of` returns, for a lowest layer of such optics and depth (m)."""
     step = scattering_mean_step(optics)
-    loss = 1.0 - optics.single_scattering_albedo.values
+    loss = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
     turning = (1.0 - optics.asymmetry_parameter.values + loss) / step
     endless = math.isinf(depth)
     if (turning * step).min() < LEAST_TURN:

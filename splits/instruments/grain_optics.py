@@ -111,7 +111,7 @@ def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) 
     scene = granular_scene(medium, 0.0, False)
     shares = np.diff(scene.layers.share[0], prepend=0.0)
     names = ("asymmetry_parameter", *RATIOS)
-    scattered, extinction = np.zeros((2, wavelengths.size))
+    scattered, lost, extinction = np.zeros((3, wavelengths.size))
     sums = {name: np.zeros(wavelengths.size) for name in names}
     for kind in np.flatnonzero(shares > 0.0):
         only = (np.arange(shares.size) >= kind).astype(float)[np.newaxis]
@@ -119,11 +119,13 @@ def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) 
         values, _ = optics_of(medium, alone, wavelengths, plan)
         weight = shares[kind] * values["single_scattering_albedo"]
         scattered, extinction = scattered + weight, values["extinction"]
+        # Nothing lost is exactly that, whatever shares add up to.
+        lost += shares[kind] * (1.0 - values["single_scattering_albedo"])
         for name in names:
             sums[name] += weight * values[name]
     least = np.maximum(scattered, np.finfo(float).tiny)
     means = {name: ("wavelength", total / least) for name, total in sums.items()}
-    means["single_scattering_albedo"] = ("wavelength", scattered)
+    means["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
     means["extinction"] = ("wavelength", extinction)
     return xr.Dataset(means, {"wavelength": wavelengths})
 

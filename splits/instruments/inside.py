@@ -100,16 +100,23 @@ def found_by(
         runner.trace(work, float(stderr.max()), max_stderr, left)
 
 
-def shares_of(found: Found) -> np.ndarray:
+def shares_of(found: Found, materials: int) -> np.ndarray:
     """Return absorbed shares by material, whose sums are those of `Found.absorbed`.
 
     Shape (GROUPS, intervals, materials, wavelengths); the materials' parts vary by group to first
-    order.
+    order.  Where no path tells of an interval, its shares are those of the whole sample, and the
+    same for all materials where none tells of that; errors say so (`share_missed`).
     """
-    parts = found.by_material
+    parts = found.by_material[:, :, :materials]
     whole = parts.sum(axis=2, keepdims=True)
     mean = whole.mean(axis=0)
-    share = np.divide(parts.mean(axis=0), mean, out=np.zeros_like(parts[0]), where=mean > 0.0)
+    of_all = parts.mean(axis=0).sum(axis=0, keepdims=True)
+    every = of_all.sum(axis=1, keepdims=True)
+    even = np.full_like(of_all, 1.0 / of_all.shape[1])
+    share = np.broadcast_to(
+        np.divide(of_all, every, out=even, where=every > 0.0), mean.shape[:1] + of_all.shape[1:]
+    ).copy()
+    np.divide(parts.mean(axis=0), mean, out=share, where=mean > 0.0)
     absorbed = found.absorbed[:, :, np.newaxis]
     total = absorbed.mean(axis=0)
     scale = np.divide(total, mean, out=np.zeros_like(total), where=mean > 0.0)

@@ -36,7 +36,7 @@ from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.particles import ParticleLayer
 from splits.transport.passages import DOWN, UP
-from splits.uncertainty import Variable, quantity
+from splits.uncertainty import Variable, quantity, stderr_of
 
 MOST_DEPTHS = 200
 MOST_SUMS = 100_000_000
@@ -149,7 +149,7 @@ def profile(
         "ensembles": len(ensembles),
         "kernel": runner.kernels(ensembles),
     }
-    doubt, steps = Doubt(nodes.bias, least), steps_of(medium, absorption)
+    doubt, steps = Doubt(nodes.bias, least), steps_of(medium, absorption, planes)
     return _dataset(found, doubt, steps, wavelengths, planes, list(medium.materials()), facts)
 
 
@@ -205,11 +205,15 @@ def _dataset(
     put("absorptance", by_interval, found.absorbed, "absorptance of the interval")
     light, flux = found.light.mean(axis=0), found.way / thickness
     arriving = (light[DOWN, :-1] + light[UP, 1:]) / thickness
-    error = flux_missed(steps, flux.mean(axis=0), arriving)
+    whole = found.absorbed.mean(axis=0)
+    error = flux_missed(steps, flux.mean(axis=0), whole / thickness, arriving)
     put("actinic_flux", by_interval, flux, "mean path over thickness", error)
-    shared = shares_of(found)[:, :, : len(materials)]
-    whole = found.absorbed.mean(axis=0)[:, np.newaxis]
-    error = share_missed(steps, shared.mean(axis=0), whole)
+    shared = shares_of(found, len(materials))
+    told = found.absorbed - found.by_material.sum(axis=2)
+    heard = found.by_material.sum(axis=2).mean(axis=0) > 0.0
+    unheard = np.abs(told.mean(axis=0)) - np.where(heard, 2.0 * stderr_of(told), 0.0)
+    unheard = np.maximum(unheard, 0.0)
+    error = share_missed(steps, shared.mean(axis=0), whole, unheard)
     by_material = (*by_interval, "material")
     put("absorptance_of_material", by_material, shared, "absorptance of a material", error)
     coordinates = {

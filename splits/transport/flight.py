@@ -17,12 +17,13 @@ from splits.transport.jit import ONE, ZERO, exact, kernel
 from splits.transport.spheroid import Entry, Segment, crosses, cuts, strike
 from splits.transport.vectors import Vector, combined
 
-ROULETTE_BELOW = 0.8
-ROULETTE_SURVIVAL = 0.4
+ROULETTE_BELOW = 0.6
+ROULETTE_SURVIVAL = ROULETTE_BELOW
 FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
 """Optical depth from which a ray that carries weights plays Russian roulette: it has become lighter
 for every wavelength that listens to it.  Long paths cost as much as they are long, whatever they
-weigh, so it pays to end most of them early; nothing is lost on average."""
+weigh, so it pays to end most of them early; nothing is lost on average.  One that goes on weighs
+what it did at first, so that none ever weighs more."""
 _NEXT = exact(-math.log(ROULETTE_SURVIVAL))
 _SURVIVAL = exact(ROULETTE_SURVIVAL)
 _LIGHTER = exact(1.0 / ROULETTE_SURVIVAL)

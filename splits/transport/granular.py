@@ -73,13 +73,13 @@ def at_face(state, ray, scene, optics, length, notes):
     fate, layer, u = TRAVELS, beam.layer, beam.u
     if crossing.passed and inside:
         layer = other
-        if layers.particles[layer] != GRAINS:
-            # Light that comes back from there, mirrored perhaps, comes to other pores.
-            u = uniform(state)
         pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
     elif crossing.passed:
         below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
         fate = REFLECTED if other < 0 else below
+    if layers.particles[layer] != GRAINS:
+        # Light that comes from there to pores, now or after another reflection, comes to new ones.
+        u = uniform(state)
     beam = Beam(crossing.d, layer, u, beam.purse)
     return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order, ray.most)
 

@@ -74,7 +74,8 @@ def at_facet(state, ray, slope, side, scene, optics):
     side : float
         1 where the ray comes from outside, −1 from the sample.
     """
-    u = uniform(state) if side > 0.0 else ray.beam.u
+    # Particles lie below: the pores that light comes to from there are new every time.
+    u = uniform(state)
     inside = index_of(optics, pore_of(scene.layers, 0, u))
     outside = index_of(optics, scene.layers.pore[0])
     near = outside if side > 0.0 else inside

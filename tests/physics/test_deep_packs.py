@@ -86,6 +86,22 @@ def test_rare_dark_grains_are_not_overlooked():
 
 
 @NEEDS_JIT
+@pytest.mark.parametrize("depth_m", [0.5, math.inf])
+def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
+    """Whatever the shares of types add up to, in floating point."""
+    clear = splits.Sand(
+        iron_oxide=0.0, hematite_ratio=0.5, partition=(0.3, 0.7, 0.0), saturation=0.0,
+        depth_m=depth_m,
+    )  # fmt: skip
+    ds = splits.spectrophotometer(clear, [600.0], max_stderr=0.01)
+    assert "traced_to_m" in ds.attrs
+    np.testing.assert_allclose(ds.reflectance + ds.transmittance, 1.0, rtol=0.0, atol=1e-12)
+    assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
+    if depth_m < math.inf:
+        assert float(ds.transmittance_stderr[0]) >= float(ds.reflectance_stderr[0])
+
+
+@NEEDS_JIT
 def test_types_measured_one_by_one_are_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])

@@ -101,7 +101,8 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     )
     scene = medium_scene(snow, 30.0)
     index, absorption = constants_of(snow, np.array([500.0]))
-    optics = shared_optics(index[0], absorption)
+    # Roulette is told of no absorption, so that no ray plays it, and each balances by itself.
+    optics = shared_optics(index[0], np.zeros_like(absorption))
     exits = exit_rows(512, index.shape[1])
     work = np.array([[7, 0, len(exits), 2**31 - 1]])
     if kernel == "lanes":
@@ -115,10 +116,8 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     left = exits[:, EXIT_SIDE] == 0.0
     assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(told.notes) > len(exits) / 4
     back = exits[left, EXIT_WEIGHT] * np.exp(-exits[left, EXIT_LENGTH:] @ absorption[0])
-    # Those that roulette has never met; it is met from 0.1 on.
-    never = exits[left, EXIT_WEIGHT] == 1.0
-    assert never.sum() > 400
-    np.testing.assert_allclose((kept[left] + back)[never], 1.0, rtol=0.0, atol=1e-12)
+    assert left.sum() > 400 and (back < 0.5).any()
+    np.testing.assert_allclose(kept[left] + back, 1.0, rtol=0.0, atol=1e-12)
 
 
 def test_coin_tosses_and_weights_agree_over_a_ground():

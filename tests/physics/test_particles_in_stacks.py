@@ -139,6 +139,20 @@ def test_particles_in_a_matrix_like_the_pores_obey_beer():
     judge_z(np.concatenate(z), independent=2, bound_added=True)
 
 
+@pytest.mark.parametrize("thickness", [0.0, 1e-6])
+def test_light_gets_out_of_a_clear_plate_on_wet_snow(thickness):
+    """Steep light comes in from wet pores; dry ones, and the air, would keep it for ever."""
+    plate = splits.Layer(
+        optical_thickness=thickness, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
+    )
+    clear = {"refractive_index": {"ice": 1.31, "water": 1.33}}
+    snow = splits.Snow(depth_m=0.004, saturation=0.3, **clear)
+    one = measured(splits.Stack([plate, snow]), 30.0, 40)
+    assert one[0, 2] == pytest.approx(0.0, abs=1e-12)
+    other = measured(splits.Stack([plate, snow]), 30.0, 41, estimator="analog")
+    judge_z(apart(one, other), independent=1, bound_added=True)
+
+
 def test_a_matrix_has_faces_whatever_the_pores_reading():
     """Dry snow has no face of its own, so that the reading says nothing about it."""
     plate = splits.Layer(

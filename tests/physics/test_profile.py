@@ -157,14 +157,15 @@ STEEP = {
 }
 
 
+@pytest.mark.parametrize("kernel", ["auto", "scalar"])
 @pytest.mark.parametrize("name", STEEP)
-def test_errors_hold_where_weights_fall_in_large_steps(name):
+def test_errors_hold_where_weights_fall_in_large_steps(name, kernel):
     """Against planes so close together that hardly a grain lies between two of them."""
     medium, wavelength = STEEP[name]
     depth = 0.25 * medium.depth_m
     fine = np.linspace(0.0, depth, 101)[1:]
     rough, close = (
-        splits.profile(medium, [wavelength], at, 0.0, 0.01, seed)
+        splits.profile(medium, [wavelength], at, 0.0, 0.01, seed, kernel=kernel)
         for seed, at in ((5, [depth]), (6, fine))
     )
     top = close.isel(interval=slice(100))

@@ -32,11 +32,10 @@ test: $(VENV)/ready
 	$(MAKE) -j2 test-physics test-others
 
 test-physics: $(VENV)/ready
-	$(BIN)/python -m pytest -m "not long" tests/physics
+	$(BIN)/python -m pytest -m "not long" tests/physics tests/statistics tests/kernels
 
 test-others: $(VENV)/ready
-	$(BIN)/python -m pytest -m "not long" tests/unit tests/statistics tests/kernels tests/workflow \
-		tests/campaigns
+	$(BIN)/python -m pytest -m "not long" tests/unit tests/workflow tests/campaigns
 
 test-long: $(VENV)/ready
 	$(BIN)/python -m pytest -m long

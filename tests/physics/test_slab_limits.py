@@ -98,10 +98,12 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
 @pytest.mark.parametrize("depth_m", [0.001, 0.12, 2.0])
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])
 def test_nothing_is_lost_without_absorption(depth_m, estimator):
+    # Coin tosses trace every wavelength by itself, and all are the same here.
+    light = [300.0, 2500.0] if estimator == "spectral" else [500.0]
     snow = splits.Snow(
         depth_m=depth_m, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    ds = splits.spectrophotometer(snow, [300.0, 2500.0], 30.0, max_stderr=0.05, estimator=estimator)
+    ds = splits.spectrophotometer(snow, light, 30.0, max_stderr=0.05, estimator=estimator)
     total = ds.reflectance + ds.transmittance
     assert np.abs(total - 1.0).max() < 1e-12
     assert np.abs(ds.absorptance).max() < 1e-12

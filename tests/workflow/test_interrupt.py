@@ -19,7 +19,7 @@ pytestmark = [
 
 LONG = """\
 title: Long
-medium: {base: splitsnow_table1, depth_m: 0.3}
+medium: {base: splitsnow_table1, depth_m: 0.02}
 instrument: {kind: goniophotometer, wavelength_nm: [500], estimator: cells, rays: 200000000}
 """
 SHORT = LONG.replace("200000000", "20000")

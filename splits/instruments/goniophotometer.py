@@ -171,11 +171,8 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr": relative_stderr,
-        "max_rays": max_rays,
         "relative_stderr_reached": largest_error(found.result, side, seen),
-        "degree": found.result.degree[side],
-        **facts_of(found, nodes, runner),
+        **facts_of(found, goal, nodes, runner),
     }
     dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
     unseen = OF_LIGHT_BELOW if grounded else found.unseen

@@ -107,6 +107,13 @@ def _steps_of_grains(medium: GranularMedium, absorption: np.ndarray) -> Steps:
     return Steps(np.max(depths, axis=0), leg * np.minimum(kept, 1.0), kept / leg)
 
 
+def _stretched(depth: np.ndarray) -> np.ndarray:
+    """Return by which part of itself a path may be longer than if weights fell evenly along it."""
+    d = np.maximum(depth, 1e-9)
+    more: np.ndarray = d / -np.expm1(-d) - 1.0
+    return more
+
+
 def flux_missed(
     steps: Steps, flux: np.ndarray, absorbed: np.ndarray, arriving: np.ndarray
 ) -> np.ndarray:
@@ -126,8 +133,7 @@ def flux_missed(
         Light absorbed in an interval, and light that comes to it through its planes, over its
         thickness (1/m).
     """
-    d = np.maximum(steps.depth, 1e-9)
-    most = (d / -np.expm1(-d) - 1.0) * flux + steps.reach * arriving
+    most = _stretched(steps.depth) * flux + steps.reach * arriving
     kept = np.maximum(absorbed, 0.0)
     path = np.divide(kept, steps.rate, out=np.full_like(flux, np.inf), where=steps.rate > 0.0)
     missed: np.ndarray = np.minimum(most, 2.0 * np.abs(path - flux) + 0.1 * flux)
@@ -150,10 +156,9 @@ def share_missed(
     whole, unheard : float, shape (intervals, wavelengths)
         What all of them absorb, and how much of that no path tells of.
     """
-    d = np.maximum(steps.depth, 1e-9)[:, np.newaxis]
     whole, unheard = whole[:, np.newaxis], unheard[:, np.newaxis]
     moved = np.minimum(share, np.maximum(whole - share, 0.0))
-    off = (d / -np.expm1(-d) - 1.0) * moved + unheard
+    off = _stretched(steps.depth)[:, np.newaxis] * moved + unheard
     missed: np.ndarray = np.minimum(off, np.maximum(whole, 0.0))
     return missed
 

@@ -11,7 +11,7 @@ import numpy as np
 from splits.instruments.angular import Estimate
 from splits.instruments.cells import Cells, estimate_cells, stokes_of_cells
 from splits.instruments.ensemble import Paths
-from splits.instruments.local import Listened
+from splits.instruments.local import Goal, Listened
 from splits.instruments.nodes import Nodes
 from splits.instruments.runner import Runner
 
@@ -30,9 +30,12 @@ class Found(NamedTuple):
     unseen: tuple[str, ...] = ()
 
 
-def facts_of(found: Found, nodes: Nodes, runner: Runner) -> dict[str, Any]:
-    """Return what stopped an estimator, and what it spent."""
+def facts_of(found: Found, goal: Goal, nodes: Nodes, runner: Runner) -> dict[str, Any]:
+    """Return what was asked of an estimator, what stopped it, and what it spent."""
     return {
+        "relative_stderr": goal.relative_stderr,
+        "max_rays": goal.max_rays,
+        "degree": found.result.degree[goal.side],
         "stopped_by": found.reached,
         "interpolation_error_bound": float(nodes.bias.max()),
         "rays": found.rays,

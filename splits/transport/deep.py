@@ -17,7 +17,7 @@ import numpy as np
 
 from splits.transport.flight import Purse
 from splits.transport.granular import follow, launch
-from splits.transport.jit import entry, kernel
+from splits.transport.jit import entry, owner
 from splits.transport.rng import mix64, start_stream, uniform
 from splits.transport.scalar import Beam, Ray
 from splits.transport.scene import UNLIMITED
@@ -49,7 +49,7 @@ class Sent(NamedTuple):
     lost: bool
 
 
-@kernel
+@owner
 def split(state, member, worth, waiting):
     """Split a ray that is worth too much; all but one wait."""
     copies = min(int(worth + 0.5), MOST)
@@ -62,7 +62,7 @@ def split(state, member, worth, waiting):
     return Member(member.ray, weight, member.stream)
 
 
-@kernel
+@owner
 def family(state, first, scene, optics, kappa, profile):
     """Follow a ray and all that it is split into; see `families`."""
     length = np.zeros(optics.n.size)

@@ -18,7 +18,6 @@ from splits.transport.legs import arrived, beyond, find, pass_face, settled, tra
 from splits.transport.light import launched
 from splits.transport.march import GONE
 from splits.transport.notes import has_room, no_notes, note, of_ray, passage, room_for, taken, write
-from splits.transport.phase import scattered
 from splits.transport.rng import start_stream, uniform
 from splits.transport.roof import aimed, cut_short, facet_ahead, outside, struck
 from splits.transport.scalar import (
@@ -27,10 +26,10 @@ from splits.transport.scalar import (
     Entered,
     Paid,
     Ray,
+    deflected,
     ended,
     index_of,
     paid,
-    phase_of,
     pore_of,
     space_of,
     turned,
@@ -94,7 +93,7 @@ def scattered_by_particle(state, beam, scene):
     if not scene.rules.analog:
         # Roulette must hear of it; all wavelengths lose as much.
         purse = Purse(purse.depth - math.log(albedo), purse.limit, purse.weight * albedo)
-    d = scattered(state, phase_of(scene.particles, row), beam.d)
+    d = deflected(state, scene.particles, row, beam.d)
     # Another leg begins; its pore matters in the next layer, if that has two.
     return Entered(True, Beam(d, beam.layer, uniform(state), purse))
 

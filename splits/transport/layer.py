@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from splits.transport.jit import entry, part
+from splits.transport.jit import entry, owner, part
 from splits.transport.layer_events import (
     ROULETTE_BELOW,
     at_facet,
@@ -48,7 +48,7 @@ ALL, STRAIGHT = range(2)
 """All light, and light that met nothing but smooth faces."""
 
 
-@part
+@owner
 def trace(state, scene, room, detectors, most):
     """Follow one ray from the light source until it leaves the layer or is absorbed.
 
@@ -74,7 +74,6 @@ def trace(state, scene, room, detectors, most):
     surface = realised(state, scene.fields, room)
     stokes = unpolarized(d, scene.stokes)
     ray = Ray(entrance(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
-    # Arrays are handed to as few functions with branches as can be: each counts who holds them.
     while ray.fate == TRAVELS:
         ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)
         if room is None:

@@ -244,7 +244,6 @@ def first_crossing(surface, place, d, side, farthest=math.inf):
         at = along(s, d, place)
         if side * d.z >= 0.0 and side * at.z > surface.reach:
             return no_hit(GONE, looks)
-        # Loops over arrays stay here: every array that a kernel is given is counted in and out.
         seen, begin, little = NOTHING_SEEN, 0, tolerance(surface, at, s)
         for number in range(surface.used - 1, -1, -1):
             band = _band(surface, number)

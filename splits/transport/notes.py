@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import kernel
+from splits.transport.jit import kernel, owner
 
 NOTE_RAY = 0
 """Column of the row of exits of the ray that a note is of."""
@@ -38,13 +38,13 @@ class Notes(NamedTuple):
     state: np.ndarray
 
 
-@kernel
+@owner
 def no_notes(columns):
     """Return room for notes of so many lengths, none taken."""
     return Notes(np.empty((_FIRST_NOTES, NOTE_LENGTH + columns)), np.zeros(2, dtype=np.int64))
 
 
-@kernel
+@owner
 def taken(notes):
     """Return the notes taken, float64[notes, columns]."""
     return notes.rows[: notes.state[_TAKEN]]
@@ -63,7 +63,7 @@ def has_room(notes, more):
     return notes.state[_TAKEN] + more <= notes.rows.shape[0]
 
 
-@kernel
+@owner
 def room_for(notes, more):
     """Return notes with room for so many more."""
     if has_room(notes, more):

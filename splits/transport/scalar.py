@@ -9,7 +9,7 @@ from splits.transport.elementary import Angle
 from splits.transport.faces import Index
 from splits.transport.flight import Fates, Flier, Meeting, Purse, Space
 from splits.transport.jit import part
-from splits.transport.phase import Phase
+from splits.transport.phase import Phase, scattered
 from splits.transport.rng import from_table, pick, uniform, unit_circle
 from splits.transport.scene import KEPT, SKIPPED
 from splits.transport.spheroid import Aim, Segment, Size, placed
@@ -170,13 +170,14 @@ def aim_of(state, flattening):
 
 
 @part
-def phase_of(particles, row):
-    """Return the phase function of a layer's particles."""
+def deflected(state, particles, row, d):
+    """Return the direction into which a layer's particle scatters light along d."""
     size = particles.size[row]
-    return Phase(
+    phase = Phase(
         particles.kind[row], particles.g[row], 0.0, particles.cosines[row, :size],
         particles.density[row, :size], particles.quantiles[row, :size],
     )  # fmt: skip
+    return scattered(state, phase, d)
 
 
 @part

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.elementary import exponential
-from splits.transport.jit import ONE, ZERO, entry, kernel
+from splits.transport.jit import ONE, ZERO, entry, kernel, owner
 from splits.transport.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
 
 ABSORBED = 0
@@ -160,7 +160,7 @@ def tally(exits, notes, absorption, weighted, ground):
     return moments, least, blocks
 
 
-@kernel
+@owner
 def _alpha(absorption, weighted):
     """Return coefficients, float32[materials, wavelengths]; zeros where weights do not fall.
 
@@ -188,7 +188,7 @@ def weigh(lengths, factor, alpha, weight):
         weight[i] = light * exponential(-weight[i])
 
 
-@kernel
+@owner
 def _kept(notes, first, ray, alpha, ground, total):
     """Add to `total` what the ground keeps of a ray, and return its first note's successor."""
     weight = np.empty_like(total)

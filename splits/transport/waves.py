@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.jit import entry, kernel, part
+from splits.transport.jit import entry, kernel, owner, part
 from splits.transport.rng import from_table, uniform, unit_circle
 from splits.transport.vectors import ORIGIN, Vector
 from splits.transport.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE, ROWS, TURN, wave_sums
@@ -138,7 +138,7 @@ def _octave(waves, column):
     return np.float64(waves[KX, column] ** 2 + waves[KY, column] ** 2).view(np.int64) >> 53
 
 
-@part
+@owner
 def _sort(drawn, waves):
     """Copy waves in the order of their octaves, those far below the finest as one."""
     columns = waves.shape[1]
@@ -166,13 +166,13 @@ def columns_for(fields):
     return columns // LANES * LANES
 
 
-@kernel
+@owner
 def room_for(fields):
     """Return a `Surface` that is nothing but room for realisations of `fields`."""
     return flat(np.empty((len(ROWS), columns_for(fields))))
 
 
-@part
+@owner
 def flat(waves):
     """Return a `Surface` of which nothing is known but its waves, if these."""
     return Surface(waves, np.zeros((len(BAND_ROWS), BANDS)), 0, 0.0, 0.0)
@@ -209,7 +209,7 @@ def draw_waves(state, fields, room):
     return bounded(room)
 
 
-@part
+@owner
 def realised(state, fields, room):
     """Return what `draw_waves` does, None where the surface is smooth and has no room."""
     if room is None:
@@ -225,7 +225,7 @@ def entrance(d, surface):
     return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
 
 
-@part
+@owner
 def bounded(room):
     """Return the `Surface` of the waves in `room`, sorted by octave, with its bands filled in."""
     waves, bands = room.waves, room.bands

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
+from scenes import medium_scene, optics_at
 
-from splits.transport import cache
+import splits
+from splits.transport import cache, granular
 from splits.transport.cache import Folder
-from splits.transport.jit import entry, kernel, part
+from splits.transport.jit import entry, kernel, owner, part
+from splits.transport.tally import exit_rows
 
 
 @kernel
@@ -88,3 +93,51 @@ def test_what_a_named_tuple_lacks_is_never_looked_at(folder):
     assert compiled(Outer(Inner(None), None), 1.0) == 1.0
     assert compiled(Outer(Inner(2.0), None), 1.0) == 3.0
     assert compiled(Outer(Inner(2.0), 4.0), 1.0) == (3.0, 4.0)
+
+
+@part
+def passed_on(values):
+    """Return an array, in a named tuple, that nobody has counted."""
+    return Inner(values[1:])
+
+
+@owner
+def made(values):
+    """Return a new array."""
+    return values + 1.0
+
+
+@part
+def takes(values):
+    """Return a number, by way of an array that would never be let go."""
+    return made(values)[0]
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("function", [passed_on, takes])
+def test_functions_that_do_not_count_who_holds_an_array_pass_none_on(folder, function):
+    def caller(values):
+        function(values)
+
+    with pytest.raises(TypeError, match="makes or returns arrays, but is no `owner`"):
+        entry(caller)(np.ones(3))
+
+
+@NEEDS_JIT
+def test_arrays_that_kernels_own_are_let_go(folder):
+    def caller(values):
+        return made(made(values))[-1]
+
+    values = np.ones(3)
+    before = sys.getrefcount(values)
+    assert entry(caller)(values) == 3.0
+    assert sys.getrefcount(values) == before
+
+
+def test_a_kernel_lets_go_of_the_arrays_of_its_scene():
+    scene, optics = medium_scene(splits.Snow(), analog=True), optics_at(splits.Snow(), 500.0)
+    exits = exit_rows(8, optics.n.size)
+    arrays = (*scene.layers, *scene.types, *optics, exits)
+    before = [sys.getrefcount(array) for array in arrays]
+    granular.batch(1, np.array([0, 0, 8, 100]), scene, optics, exits, None, None)
+    assert [sys.getrefcount(array) for array in arrays] == before

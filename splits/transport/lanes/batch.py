@@ -8,7 +8,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.transport.flight import Space
-from splits.transport.jit import ZERO, entry, part
+from splits.transport.jit import ZERO, entry, owner, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import (
     Lanes,
@@ -41,7 +41,7 @@ def passing_of(scene):
     return Passing(space, fates_of(rules), single(layers.saturation[0]), rules.facets, mirrored)
 
 
-@part
+@owner
 def room(materials):
     """Return lanes of which none is in use."""
     state = np.zeros(rows.STATE, dtype=np.float32)

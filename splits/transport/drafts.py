@@ -11,12 +11,11 @@ from __future__ import annotations
 from typing import Any
 
 from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core import ir, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-from splits.transport.pruning import Pruned
+from splits.transport.ownership import Checked
 
 
 class _Library(JITCodeLibrary):
@@ -37,8 +36,6 @@ class _Lowering(NativeLowering):
     _name = "draft_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        if not state.flags.nrt:
-            _refuse_arrays(state)
         state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags = state.flags.copy()
         state.flags.no_compile = True
@@ -53,27 +50,7 @@ class _Lowering(NativeLowering):
         return True
 
 
-def _refuse_arrays(state: Any) -> None:
-    """Raise where a function that does not count who holds an array would pass one on."""
-    passed = [state.return_type]
-    for call, signature in state.calltypes.items():
-        if isinstance(call, ir.Expr) and call.op == "call":
-            made_here = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
-            passed += [] if made_here else [signature.return_type]
-    if any(_holds_arrays(kind) for kind in passed):
-        raise TypeError(
-            f"{state.func_id.func_qualname}: makes or returns arrays, but is no `owner`"
-        )
-
-
-def _holds_arrays(kind: Any) -> bool:
-    """Tell whether a value has an array in it."""
-    if isinstance(kind, types.BaseTuple):
-        return any(_holds_arrays(part) for part in kind)
-    return isinstance(kind, types.Array)
-
-
-class Drafts(Pruned):
+class Drafts(Checked):
     """The compiler of such functions."""
 
     def define_pipelines(self) -> list[Any]:

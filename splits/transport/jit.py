@@ -11,13 +11,12 @@ from numba.extending import overload
 
 from splits.transport.cache import keep
 from splits.transport.drafts import ONLY_INSIDE
-from splits.transport.pruning import Pruned
+from splits.transport.ownership import Checked
 
 ALIKE: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `kernel`."""
 INSIDE: Any = {**ALIKE, **ONLY_INSIDE, "_nrt": False}
-"""Options of those that only kernels call.  They own no arrays: what they are given is not counted
-in and out, which took half the time of a trace."""
+"""Options of those that only kernels call, and that own no arrays: see `ownership`."""
 OWNING: Any = {**INSIDE, "_nrt": True}
 """Options of those that make arrays, or return any."""
 
@@ -27,7 +26,7 @@ class Kernel:
 
     def __init__(self, function: Any) -> None:
         functools.update_wrapper(self, function)
-        self.compiled = keep(njit(**ALIKE, pipeline_class=Pruned)(function))
+        self.compiled = keep(njit(**ALIKE, pipeline_class=Checked)(function))
         _inside(self, function)
 
     def __call__(self, *values: Any) -> Any:
@@ -69,7 +68,13 @@ def owner(function: Any) -> Any:
 
 def entry(function: Any) -> Any:
     """Compile a function that Python calls, free of the interpreter's lock."""
-    return keep(njit(error_model="numpy", nogil=True, pipeline_class=Pruned)(function))
+    return keep(njit(error_model="numpy", nogil=True, pipeline_class=Checked)(function))
+
+
+def borrower(function: Any) -> Any:
+    """Compile a function as `entry` does that kernels call, too, and that owns no arrays."""
+    options: Any = {"error_model": "numpy", "nogil": True, "_nrt": False}
+    return keep(njit(**options, pipeline_class=Checked)(function))
 
 
 def exact(value: float) -> float | np.float32:

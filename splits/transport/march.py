@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.transport.jit import entry, kernel, part
+from splits.transport.jit import borrower, kernel, part
 from splits.transport.vectors import Vector, along, dot, normalized
 from splits.transport.wave_sums import TURN, sums_along, wave_sums
 from splits.transport.waves import CURVATURE, END, EXTREME, REST, SLOPE, Relief, Slope
@@ -213,7 +213,7 @@ def no_hit(distance, looks):
     return Hit(distance, Slope(0.0, 0.0), looks)
 
 
-@entry
+@borrower
 def first_crossing(surface, place, d, side, farthest=math.inf):
     """Return where a ray first meets the surface.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.transport.elementary import exponential
-from splits.transport.jit import ONE, ZERO, entry, kernel, owner
+from splits.transport.jit import ONE, ZERO, borrower, entry, kernel, owner
 from splits.transport.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
 
 ABSORBED = 0
@@ -174,7 +174,7 @@ def _alpha(absorption, weighted):
     return alpha
 
 
-@entry
+@borrower
 def weigh(lengths, factor, alpha, weight):
     """Write factor·exp(−Σ α·length) of every wavelength into `weight`, float32[wavelengths]."""
     weight[:] = ZERO
@@ -200,7 +200,7 @@ def _kept(notes, first, ray, alpha, ground, total):
     return first
 
 
-@entry
+@borrower
 def add(moments, weight):
     """Add one ray's weights, float32[wavelengths], to moments."""
     total, square, largest = moments[0], moments[1], moments[2]

@@ -25,7 +25,7 @@ from splits.transport.lanes.ground import at_ground, reaches_ground
 from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
-from splits.transport.notes import no_notes, room_for, taken
+from splits.transport.notes import has_room, no_notes, room_for, taken
 from splits.transport.scalar import fates_of
 from splits.transport.scene import LOBE
 from splits.transport.tally import Told
@@ -226,7 +226,8 @@ def batch(seed, work, scene, optics, exits, features):
     # Between two looks at the room, a ray may land once and be served once.
     most = 2 * width * scene.layers.face.size
     while True:
-        notes = room_for(notes, most)
+        if not has_room(notes, most):
+            notes = room_for(notes, most)
         if ended > 0:
             queue = serve(lanes, width, task, notes, exits, legs, queue)
             if queue.lost or queue.busy == 0:

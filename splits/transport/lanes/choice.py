@@ -10,7 +10,7 @@ from numba import config
 from splits.transport import facets, spheroid
 from splits.transport.features import Features
 from splits.transport.fresnel import interface
-from splits.transport.jit import entry
+from splits.transport.jit import borrower
 from splits.transport.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
 
 FAINT = 1e-5
@@ -105,7 +105,7 @@ def extinction_shows(optics: Optics, near: int, far: int) -> float:
     return float(_shift(n1, n2, k2)) if k2 > 0.0 else 0.0
 
 
-@entry
+@borrower
 def _shift(n1, n2, k2):
     """Integrate on both sides of the critical angle, where the difference peaks.
 

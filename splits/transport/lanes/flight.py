@@ -13,7 +13,7 @@ from numpy import float32 as single
 from splits.transport.arithmetic import root
 from splits.transport.elementary import circle
 from splits.transport.flight import Flier, Purse, Space, next_grain, roulette
-from splits.transport.jit import HALF, ONE, ZERO, entry, part
+from splits.transport.jit import HALF, ONE, ZERO, borrower, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import below_one, fine, three, word
 from splits.transport.lanes.rows import put, vector
@@ -93,7 +93,7 @@ def picks(state, first, share, features):
         state[rows.NEW_KIND + i] = kind if state[rows.KEEP + i] > ZERO else picked
 
 
-@entry
+@borrower
 def draw_types(state, words, width, features, tables, share):
     """Draw type, size, shape and roughness of the next grain in every lane.
 
@@ -306,7 +306,7 @@ def flights(state, words, first, features, scene):
     return Waiting(flying, ended)
 
 
-@entry
+@borrower
 def flight(state, words, width, features, scene):
     """Give all lanes between grains their next grain, or another fate.
 

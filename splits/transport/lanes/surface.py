@@ -7,7 +7,7 @@ import numpy as np
 from splits.transport.arithmetic import root
 from splits.transport.elementary import Angle, half_circle, logarithm
 from splits.transport.faces import Index
-from splits.transport.jit import ONE, ZERO, entry, exact, part
+from splits.transport.jit import ONE, ZERO, borrower, exact, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import three, word
 from splits.transport.lanes.rows import put, vector
@@ -189,7 +189,7 @@ def trials(state, words, first, features, scene):
     return flying
 
 
-@entry
+@borrower
 def surface(state, words, width, features, scene):
     """Advance all lanes that are at a grain's surface by one trial.
 

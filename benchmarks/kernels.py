@@ -13,22 +13,15 @@ features              Time per grain drawn at 500 nm, in dry snow of smooth grai
                       has the feature compiled in but nothing to do in the scene: the price of its
                       instructions.  Facets, and the last scenes, are in use, which is work besides.
 
-    python benchmarks/kernels.py [TABLE.csv] [--against COMMIT]
+    python benchmarks/kernels.py [TABLE.csv]
 
-With --against, snow of Table 1 is timed in alternation with the package as of another commit, in
-processes of their own: rays at 500 nm by the papers' algorithm, by the scalar kernel with weights,
-and by what either takes by default; a spectrum of 211 wavelengths; and a first spectrum, with the
-kernels to be compiled (seconds of CPU).  With --quick, few rays and one round, to see that
-everything works; its times are no result.
+`against_commit.py` compares the package with itself as of another commit.  With --quick, few rays
+and one round, to see that everything works; its times are no result.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -49,25 +42,27 @@ from splits.transport.lanes.choice import features_for
 from splits.transport.scene import UNLIMITED, Optics, shared_optics
 from splits.transport.tally import exit_rows
 
-ROOT = Path(__file__).resolve().parents[1]
 WAVELENGTHS = np.arange(400, 2501, 10)
-MEDIA = {
-    "snow, representative": (splits.Snow(), (500.0, 1300.0)),
-    "snow, coarse wet": (splits.Snow(grain_size_um=(900, 1000), saturation=0.3), (500.0, 1300.0)),
+CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
+    "snow, representative": ("Snow", {}, (500.0, 1300.0)),
+    "snow, coarse wet": (
+        "Snow", {"grain_size_um": (900, 1000), "saturation": 0.3}, (500.0, 1300.0),
+    ),
     "snow, thin layer": (
-        splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0), (500.0, 1300.0),
+        "Snow", {"depth_m": 0.02, "grain_size_um": (100, 200), "saturation": 0}, (500.0, 1300.0),
     ),
-    "snow, smooth dry": (
-        splits.Snow(facetness=(0, 0, 0, 0), saturation=0), (500.0, 1300.0),
-    ),
-    "sand, Fig 8 base": (splits.Sand(texture=(0.0, 0.10, 0.90)), (500.0, 900.0)),
+    "snow, smooth dry": ("Snow", {"facetness": (0, 0, 0, 0), "saturation": 0}, (500.0, 1300.0)),
+    "sand, Fig 8 base": ("Sand", {"texture": (0.0, 0.10, 0.90)}, (500.0, 900.0)),
     "sand, eight types, wet": (
-        splits.Sand(
-            hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.01, 0.09, 0.90)
-        ),
+        "Sand",
+        {
+            "hematite_ratio": 0.5, "magnetite": 0.05, "saturation": 0.3,
+            "texture": (0.01, 0.09, 0.90),
+        },
         (500.0, 900.0),
     ),
 }  # fmt: skip
+"""Media: kind, parameters and two wavelengths (nm), of long paths and of short ones."""
 SMOOTH = {"facetness": (0, 0, 0, 0), "saturation": 0}
 ROUGH = SMOOTH | {"facetness": (0.2, 0.4, 0.3, 0.072)}
 HARMLESS = {
@@ -83,50 +78,8 @@ IN_USE = {
     "facets, S = 0.3": splits.Snow(**ROUGH | {"saturation": 0.3}),
     "facets, entry projected": splits.Snow(**ROUGH, readings={"entry": "projected"}),
     "sand, mixed particles only": splits.Sand(partition=(0.0, 1.0, 0.0), texture=(0.0, 0.10, 0.90)),
-    "sand, Fig 8 base": MEDIA["sand, Fig 8 base"][0],
+    "sand, Fig 8 base": splits.Sand(texture=(0.0, 0.10, 0.90)),
 }
-ONE_SNOW = """
-import inspect, sys, time, splits
-settings = {{"estimator": sys.argv[1]}}
-if "kernel" in inspect.signature(splits.spectrophotometer).parameters and sys.argv[2]:
-    settings["kernel"] = sys.argv[2]
-best = float("inf")
-for seed in range({rounds} + 1):
-    begun = time.perf_counter()
-    spectrum = splits.spectrophotometer(
-        splits.Snow(), [500.0], max_stderr=1e-6, max_rays={rays}, threads=1, seed=seed, **settings
-    )
-    spent = (time.perf_counter() - begun) / spectrum.attrs["rays"]
-    best = min(best, spent) if seed else best
-print(best)
-"""
-ONE_SPECTRUM = """
-import time, splits
-wavelengths = [400.0 + 10.0 * i for i in range(211)]
-best = float("inf")
-for seed in range({rounds} + 1):
-    begun = time.process_time()
-    splits.spectrophotometer(
-        splits.Snow(), wavelengths, max_stderr={error}, threads=1, seed=seed
-    )
-    spent = time.process_time() - begun
-    best = min(best, spent) if seed else best
-print(best)
-"""
-FIRST_SPECTRUM = """
-import time, splits
-begun = time.process_time()
-splits.spectrophotometer(splits.Snow(), [500.0, 900.0], max_stderr=0.05, threads=1)
-print(time.process_time() - begun)
-"""
-WAYS = {
-    "papers' algorithm, s per ray": (ONE_SNOW, "analog", ""),
-    "weights, scalar, s per ray": (ONE_SNOW, "spectral", "scalar"),
-    "weights, default, s per ray": (ONE_SNOW, "spectral", ""),
-    "spectrum, 211 wavelengths, s": (ONE_SPECTRUM,),
-    "first spectrum, kernels compiled, s": (FIRST_SPECTRUM,),
-}
-"""Programs to compare between commits, with estimator and kernel."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +91,9 @@ class Plan:
     seconds: float = 0.5
     errors: tuple[float, ...] = (0.001, 0.0005)
     spectra: int = 3
-    snow_rays: int = 16_384
 
 
-QUICK = Plan(1, 512, 0.05, (0.01,), 1, 2_048)
+QUICK = Plan(1, 512, 0.05, (0.01,), 1)
 
 
 class Bench:
@@ -242,7 +194,8 @@ def against_scalar(plan: Plan) -> list[dict[str, Any]]:
     """Return lanes against the scalar kernel, time per ray."""
     print("lanes against scalar, one core, the same medium and optics", flush=True)
     rows = []
-    for name, (medium, wavelengths) in MEDIA.items():
+    for name, (kind, settings, wavelengths) in CASES.items():
+        medium = getattr(splits, kind)(**settings)
         for wavelength in wavelengths:
             pair = {
                 "scalar": Bench(medium, wavelength, None),
@@ -321,56 +274,17 @@ def features(plan: Plan) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def against_commit(commit: str, plan: Plan) -> list[dict[str, Any]]:
-    """Return the times of rays and spectra of snow now and as of another commit."""
-    best = {(way, when): np.inf for way in WAYS for when in ("before", "now")}
-    with tempfile.TemporaryDirectory() as folder:
-        before = Path(folder) / "before"
-        subprocess.run(["git", "clone", "-q", str(ROOT), str(before)], check=True)
-        subprocess.run(["git", "-C", str(before), "checkout", "-q", commit], check=True)
-        for turn in range(plan.rounds):
-            for way, when in best:
-                program, *choice = WAYS[way]
-                compiled = program == FIRST_SPECTRUM
-                if compiled and turn > 1:
-                    continue
-                kept = {"XDG_CACHE_HOME": f"{folder}/{when}{turn}"} if compiled else {}
-                text = program.format(rounds=3, rays=plan.snow_rays, error=plan.errors[0])
-                done = subprocess.run(
-                    [sys.executable, "-c", text, *choice],
-                    env={**os.environ, "PYTHONPATH": str(before if when == "before" else ROOT)}
-                    | kept,
-                    cwd=folder,
-                    check=True,
-                    capture_output=True,
-                    text=True,
-                )
-                best[way, when] = min(best[way, when], float(done.stdout))
-    rows = []
-    print(f"snow, representative, now and at {commit}", flush=True)
-    for way in WAYS:
-        now, then = best[way, "now"], best[way, "before"]
-        print(
-            f"  {way}: {now:.4g} now, {then:.4g} then, {then / now:.2f} times as fast", flush=True
-        )
-        rows.append(row("against_commit", way, "s", now, commit, then))
-    return rows
-
-
 def main() -> None:
     """Measure and print, and write the table if a path is given."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
-    parser.add_argument("--against", metavar="COMMIT", help="compare with this commit, too")
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
     plan = QUICK if given.quick else Plan()
     parts: list[Callable[[Plan], list[dict[str, Any]]]] = [against_scalar, two_cores, features]
     rows = [one for part in parts for one in part(plan)]
-    if given.against:
-        rows += against_commit(given.against, plan)
     if given.table:
         write_table(pd.DataFrame(rows), given.table)
 

@@ -49,16 +49,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from method_table import Table
+from theories import THEORIES
 
 import splits
 from splits.analysis import efficiency
 from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.propagation import response
-from splits.analysis.radiative_transfer import kz04, packed, shape_factors
 from splits.analysis.tables import write_table
 from splits.instruments.estimators import ANALOG_PILOT
-from splits.uncertainty import Variable, quantity
 
 MEDIA = {
     "representative": splits.Snow(),
@@ -66,7 +64,6 @@ MEDIA = {
     "thin layer": splits.Snow(depth_m=0.02, grain_size_um=(100, 200), saturation=0),
     "smooth dry": splits.Snow(facetness=(0, 0, 0, 0), saturation=0),
 }
-STREAMS = 32
 SEED = 3
 REFERENCE_SEED = 101
 UNLIMITED = 2**62
@@ -185,55 +182,6 @@ def one_by_one(
     return spectrum, np.array([seconds for _, seconds in runs]), rays
 
 
-class Table:
-    """Rows of the result, printed as they come.
-
-    Parameters
-    ----------
-    medium : str
-    reference : xarray.Dataset
-    """
-
-    def __init__(self, medium: str, reference: xr.Dataset) -> None:
-        self.medium = medium
-        self.reference = reference
-        self.rows: list[dict[str, Any]] = []
-
-    def add(
-        self,
-        method: str,
-        how: str,
-        seconds: float,
-        rays: float,
-        error: float = np.nan,
-        spectra: Sequence[xr.Dataset] = (),
-        **facts: float,
-    ) -> None:
-        """Add a method; of several spectra, the root mean square or largest of each number."""
-        facts |= efficiency.combined(
-            [
-                efficiency.deviations(one, self.reference) | efficiency.stated_errors(one)
-                for one in spectra
-            ]
-        )
-        row = {
-            "medium": self.medium,
-            "method": method,
-            "how": how,
-            "error": error,
-            "seconds": seconds,
-            "rays": round(rays),
-            **{key: facts.get(key, np.nan) for key in NUMBERS},
-            "reference_stderr": float(efficiency.stated_errors(self.reference)["stderr_largest"]),
-            "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
-        }
-        self.rows.append(row)
-        print(efficiency.sentence(row), flush=True)
-
-
-NUMBERS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
-
-
 def time_papers(table: Table, medium: splits.Snow, plan: Plan, fully: bool) -> None:
     """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
     scale = len(plan.wavelengths) / len(plan.few)
@@ -301,46 +249,9 @@ def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
             table.add(kernel, MEASURED, spent, rays, error, spectra)
 
 
-def by_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
-    """Return the spectrum by discrete ordinates, from the medium's own grains."""
-    optics = splits.single_scattering(
-        medium, wavelengths, STREAMS, rays, threads=1, wet_pores="equilibrium"
-    )
-    return discrete_ordinates(packed(optics), streams=STREAMS)
-
-
-def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
-    """Return the spectrum by asymptotic theory, with B and g of the medium's own grains, dry."""
-    optics = splits.single_scattering(
-        replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
-    )
-    area = medium.specific_surface_area_m2_kg
-    k = medium.refractive_index["ice"](wavelengths).imag
-
-    def theory(part: xr.Dataset) -> np.ndarray:
-        enhancement, asymmetry = shape_factors(part, area, k)
-        spectrum = kz04(
-            wavelengths,
-            area,
-            extinction_coefficient=k,
-            absorption_enhancement=enhancement,
-            asymmetry=asymmetry,
-            density_kg_m3=medium.density_kg_m3,
-            depth_m=medium.depth_m,
-        )
-        reflected, passed = spectrum.reflectance.values, spectrum.transmittance.values
-        return np.stack([reflected, passed, 1.0 - reflected - passed])
-
-    values, stderr = theory(optics), response(theory, optics)
-    variables: dict[str, Variable] = {}
-    for row, name in enumerate(efficiency.QUANTITIES):
-        variables |= quantity(name, "wavelength", values[row], stderr[row], name)
-    return xr.Dataset(variables, {"wavelength": wavelengths})
-
-
 def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:
     """Add both theories; their time contains the walks through single grains."""
-    for method, theory in (("discrete_ordinates", by_discrete_ordinates), ("kz04", by_kz04)):
+    for method, theory in THEORIES.items():
         try:
             theory(medium, plan.few, 2)
         except ImportError as error:

@@ -4,7 +4,8 @@ Numba lets an array go once nobody holds it, and for that counts it in and out o
 that is given it.  Kernels hand the dozens of arrays of a scene to small functions at every step:
 the counting took half the time of a trace.  So only functions that make arrays, or return any,
 count (`jit.owner`, `jit.entry`); all others borrow what they are given (`_nrt`, Numba's option).  A
-borrower must not pass an array on that others take for counted, which is seen to here.
+borrower must not pass an array on that others take for counted, which is seen to here; nor does it
+call functions of NumPy on arrays, which are compiled out of sight.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class _Borrowing(AnalysisPass):
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        if not state.flags.nrt and any(_holds_arrays(kind) for kind in _passed(state)):
+        if not state.flags.nrt and any(_counted(state, kind) for kind in _passed(state)):
             name = state.func_id.func_qualname
             raise TypeError(f"{name}: makes or returns arrays, but is no `owner`")
         return False
@@ -44,10 +45,11 @@ def _passed(state: Any) -> list[Any]:
     return found
 
 
-def _holds_arrays(kind: Any) -> bool:
-    """Tell whether a value has an array in it."""
-    fields: Any = kind if isinstance(kind, types.BaseTuple) else ()
-    return isinstance(kind, types.Array) or any(_holds_arrays(field) for field in fields)
+def _counted(state: Any, kind: Any) -> bool:
+    """Tell whether a value has something in it whose holders are counted, as an array."""
+    inside: bool = state.targetctx.data_model_manager[kind].contains_nrt_meminfo()
+    # What a generator holds does not show in its type.
+    return inside or isinstance(kind, types.Generator)
 
 
 class Checked(Pruned):

@@ -159,6 +159,7 @@ def test_figure_has_a_panel_per_medium_and_opens_what_is_scaled(table):
 def program(monkeypatch):
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(variable, "1")
+    monkeypatch.syspath_prepend(str(PROGRAM.parent))
     spec = importlib.util.spec_from_file_location("speed_against_error", PROGRAM)
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "speed_against_error", module)

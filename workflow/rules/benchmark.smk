@@ -34,7 +34,9 @@ rule speed_against_error:
     params:
         program="speed_against_error.py",
         options=QUICK,
-        source=lambda wildcards: program_digest("speed_against_error.py"),
+        source=lambda wildcards: program_digest(
+            "speed_against_error.py", "method_table.py", "theories.py"
+        ),
         physics=physics_digest(),
         theories=files_digest(
             PACKAGE / "analysis",

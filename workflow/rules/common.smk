@@ -119,6 +119,6 @@ def study_files(name):
     }
 
 
-def program_digest(name):
-    """Return what changes with the source of a benchmark."""
-    return files_digest(Path(workflow.basedir) / "benchmarks", [name])
+def program_digest(*names):
+    """Return what changes with the sources of a benchmark."""
+    return files_digest(Path(workflow.basedir) / "benchmarks", list(names))

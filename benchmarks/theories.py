@@ -1,0 +1,57 @@
+"""Spectra by theory, from the single-scattering properties of a medium's own grains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+import splits
+from splits.analysis import efficiency
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.propagation import response
+from splits.analysis.radiative_transfer import kz04, packed, shape_factors
+from splits.uncertainty import Variable, quantity
+
+STREAMS = 32
+
+
+def by_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+    """Return the spectrum by discrete ordinates, from the medium's own grains."""
+    optics = splits.single_scattering(
+        medium, wavelengths, STREAMS, rays, threads=1, wet_pores="equilibrium"
+    )
+    return discrete_ordinates(packed(optics), streams=STREAMS)
+
+
+def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+    """Return the spectrum by asymptotic theory, with B and g of the medium's own grains, dry."""
+    optics = splits.single_scattering(
+        replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
+    )
+    area = medium.specific_surface_area_m2_kg
+    k = medium.refractive_index["ice"](wavelengths).imag
+
+    def theory(part: xr.Dataset) -> np.ndarray:
+        enhancement, asymmetry = shape_factors(part, area, k)
+        spectrum = kz04(
+            wavelengths,
+            area,
+            extinction_coefficient=k,
+            absorption_enhancement=enhancement,
+            asymmetry=asymmetry,
+            density_kg_m3=medium.density_kg_m3,
+            depth_m=medium.depth_m,
+        )
+        reflected, passed = spectrum.reflectance.values, spectrum.transmittance.values
+        return np.stack([reflected, passed, 1.0 - reflected - passed])
+
+    values, stderr = theory(optics), response(theory, optics)
+    variables: dict[str, Variable] = {}
+    for row, name in enumerate(efficiency.QUANTITIES):
+        variables |= quantity(name, "wavelength", values[row], stderr[row], name)
+    return xr.Dataset(variables, {"wavelength": wavelengths})
+
+
+THEORIES = {"discrete_ordinates": by_discrete_ordinates, "kz04": by_kz04}

@@ -13,14 +13,15 @@ with the same reflectance at normal incidence,
 
 so n₂/n₁ − 1 where nothing absorbs and n₂ > n₁, and extinction counts as far as it reflects.  The
 second holds the light that enters absorbing grains, 1 − F times their share: where most grains
-are clear, few dark ones decide.  The face that wet pores have in common with the air is judged by
-itself, times the share of the light that meets it.
+are clear, few dark ones decide.  Faces of wet pores, with the air or with what particles lie in,
+are judged one by one, times the share of the light that meets them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,9 +35,12 @@ x the mean contrast or the light that enters absorbing grains; `benchmarks/inter
 measures them for snow and sand."""
 
 FACE = 0.5
-"""The slab's face in units of these bounds.  With its contrast c, external reflection moves by
-at most 0.04 per d(ln c), internal reflection of diffuse light by 0.3, and what escapes from a
-bright sample by at most half of that."""
+"""A face in units of these bounds.  With its contrast c, external reflection moves by at most 0.04
+per d(ln c), internal reflection of diffuse light by 0.3, and what escapes from a bright sample by
+at most half of that."""
+
+FAINT = 0.25
+"""Contrast of a face below which these bounds are in proportion to it: less is reflected."""
 
 DARK = 1e-3
 """Extinction coefficient at which a material counts half as absorbing: a grain of a tenth of a
@@ -73,14 +77,8 @@ def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     return _contrasts(*_sides(index, of_grains(interfaces)))
 
 
-def faces(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
-    """Return the contrast of the slab's face, shape (wavelengths, 0 or 1), its share left out."""
-    near, far, share = _sides(index, [i for i in interfaces if i.place == "face"])
-    return _contrasts(near, far, np.ones_like(share))
-
-
 def of_grains(interfaces: Sequence[Interface]) -> list[Interface]:
-    """Return the interfaces without the slab's own face."""
+    """Return the interfaces that are no faces of layers."""
     return [i for i in interfaces if i.place != "face"]
 
 
@@ -210,7 +208,7 @@ class _Draws:
         # What all layers miss together is at most what the worst would, alone in its place.
         worst = np.zeros(len(t))
         for parts in self.layers:
-            missed = (share * _bias(u, u[a], u[b], t) for share, u in parts)
+            missed = (part.weight * _bias(part, a, b, t) for part in parts)
             worst = np.maximum(worst, sum(missed, np.zeros(len(t))))
         return worst
 
@@ -236,12 +234,23 @@ class _Draws:
         return weights
 
 
-def _parts(index: np.ndarray, interfaces: Sequence[Interface]) -> list[tuple[float, np.ndarray]]:
-    """Return what a layer is judged by, each with its weight."""
-    parts = [(1.0, contrasts(index, interfaces)), (1.0, entering(index, interfaces))]
-    met = sum(i.share for i in interfaces if i.place == "face")
-    if met > 0.0:
-        parts.append((FACE * met, faces(index, interfaces)))
+class _Part(NamedTuple):
+    """What a layer is judged by: weight, values, shape (wavelengths, n), and their least scale."""
+
+    weight: float
+    values: np.ndarray
+    least: float
+
+
+def _parts(index: np.ndarray, interfaces: Sequence[Interface]) -> list[_Part]:
+    """Return what a layer is judged by."""
+    parts = [
+        _Part(1.0, contrasts(index, interfaces), 0.0),
+        _Part(1.0, entering(index, interfaces), 0.0),
+    ]
+    for face in (i for i in interfaces if i.place == "face"):
+        near, far, share = _sides(index, [face])
+        parts.append(_Part(FACE * face.share, _contrasts(near, far, np.ones_like(share)), FAINT))
     return parts
 
 
@@ -254,17 +263,18 @@ def _position(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.clip((u - b) @ along / square, 0.0, 1.0)
 
 
-def _bias(u: np.ndarray, a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Bound what t·f(a) + (1 − t)·f(b) misses of f(u), for every row of u.
+def _bias(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
+    """Bound what t·f(a) + (1 − t)·f(b) misses of f(u), for every row u, of two rows a and b.
 
     The first order is SLOPE times the relative distance of u from the chord; the second, the gap
     of Jensen's inequality, CURVATURE/2 times the mean square of the relative distances from both
     ends.
     """
+    u, a, b = part.values, part.values[first], part.values[second]
     strength = np.abs(u).sum(axis=1)
 
     def relative(distance: np.ndarray, other: np.ndarray | float) -> np.ndarray:
-        least = np.minimum(strength, other)
+        least = np.maximum(np.minimum(strength, other), part.least)
         away = distance > 0.0
         return np.divide(
             distance, least, out=np.where(away, np.inf, 0.0), where=away & (least > 0.0)

@@ -23,7 +23,8 @@ class Interface(NamedTuple):
     near, far : int
         Materials on the outer and on the inner side.
     place : {"outer", "inner", "face"}
-        Between pores and grains; within grains; dry against wet pores, at a face of the sample.
+        Between pores and grains; within grains; at a face of the sample, where wet pores meet dry
+        ones, or what particles lie in.
     layer : int
         Of the sample.
     """

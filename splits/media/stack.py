@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from splits.media.granular import GranularMedium, Interface
 from splits.media.ground import Ground, ground_facts
 from splits.media.layer import Layer
 from splits.media.particles import ParticleLayer
+from splits.media.pores import Pores
+from splits.transport.scene import DRY_PORE, WET_PORE
 
 MOST_LAYERS = 200
 
@@ -120,14 +123,24 @@ class Stack:
         )
 
     def interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet within each layer."""
-        found, first = [], 0
+        """Return the pairs of materials that meet within each layer, and at faces of particles'."""
+        found = []
+        first = np.cumsum([0, *(len(part.materials()) for part in self.parts)]).tolist()
         for number, layer in enumerate(self.parts):
             found += [
-                Interface(i.share, i.near + first, i.far + first, i.place, number)
+                Interface(i.share, i.near + first[number], i.far + first[number], i.place, number)
                 for i in layer.interfaces()
             ]
-            first += len(layer.materials())
+        for upper, lower in pairwise(range(len(self.parts))):
+            for lid, below in ((upper, lower), (lower, upper)):
+                matrix, grains = self.parts[lid], self.parts[below]
+                if isinstance(matrix, ParticleLayer) and not isinstance(grains, ParticleLayer):
+                    fluids = Pores.of(grains.saturation, grains.pores)
+                    found += [
+                        Interface(part, first[lid] + WET_PORE, first[below] + row, "face", below)
+                        for row, part in enumerate(fluids.shares)
+                        if row != DRY_PORE and part > 0.0
+                    ]
         return found
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -181,3 +181,14 @@ def test_the_order_of_wavelengths_does_not_matter():
     nodes, turned = (choose_nodes(i, interfaces, 0.001) for i in (index, index[::-1]))
     np.testing.assert_array_equal(nodes.index, turned.index)
     np.testing.assert_array_equal(nodes.bias, turned.bias[::-1])
+
+
+def test_a_face_that_hardly_reflects_asks_for_no_nodes():
+    """What reflects 1e-6 of the light may double without anybody's seeing it."""
+    index = np.ones((50, 2), dtype=complex)
+    index[:, 0], index[:, 1] = 1.33, np.linspace(1.329, 1.331, 50)
+    faint = choose_nodes(index, [Interface(1.0, 0, 1, "face")], 0.002)
+    assert len(faint.index) <= 2
+    index[:, 1] += 0.2
+    strong = choose_nodes(index, [Interface(1.0, 0, 1, "face")], 1e-5)
+    assert len(strong.index) > len(faint.index)

@@ -95,3 +95,14 @@ def test_all_inputs_stand_in_the_description():
     assert facts["layers_0_grain_size_um"] == (50.0, 100.0)
     assert facts["layers_1_grain_size_um"] == (300.0, 750.0)
     assert facts["layers_1_kind"] == "snow"
+
+
+@pytest.mark.parametrize("above", [True, False])
+def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
+    lid = splits.Layer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
+    snow = splits.Snow(saturation=0.25)
+    stack = splits.Stack([lid, snow] if above else [snow, lid])
+    names = stack.materials()
+    faces = [i for i in stack.interfaces() if i.place == "face"]
+    named = {(names[i.near], names[i.far], i.share) for i in faces}
+    assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from splits.transport.arithmetic import fused
+from splits.transport.arithmetic import fused, precise, reciprocal_root, root
+from splits.transport.elementary import Angle
 from splits.transport.jit import HALF, ONE, TWO, ZERO, kernel
-from splits.transport.vectors import along, cross, scaled
+from splits.transport.spheroid import normal_at
+from splits.transport.vectors import Vector, along, cross, dot, scaled
 
 PROJECTED = 0
 """Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""
@@ -38,6 +40,35 @@ class Choice(NamedTuple):
     accepted: bool
     cos_azimuth: float
     cos: float
+
+
+class Facet(NamedTuple):
+    """A surface and a facet on it as a ray meets them.
+
+    Attributes
+    ----------
+    normal : Vector
+        Of the macroscopic surface, on the ray's side.
+    cos_i : float
+        Cosine of incidence on it.
+    accepted : bool
+    turned : bool
+        The facet's opposite side is struck.
+    cos : float
+        Cosine of incidence on the facet.
+    leaned, azimuth, cos_lobe
+        See `facet_normal`, for a facet or a lobe; the cosine of the lobe's azimuth, whose
+        sine is the facet's.
+    """
+
+    normal: Vector
+    cos_i: float
+    accepted: bool
+    turned: bool
+    cos: float
+    leaned: Angle
+    azimuth: Angle
+    cos_lobe: float
 
 
 @kernel
@@ -96,3 +127,45 @@ def facet_normal(d, n, cos_i, leaned, azimuth):
     q = leaned.sin * azimuth.sin
     a = fused(-p, cos_i, leaned.cos)
     return along(q, cross(d, n), along(-p, d, scaled(a, n)))
+
+
+@kernel
+def facing(d, grain, side):
+    """Return the smooth surface where a ray along d is, as its own only facet."""
+    normal = scaled(side, normal_at(grain))
+    cos_i = max(-dot(d, normal), precise(d.x).grazing)
+    numbers = precise(d.x)
+    flat = Angle(numbers.one, numbers.zero)
+    return Facet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
+
+
+@kernel
+def rough(d, smooth, roughness, numbers, lobe, rule, variant):
+    """Return a facet of a rough surface, drawn by a rule; by default `PROJECTED`."""
+    normal, cos_i = smooth.normal, smooth.cos_i
+    tangential = along(cos_i, normal, d)
+    square = max(dot(tangential, tangential), precise(d.x).normal)
+    per_sin = reciprocal_root(square)
+    incidence = Angle(cos_i, square * per_sin)
+    # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
+    lean = roughness * numbers.normal
+    # A lobe's sine takes the same root.
+    tilt = Angle(
+        ONE - lean, root(max(ONE - numbers.fresnel if lobe else lean * (TWO - lean), ZERO))
+    )
+    half = numbers.azimuth
+    cos_lobe = -half.cos if numbers.choice < HALF else half.cos
+    if variant is not None and rule != PROJECTED:
+        choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)
+    else:
+        choice = projected_choice(tilt, half.cos, incidence, numbers.choice)
+    return Facet(
+        normal,
+        cos_i,
+        choice.accepted & (lean < ONE),
+        choice.cos < ZERO,
+        max(abs(choice.cos), precise(d.x).grazing),
+        Angle(tilt.cos, tilt.sin * per_sin),
+        Angle(choice.cos_azimuth, half.sin),
+        cos_lobe,
+    )

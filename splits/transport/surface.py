@@ -19,22 +19,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from splits.transport import facets
 from splits.transport.arithmetic import fused, precise, reciprocal_root, root
 from splits.transport.elementary import Angle
-from splits.transport.facets import facet_normal, other_choice, projected_choice
+from splits.transport.facets import facet_normal
 from splits.transport.fresnel import Component, fraction, normal_component
-from splits.transport.jit import HALF, ONE, TWO, ZERO, kernel
-from splits.transport.spheroid import normal_at
+from splits.transport.jit import ONE, TWO, ZERO, kernel
 from splits.transport.vectors import (
     Vector,
-    along,
     chosen,
     combined,
     dot,
     mirrored,
     normalized,
-    scaled,
 )
 
 
@@ -77,35 +73,6 @@ class Stand(NamedTuple):
     side: float
     lobe: bool
     through: bool
-
-
-class Facet(NamedTuple):
-    """A surface and a facet on it as a ray meets them.
-
-    Attributes
-    ----------
-    normal : Vector
-        Of the macroscopic surface, on the ray's side.
-    cos_i : float
-        Cosine of incidence on it.
-    accepted : bool
-    turned : bool
-        The facet's opposite side is struck.
-    cos : float
-        Cosine of incidence on the facet.
-    leaned, azimuth, cos_lobe
-        See `facets.facet_normal`, for a facet or a lobe; the cosine of the lobe's azimuth, whose
-        sine is the facet's.
-    """
-
-    normal: Vector
-    cos_i: float
-    accepted: bool
-    turned: bool
-    cos: float
-    leaned: Angle
-    azimuth: Angle
-    cos_lobe: float
 
 
 class Contrast(NamedTuple):
@@ -178,48 +145,6 @@ class Goings(NamedTuple):
     out: bool
     coating: bool
     core: bool
-
-
-@kernel
-def facing(d, grain, side):
-    """Return the smooth surface where a ray along d is, as its own only facet."""
-    normal = scaled(side, normal_at(grain))
-    cos_i = max(-dot(d, normal), precise(d.x).grazing)
-    numbers = precise(d.x)
-    flat = Angle(numbers.one, numbers.zero)
-    return Facet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
-
-
-@kernel
-def rough(d, smooth, roughness, numbers, lobe, rule, variant):
-    """Return a facet of a rough surface, drawn by a rule of `facets`; by default `PROJECTED`."""
-    normal, cos_i = smooth.normal, smooth.cos_i
-    tangential = along(cos_i, normal, d)
-    square = max(dot(tangential, tangential), precise(d.x).normal)
-    per_sin = reciprocal_root(square)
-    incidence = Angle(cos_i, square * per_sin)
-    # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
-    lean = roughness * numbers.normal
-    # A lobe's sine takes the same root.
-    tilt = Angle(
-        ONE - lean, root(max(ONE - numbers.fresnel if lobe else lean * (TWO - lean), ZERO))
-    )
-    half = numbers.azimuth
-    cos_lobe = -half.cos if numbers.choice < HALF else half.cos
-    if variant is not None and rule != facets.PROJECTED:
-        choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)
-    else:
-        choice = projected_choice(tilt, half.cos, incidence, numbers.choice)
-    return Facet(
-        normal,
-        cos_i,
-        choice.accepted & (lean < ONE),
-        choice.cos < ZERO,
-        max(abs(choice.cos), precise(d.x).grazing),
-        Angle(tilt.cos, tilt.sin * per_sin),
-        Angle(choice.cos_azimuth, half.sin),
-        cos_lobe,
-    )
 
 
 @kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from splits.transport.elementary import Angle
+from splits.transport.facets import facing, rough
 from splits.transport.features import EVERYTHING
 from splits.transport.jit import part
 from splits.transport.rng import half_normal, uniform, unit_circle
@@ -16,11 +17,9 @@ from splits.transport.surface import (
     Numbers,
     Stand,
     contrast,
-    facing,
     film,
     goings,
     outcome,
-    rough,
 )
 from splits.transport.vectors import ORIGIN, Vector, along
 

@@ -13,7 +13,7 @@ from chi2 import stream
 from numba import njit
 from scenes import carried
 
-from splits.transport import granular, rng, scalar, spheroid, surface
+from splits.transport import facets, granular, rng, scalar, spheroid, surface
 from splits.transport.elementary import Angle
 from splits.transport.faces import Crossing
 from splits.transport.features import EVERYTHING
@@ -104,12 +104,12 @@ def flat_by_lane(normal):
 @njit
 def facet_struck(state, d, normal, facetness, rule):
     """Return the facet that a ray strikes on a surface, drawn as `walk.trial` does."""
-    smooth = surface.facing(d, flat(normal), 1.0)
+    smooth = facets.facing(d, flat(normal), 1.0)
     while True:
         azimuth = rng.unit_circle(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         numbers = Numbers(rng.uniform(state), 0.5, 0.0, rng.half_normal(state), azimuth)
-        facet = surface.rough(d, smooth, 0.5 * facetness, numbers, False, rule, True)
+        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, rule, True)
         if facet.accepted:
             return facet
 
@@ -117,10 +117,10 @@ def facet_struck(state, d, normal, facetness, rule):
 @njit
 def facet_struck_by_lane(words, d, normal, sigma, rule):
     """Return the facet that a ray strikes on a surface, drawn as the lanes' `trial` does."""
-    smooth = surface.facing(d, flat_by_lane(normal), single(1.0))
+    smooth = facets.facing(d, flat_by_lane(normal), single(1.0))
     while True:
         numbers = numbers_at(words, 0, True, True)
-        facet = surface.rough(d, smooth, sigma, numbers, False, rule, True)
+        facet = facets.rough(d, smooth, sigma, numbers, False, rule, True)
         if facet.accepted:
             return facet
 
@@ -143,9 +143,9 @@ def tried(state, d, stand, normal, facetness, media, rules):
 def tried_by_lane(words, d, stand, normal, sigma, media, rules):
     """Return what a trial at a surface leads to, drawn as the lanes' `trial` does."""
     numbers = numbers_at(words, 0, True, True)
-    facet = surface.facing(d, flat_by_lane(normal), stand.side)
+    facet = facets.facing(d, flat_by_lane(normal), stand.side)
     if sigma > single(0.0):
-        facet = surface.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
+        facet = facets.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
     mirrored = rules.wrong_side != LOBE
     return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, EVERYTHING)
 

@@ -15,7 +15,7 @@ from scipy import stats
 import splits
 from splits.media import grain_statistics
 from splits.transport.features import Features
-from splits.transport.lanes import flight, rows
+from splits.transport.lanes import draws, flight, rows
 
 pytestmark = NEEDS_JIT
 
@@ -49,7 +49,7 @@ def _fly(state, words, features, scene, tables, share, out):
     """Fill `out` with the grains that lanes get, one after the other in every lane."""
     filled = 0
     while filled < out.shape[0]:
-        flight.draw_types(state, words, LANES, features, tables, share)
+        draws.draw_types(state, words, LANES, features, tables, share)
         flight.flight(state, words, LANES, features, scene)
         for lane in range(LANES):
             if state[rows.STATUS + lane] == rows.TRIAL:

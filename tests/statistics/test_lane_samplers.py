@@ -26,7 +26,7 @@ from scipy import stats
 from splits.media import grain_statistics
 from splits.transport import facets, rng
 from splits.transport.elementary import circle, logarithm
-from splits.transport.lanes import flight, numbers, rows
+from splits.transport.lanes import draws, numbers, rows
 from splits.transport.lanes.surface import numbers_at
 from splits.transport.lanes.vectors import look_up
 from splits.transport.vectors import UP, Vector
@@ -318,13 +318,13 @@ def _looked_up(table, row, x):
 def _read(state, table):
     """Return a quantile as `draw_types` does: 31 bits, and a position in single precision."""
     u = (single(np.int32(bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
-    return float(_looked_up(table, 0, flight.position(u, single(table.shape[1] - 1))))
+    return float(_looked_up(table, 0, draws.position(u, single(table.shape[1] - 1))))
 
 
 @njit
 def _read_at(table, exact, u, out):
     for i in range(u.size):
-        x = flight.position(u[i], single(table.shape[1] - 1))
+        x = draws.position(u[i], single(table.shape[1] - 1))
         out[i, 0] = _looked_up(table, 0, x)
         out[i, 1] = rng.from_table(exact, 0, float(u[i]))
 

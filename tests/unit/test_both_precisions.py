@@ -99,10 +99,10 @@ def _outcomes(x, lobe, through, features, rule, turn, out):
         row = x[i]
         d, n = Vector(row[0], row[1], row[2]), Vector(row[3], row[4], row[5])
         zero, one = row[6], row[7]
-        facet = surface.facing(d, Spheroid(n, n, zero, one), one)
+        facet = facets.facing(d, Spheroid(n, n, zero, one), one)
         numbers = Numbers(row[8], row[9], row[9], row[10], Angle(abs(row[11]), row[12]))
         if features.faceted is not None:
-            facet = surface.rough(d, facet, row[13], numbers, lobe, rule, features.variant)
+            facet = facets.rough(d, facet, row[13], numbers, lobe, rule, features.variant)
         media = surface.contrast(Index(row[14], row[15]), Index(row[16], row[17]))
         stand = Stand(zero, one, lobe, through)
         after = surface.outcome(d, stand, facet, media, row[9], turn, features)

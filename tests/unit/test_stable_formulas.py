@@ -18,7 +18,7 @@ from splits.materials import ice_density
 from splits.materials.mixing import maxwell_garnett
 from splits.media import grain_statistics as statistics
 from splits.media.soil_sizes import LIMITS_M, soil_sizes
-from splits.transport import facets, rng, spheroid, surface
+from splits.transport import facets, rng, spheroid
 from splits.transport.elementary import Angle
 from splits.transport.fresnel import interface
 from splits.transport.rng import table_probabilities
@@ -329,7 +329,7 @@ def test_tilt_of_a_nearly_smooth_facet(facetness):
 def check_tilt(facetness):
     # |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
     d = Vector(0.6, 0.0, -0.8)
-    smooth = surface.facing(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
+    smooth = facets.facing(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
     for ray in range(40):
         normal = rng.half_normal(stream(ray))
         tilt = 0.5 * facetness * normal
@@ -337,6 +337,6 @@ def check_tilt(facetness):
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
-        facet = surface.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED, True)
+        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED, True)
         assert facet.leaned.cos == 1.0 - tilt
         assert off(0.6 * facet.leaned.sin, exact) < RELATIVE

@@ -10,6 +10,7 @@ from numpy import float32 as single
 from splits.transport.flight import Space
 from splits.transport.jit import ZERO, entry, owner, part
 from splits.transport.lanes import rows
+from splits.transport.lanes.draws import draw_types
 from splits.transport.lanes.ends import (
     Lanes,
     Task,
@@ -20,7 +21,7 @@ from splits.transport.lanes.ends import (
     leave,
     put_down,
 )
-from splits.transport.lanes.flight import draw_types, flight
+from splits.transport.lanes.flight import flight
 from splits.transport.lanes.ground import at_ground, reaches_ground
 from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing

@@ -7,6 +7,7 @@ import numpy as np
 from splits.transport.arithmetic import root
 from splits.transport.elementary import Angle, half_circle, logarithm
 from splits.transport.faces import Index
+from splits.transport.facets import facing, rough
 from splits.transport.jit import ONE, ZERO, borrower, exact, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import three, word
@@ -19,11 +20,9 @@ from splits.transport.surface import (
     Outcome,
     Stand,
     contrast,
-    facing,
     film,
     goings,
     outcome,
-    rough,
 )
 from splits.transport.vectors import Vector, chosen, scaled
 

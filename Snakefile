@@ -5,6 +5,7 @@ snakemake --cores 2 fig08_grain_size            one experiment or study, by its 
 snakemake --cores 2 --config accuracy=draft     a quick look
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -15,6 +16,11 @@ from splits.interrupts import pass_on_interrupts
 
 # Or snakemake would wait for running jobs to complete.
 pass_on_interrupts()
+
+# Jobs share the cores already: linear algebra that takes all of them in every job gets many times
+# as slow.
+for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"):
+    os.environ.setdefault(f"{library}_THREADS", "1")
 
 
 configfile: "config/config.yaml"

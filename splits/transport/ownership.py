@@ -16,7 +16,7 @@ from numba.core import ir, types
 from numba.core.compiler_machinery import AnalysisPass, register_pass
 from numba.core.typed_passes import NativeLowering
 
-from splits.transport.pruning import Pruned
+from splits.transport.pruning import Pruned, with_step
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -57,9 +57,5 @@ class Checked(Pruned):
 
     def define_pipelines(self) -> list[Any]:
         """Return the ways of compiling, with one step more."""
-        found = super().define_pipelines()
-        for way in found:
-            steps = [step for step, _ in way.passes]
-            last = steps.index(NativeLowering)
-            way.passes.insert(last, (_Borrowing, "see that borrowers own nothing"))
-        return found
+        ways = super().define_pipelines()
+        return with_step(ways, NativeLowering, _Borrowing, "see that borrowers own nothing")

@@ -76,14 +76,18 @@ def _type_of(name: Any, definitions: Any, args: Any) -> Any:
     return None
 
 
+def with_step(ways: list[Any], before: Any, step: Any, why: str) -> list[Any]:
+    """Return ways of compiling with one step more, before another."""
+    for way in ways:
+        place = [known for known, _ in way.passes].index(before)
+        way.passes.insert(place, (step, why))
+    return ways
+
+
 class Pruned(Compiler):
     """Numba's compiler, with such comparisons settled first."""
 
     def define_pipelines(self) -> list[Any]:
         """Return Numba's own ways of compiling, with one step more."""
-        found = super().define_pipelines()
-        for way in found:
-            steps = [step for step, _ in way.passes]
-            first = steps.index(DeadBranchPrune)
-            way.passes.insert(first, (_Fields, "settle which fields are None"))
-        return found
+        ways = super().define_pipelines()
+        return with_step(ways, DeadBranchPrune, _Fields, "settle which fields are None")

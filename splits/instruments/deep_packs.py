@@ -22,7 +22,7 @@ import xarray as xr
 from splits.checks import refuse
 from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
 from splits.instruments.estimators import Estimate
-from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type
+from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type, roughly
 from splits.media.granular import GranularMedium
 from splits.media.ground import Ground
 from splits.media.stack import Stack
@@ -39,10 +39,14 @@ REACH = 5.0
 """Light that decays by more than exp(−REACH) down to the cut, at all wavelengths, asks for none."""
 DIFFUSE = 30.0
 """Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
+CLEARLY = 2.0
+"""How far beyond a limit a rough look has to be for no better one to be taken."""
 LEAST_TURN = 0.01
 """Least 1 − ωg of grains among which light gets diffuse before it has gone far."""
 RAYS = BATCH
 """To measure what each type of grain does: asymmetry to 2 %, far better than `DOUBT`."""
+ROUGHLY = 256
+"""To see roughly what they do: losses of a tenth to a fifth, far better than `CLEARLY`."""
 
 
 class Cut(NamedTuple):
@@ -99,6 +103,53 @@ class Cut(NamedTuple):
         )
 
 
+class _Diffusing(NamedTuple):
+    """How light diffuses among grains, at every wavelength.
+
+    Attributes
+    ----------
+    loss : float
+        Share that a grain absorbs.
+    turn : float
+        1 − ωg.
+    diffusion : float
+        D (m).
+    rate : float
+        By which light decays on its way down (1/m).
+    """
+
+    loss: np.ndarray
+    turn: np.ndarray
+    diffusion: np.ndarray
+    rate: np.ndarray
+
+    @classmethod
+    def of(cls, optics: xr.Dataset) -> _Diffusing:
+        """Return it for grains that do this to light, see `pooled_by_type`."""
+        step = scattering_mean_step(optics)
+        loss = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
+        turn = 1.0 - optics.asymmetry_parameter.values + loss
+        diffusion = step / (3.0 * np.maximum(turn, np.finfo(float).tiny))
+        return cls(loss, turn, diffusion, np.sqrt(loss / step / diffusion))
+
+    def height(self, lowest: Any, max_stderr: float) -> float:
+        """Return how far below the top of its layer a cut has to lie (m)."""
+        # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
+        needed = DOUBT / (SHARE * max_stderr)
+        farthest = float(self.diffusion.max())
+        return max(farthest * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
+
+    def serves(self, lowest: Any, max_stderr: float, margin: float = 1.0) -> bool:
+        """Return whether a layer that ends is worth a cut, or may be if this is off by a margin."""
+        height = self.height(lowest, max_stderr)
+        deep = lowest.depth_m * margin >= 4.0 * height
+        return bool(
+            self.turn.min() * margin >= LEAST_TURN
+            and deep
+            and (self.rate * height).min() <= REACH * margin
+        )
+
+
 def cut_of(
     medium: Medium, wavelengths: np.ndarray, max_stderr: float, seed: int, threads: int
 ) -> Cut | None:
@@ -122,7 +173,12 @@ def cut_of(
             raise refuse("depth_m", depth, "finite where pores hold other media or other air")
         return None
     finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
-    optics = pooled_by_type(finite, wavelengths, Plan(1, RAYS, seed, threads, "equilibrium"))
+    plan = Plan(1, RAYS, seed, threads, "equilibrium")
+    if not math.isinf(depth):
+        look = _Diffusing.of(roughly(finite, wavelengths, plan._replace(rays=ROUGHLY)))
+        if not look.serves(lowest, max_stderr, CLEARLY):
+            return None
+    optics = pooled_by_type(finite, wavelengths, plan)
     return _cut(medium, lowest, depth, optics, max_stderr)
 
 
@@ -130,22 +186,15 @@ def _cut(
     medium: Medium, lowest: Any, depth: float, optics: xr.Dataset, max_stderr: float
 ) -> Cut | None:
     """Return what `cut_of` returns, for a lowest layer of such optics and depth (m)."""
-    step = scattering_mean_step(optics)
-    loss = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
-    turning = (1.0 - optics.asymmetry_parameter.values + loss) / step
+    found = _Diffusing.of(optics)
     endless = math.isinf(depth)
-    if (turning * step).min() < LEAST_TURN:
-        if endless:
-            raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+    if endless and found.turn.min() < LEAST_TURN:
+        raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+    if not endless and not found.serves(lowest, max_stderr):
         return None
-    diffusion = 1.0 / (3.0 * turning)
-    # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
-    needed = DOUBT / (SHARE * max_stderr)
-    height = max(float(diffusion.max()) * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
+    height, loss, diffusion = found.height(lowest, max_stderr), found.loss, found.diffusion
     # Where nothing is absorbed a rate of almost 0 says the same, without 0/0.
-    rate = np.maximum(np.sqrt(loss / step / diffusion), 1e-9 / height)
-    if not endless and (depth < 4.0 * height or (rate * height).min() > REACH):
-        return None
+    rate = np.maximum(found.rate, 1e-9 / height)
     below = Ground.of(medium.ground)  # type: ignore[union-attr]
     albedo = np.zeros_like(rate) if below is None else below.albedo(optics.wavelength.values)
     rest = Rest(rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo))

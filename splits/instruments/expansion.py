@@ -17,6 +17,7 @@ from splits.instruments.directional import ROUND, Directional
 from splits.instruments.local import Goal
 from splits.instruments.nodes import Nodes
 from splits.instruments.runner import Runner
+from splits.instruments.threads import linear_algebra_alone
 from splits.transport.directions import basis_of
 
 DEGREE = 24
@@ -49,7 +50,8 @@ def expand(
     runner.trace([(e, level, ROUND) for e, level in levels], 1.0, goal.relative_stderr)
     reached: list[tuple[float, float]] = []
     while True:
-        result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
+        with linear_algebra_alone():
+            result, variance = estimate(ensembles, nodes.bias, angles, symmetric, goal.side, seen)
         error = largest_error(result, goal.side, seen, steering=True)
         have = np.array([level.rays for _, level in levels])
         if goal.rays is None and error <= goal.relative_stderr:

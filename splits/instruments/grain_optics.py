@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.instruments import streams
-from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.nodes import Nodes, choose_nodes, nodes_at
 from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
@@ -37,7 +37,7 @@ RATIOS = ("displacement_before", "displacement_after", "displacement_square", "w
 class Plan(NamedTuple):
     """What is asked of grains, see `splits.instruments.single_scattering`.
 
-    Rays are a multiple of `BATCH`.
+    Rays are a multiple of `BATCH`, or of `PARTS` and fewer.
     """
 
     moments: int
@@ -67,10 +67,15 @@ class _Node:
     parts: np.ndarray
 
 
+def nodes_of(medium: GranularMedium, wavelengths: np.ndarray) -> Nodes:
+    """Return the nodes that `single_scattering` traces at."""
+    return choose_nodes(medium.indices(wavelengths), medium.interfaces(), INTERPOLATION)
+
+
 def optics_of(
-    medium: GranularMedium, scene: Scene, wavelengths: np.ndarray, plan: Plan
-) -> tuple[dict[str, np.ndarray], Nodes]:
-    """Return what a scene's grains do to light, by the names of `single_scattering`, and the nodes.
+    medium: GranularMedium, scene: Scene, wavelengths: np.ndarray, plan: Plan, nodes: Nodes
+) -> dict[str, np.ndarray]:
+    """Return what a scene's grains do to light, by the names of `single_scattering`.
 
     Parameters
     ----------
@@ -80,10 +85,11 @@ def optics_of(
     wavelengths : float, shape (wavelengths,)
         nm.
     plan : Plan
+    nodes : Nodes
+        Of the medium at these wavelengths.
     """
     index = medium.indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
-    nodes = choose_nodes(index, medium.interfaces(), INTERPOLATION)
     wet = _wet_share(medium.saturation, index, plan.wet_pores)
     at_nodes = _wet_share(medium.saturation, nodes.index, plan.wet_pores)
     traced = _trace(scene, nodes, at_nodes, absorption, plan)
@@ -94,7 +100,22 @@ def optics_of(
     for name in list(values):
         if name.startswith("single_scattering_albedo"):
             values[name] *= grains / values["extinction"]
-    return values, nodes
+    return values
+
+
+def roughly(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
+    """Return about what `pooled_by_type` does, for a part of its time.
+
+    All grains together, and everything but absorption as at one wavelength.
+    """
+    nodes = nodes_at(medium.indices(wavelengths), medium.interfaces(), [wavelengths.size // 2])
+    scene = granular_scene(medium, 0.0, False)
+    values = optics_of(medium, scene, wavelengths, plan, nodes)
+    names = ("single_scattering_albedo", "asymmetry_parameter", "extinction", *RATIOS)
+    found = {
+        name: ("wavelength", np.broadcast_to(values[name], wavelengths.shape)) for name in names
+    }
+    return xr.Dataset(found, {"wavelength": wavelengths})
 
 
 def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
@@ -111,12 +132,13 @@ def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) 
     scene = granular_scene(medium, 0.0, False)
     shares = np.diff(scene.layers.share[0], prepend=0.0)
     names = ("asymmetry_parameter", *RATIOS)
+    nodes = nodes_of(medium, wavelengths)
     scattered, lost, extinction = np.zeros((3, wavelengths.size))
     sums = {name: np.zeros(wavelengths.size) for name in names}
     for kind in np.flatnonzero(shares > 0.0):
         only = (np.arange(shares.size) >= kind).astype(float)[np.newaxis]
         alone = scene._replace(layers=scene.layers._replace(share=only))
-        values, _ = optics_of(medium, alone, wavelengths, plan)
+        values = optics_of(medium, alone, wavelengths, plan, nodes)
         weight = shares[kind] * values["single_scattering_albedo"]
         scattered, extinction = scattered + weight, values["extinction"]
         # Nothing lost is exactly that, whatever shares add up to.
@@ -142,12 +164,12 @@ def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarr
 def _trace(
     scene: Scene, nodes: Nodes, wet: np.ndarray, absorption: np.ndarray, plan: Plan
 ) -> list[_Node]:
-    """Trace so many rays, a multiple of `BATCH`, at every node."""
+    """Trace so many rays at every node."""
     orders, rays, seed = plan.moments + 1, plan.rays, plan.seed
 
     def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         node, first, optics, part = job
-        work = np.array([streams.SINGLE_SCATTERING + node, first, BATCH])
+        work = np.array([streams.SINGLE_SCATTERING + node, first, min(rays - first, BATCH)])
         return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
 
     traced = []

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.checks import one_of, refuse
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
-from splits.instruments.grain_optics import BATCH, WET_PORES, Plan, optics_of
+from splits.instruments.grain_optics import BATCH, WET_PORES, Plan, nodes_of, optics_of
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.scenes import granular_scene
 from splits.media.granular import GranularMedium
@@ -116,7 +116,8 @@ def single_scattering(
     begun = time.perf_counter()
     scene = granular_scene(medium, 0.0, False)
     plan = Plan(moments, rays, seed, threads, wet_pores)
-    values, nodes = optics_of(medium, scene, wavelengths, plan)
+    nodes = nodes_of(medium, wavelengths)
+    values = optics_of(medium, scene, wavelengths, plan, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
     facts = {
         **run_facts(

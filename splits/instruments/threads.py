@@ -10,8 +10,12 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
+from contextlib import AbstractContextManager
+from functools import cache
 from queue import Empty, SimpleQueue
 from typing import Any
+
+from threadpoolctl import ThreadpoolController
 
 _of_thread = threading.local()
 
@@ -23,6 +27,21 @@ def cpus() -> int:
     # macOS and Windows; Python 3.13 has a count that heeds PYTHON_CPU_COUNT.
     count: Callable[[], int | None] = getattr(os, "process_cpu_count", os.cpu_count)
     return count() or 1
+
+
+def linear_algebra_alone() -> AbstractContextManager[Any]:
+    """Leave linear algebra the thread that calls it.
+
+    It would take every CPU, whatever threads were asked for, for products so small that they take
+    six to eighteen times as long where another process has a CPU.
+    """
+    return _controller().limit(limits=1, user_api="blas")
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    # To find the libraries that are loaded takes milliseconds.
+    return ThreadpoolController()
 
 
 class Threads(Executor):

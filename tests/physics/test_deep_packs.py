@@ -61,6 +61,30 @@ def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
 
 
 @NEEDS_JIT
+@pytest.mark.parametrize("max_stderr", [0.02, 0.002])
+def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
+    """What it does not look into any further, a better look would not cut either."""
+    packs = [
+        splits.Sand(),
+        splits.Sand(saturation=0.5, depth_m=0.1),
+        splits.Sand(iron_oxide=0.0),
+        splits.Snow(depth_m=1.0),
+        splits.Snow(**FINE, depth_m=0.3),
+        splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
+    ]
+    decided = [cut_of(pack, WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    monkeypatch.setattr(deep_packs, "CLEARLY", math.inf)
+    better = [cut_of(pack, WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
+    assert 0 < better.count(None) < len(packs)
+    looked = []
+    monkeypatch.undo()
+    monkeypatch.setattr(deep_packs, "pooled_by_type", lambda *_: looked.append(1))
+    assert cut_of(splits.Sand(), WAVELENGTHS, max_stderr, 1, 2) is None
+    assert not looked
+
+
+@NEEDS_JIT
 def test_errors_of_cut_packs_hold(always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
     cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)

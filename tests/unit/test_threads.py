@@ -9,11 +9,12 @@ from concurrent.futures import CancelledError
 
 import pytest
 from chi2 import NEEDS_JIT
+from threadpoolctl import threadpool_info
 
 import splits
 from splits.instruments.arguments import check_threads
 from splits.instruments.runner import Runner
-from splits.instruments.threads import Threads, cpus
+from splits.instruments.threads import Threads, cpus, linear_algebra_alone
 
 SNOW = splits.Snow(depth_m=0.02)
 LONG_S = 20.0
@@ -35,6 +36,17 @@ def test_cpus_are_those_that_this_process_may_use():
     if not hasattr(os, "sched_getaffinity"):
         pytest.skip("this system does not tell")
     assert cpus() == len(os.sched_getaffinity(0))
+
+
+def test_linear_algebra_is_left_one_thread():
+    def blas():
+        return [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
+
+    before = blas()
+    with linear_algebra_alone():
+        assert before
+        assert set(blas()) == {1}
+    assert blas() == before
 
 
 @pytest.mark.parametrize("number", [1, 2, 7])

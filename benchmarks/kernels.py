@@ -36,11 +36,12 @@ from splits.analysis.tables import write_table
 from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import cpus
 from splits.materials.refractive_index import absorption_coefficient
-from splits.transport import granular, lanes
-from splits.transport.features import Features
+from splits.transport import lanes
+from splits.transport.compiling.features import Features
+from splits.transport.grains import granular
+from splits.transport.grains.scene import UNLIMITED, Optics, shared_optics
 from splits.transport.lanes.choice import features_for
-from splits.transport.scene import UNLIMITED, Optics, shared_optics
-from splits.transport.tally import exit_rows
+from splits.transport.sums.tally import exit_rows
 
 WAVELENGTHS = np.arange(400, 2501, 10)
 CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {

@@ -3,7 +3,7 @@
     python benchmarks/surface_crossings.py [--quick]
 
 Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
-(`splits.transport.crossings`).  Prints, for every surface: crossings; points of legs
+(`splits.transport.particles.crossings`).  Prints, for every surface: crossings; points of legs
 found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
 thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
 are already drawn.
@@ -19,10 +19,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.crossings import CROSSINGS, EVALUATIONS, LEAKS, LOSSES, crossings
-from splits.transport.march import first_crossing
-from splits.transport.vectors import Vector
-from splits.transport.waves import reliefs_at, surface_of
+from splits.transport.numerics.vectors import Vector
+from splits.transport.particles.crossings import CROSSINGS, EVALUATIONS, LEAKS, LOSSES, crossings
+from splits.transport.rough.march import first_crossing
+from splits.transport.rough.waves import reliefs_at, surface_of
 
 THREADS = 2
 BATCH = 2_000

@@ -18,7 +18,7 @@ from splits.analysis.quoted_times import TIMES
 from splits.analysis.quoting import Number, Value, Where, cell, count, extreme, point, size
 from splits.checks import refuse
 from splits.dataset import load
-from splits.transport.scene import MAX_REJECTIONS
+from splits.transport.grains.scene import MAX_REJECTIONS
 
 CODE = ""
 """In place of a source: the number is a constant of the code."""

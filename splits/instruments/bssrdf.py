@@ -29,8 +29,8 @@ from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
-from splits.transport.positions import spread
-from splits.transport.scene import shared_optics
+from splits.transport.grains.scene import shared_optics
+from splits.transport.sums.positions import spread
 from splits.uncertainty import Variable, jackknife, quantity, stderr_of, without_one
 
 QUANTILES = (0.25, 0.5, 0.75, 0.9)

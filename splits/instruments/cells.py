@@ -14,8 +14,8 @@ from splits.instruments import streams
 from splits.instruments.angular import BIAS, Estimate, missed_of_totals
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
-from splits.transport.directions import count_cells
-from splits.transport.scene import shared_optics
+from splits.transport.grains.scene import shared_optics
+from splits.transport.sums.directions import count_cells
 
 CELLS_OF_5_DEG = (18, 72)
 """Cells between horizon and zenith, and around: as many as 5° by 5° would be."""

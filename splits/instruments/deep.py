@@ -24,8 +24,8 @@ from splits.instruments.scenes import constants_of, granular_scene, ground_of
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.threads import Threads
 from splits.media.granular import GranularMedium
-from splits.transport.deep import families
-from splits.transport.scene import Optics, Scene, shared_optics
+from splits.transport.grains.deep import families
+from splits.transport.grains.scene import Optics, Scene, shared_optics
 from splits.uncertainty import quantity
 
 BATCH = 64
@@ -60,8 +60,8 @@ def deep_transmittance(
     """Measure hemispherical transmittance to a relative error, however small it is.
 
     Each wavelength is traced by itself in double precision; rays are split as they get deeper and
-    end by roulette where they cannot matter (see `splits.transport.deep`).  How fast they are split
-    comes from three pilots, whose rays do not count, and does not touch the mean.
+    end by roulette where they cannot matter (see `splits.transport.grains.deep`).  How fast they
+    are split comes from three pilots, whose rays do not count, and does not touch the mean.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class _Source(NamedTuple):
     optics: Optics
 
     def trace(self, number: int, first: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return moments and profile of a batch, see `splits.transport.deep.families`."""
+        """Return moments and profile of a batch, see `splits.transport.grains.deep.families`."""
         moments, profile = np.zeros((2, 3)), np.zeros((2, SLICES))
         work = np.array([number, first, BATCH])
         spent = families(self.seed, work, self.scene, self.optics, rate, moments, profile)

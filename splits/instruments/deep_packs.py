@@ -27,7 +27,7 @@ from splits.media.granular import GranularMedium
 from splits.media.ground import Ground
 from splits.media.stack import Stack
 from splits.media.turbid import Medium
-from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
 
 DOUBT = 0.3
 """How far, as a part of itself, theory may be off in what the rest of a pack keeps."""

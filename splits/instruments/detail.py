@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.transport.directions import Basis, evaluate_all
+from splits.transport.sums.directions import Basis, evaluate_all
 
 PENALTY = 4.0
 """Variances by which coefficients' squares must on average exceed 0 to be kept.  From 1 on, what

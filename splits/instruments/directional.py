@@ -16,8 +16,8 @@ import numpy as np
 from splits.instruments import streams
 from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
-from splits.transport.directions import Basis, expand
-from splits.transport.scene import UNLIMITED, shared_optics
+from splits.transport.grains.scene import UNLIMITED, shared_optics
+from splits.transport.sums.directions import Basis, expand
 
 CLASSES = (2, 8, 32, UNLIMITED)
 """Largest order of scattering of each class."""
@@ -56,7 +56,7 @@ class Directional:
     place : dict
         Rows of the wavelengths that draw on this ensemble in the arrays below.
     sums : float, shape (groups, classes, 2, rows, polynomials)
-        See `splits.transport.directions.expand`.
+        See `splits.transport.sums.directions.expand`.
     straight : float, shape (groups, 2, rows)
     """
 

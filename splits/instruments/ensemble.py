@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from splits.instruments import streams
-from splits.transport.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
-from splits.transport.tally import BLOCK, tally
+from splits.transport.grains.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
+from splits.transport.sums.tally import BLOCK, tally
 
 LEVELS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
@@ -67,7 +67,7 @@ class Manner(NamedTuple):
     attenuation : float
         Scatterings to expect per metre.
     ground : int
-        Column of meetings with the ground, see `splits.transport.scene.Scene`.
+        Column of meetings with the ground, see `splits.transport.grains.scene.Scene`.
     fading : bool
         Whether a ray's weight may fall for another reason than absorption by materials.
     analog : bool

@@ -18,7 +18,7 @@ from splits.instruments.local import Goal
 from splits.instruments.nodes import Nodes
 from splits.instruments.runner import Runner
 from splits.instruments.threads import linear_algebra_alone
-from splits.transport.directions import basis_of
+from splits.transport.sums.directions import basis_of
 
 DEGREE = 24
 """Largest degree of polynomials: details of about 180°/24."""

@@ -14,8 +14,8 @@ from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import Threads
 from splits.materials.refractive_index import absorption_coefficient
 from splits.media.granular import GranularMedium
-from splits.transport.scattering import PARTS, Solitary, scatter
-from splits.transport.scene import DRY_PORE, WET_PORE, Optics, Scene, shared_optics
+from splits.transport.grains.scattering import PARTS, Solitary, scatter
+from splits.transport.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, shared_optics
 from splits.uncertainty import without_one
 
 BATCH = 2048
@@ -58,7 +58,7 @@ class _Node:
         Weight of this node in the wavelengths' means.
     sums : float, shape (3, orders + 4, served)
     parts : float, shape (parts, orders + 4, served)
-        See `splits.transport.scattering.scatter`.
+        See `splits.transport.grains.scattering.scatter`.
     """
 
     served: np.ndarray

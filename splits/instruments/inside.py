@@ -13,7 +13,7 @@ from splits.instruments.inside_errors import errors_of, missed, one_ray
 from splits.instruments.nodes import Nodes
 from splits.instruments.planes import ROUND, Planes
 from splits.instruments.runner import Runner
-from splits.transport.passages import DOWN, UP
+from splits.transport.sums.passages import DOWN, UP
 
 _GROWTH = 8.0
 

@@ -15,9 +15,9 @@ from splits.checks import in_range, increasing, one_of, refuse, row_of
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
-from splits.transport.lens import Landed, refract_ring
-from splits.transport.wave_sums import AMPLITUDE, KX, LANES, PHASE, ROWS
-from splits.transport.waves import reliefs_at
+from splits.transport.rough.lens import Landed, refract_ring
+from splits.transport.rough.wave_sums import AMPLITUDE, KX, LANES, PHASE, ROWS
+from splits.transport.rough.waves import reliefs_at
 from splits.uncertainty import quantity
 
 LEAST_CAUGHT = 0.5

@@ -17,13 +17,13 @@ from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.runner import BATCH, Progress, Runner
 from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
-from splits.transport import layer as kernels
-from splits.transport.light import Light
-from splits.transport.local import Detectors
-from splits.transport.polarized_faces import fresnel_amplitudes
-from splits.transport.scene import UNLIMITED
-from splits.transport.stokes import NATURAL
-from splits.transport.turbid import OPEN, Scene
+from splits.transport.grains.scene import UNLIMITED
+from splits.transport.optics.light import Light
+from splits.transport.optics.polarized_faces import fresnel_amplitudes
+from splits.transport.optics.stokes import NATURAL
+from splits.transport.particles import layer as kernels
+from splits.transport.particles.local import Detectors
+from splits.transport.particles.turbid import OPEN, Scene
 
 PILOT = 128
 """Batches of the first round."""

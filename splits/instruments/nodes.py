@@ -117,7 +117,7 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     Parameters
     ----------
     index : complex, shape (wavelengths, materials)
-        Refractive indices (see `splits.transport.scene`).
+        Refractive indices (see `splits.transport.grains.scene`).
     interfaces : sequence of Interface
         What light meets, and how often.
     tolerance : float

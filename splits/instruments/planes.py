@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.instruments import streams
 from splits.instruments.ensemble import BATCH, GROUPS, LEVELS, Level, Manner, levels_of
-from splits.transport.passages import Passages, passages
+from splits.transport.sums.passages import Passages, passages
 
 ROUND = BATCH * GROUPS
 """Rays of which every group gets as many."""

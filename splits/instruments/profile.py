@@ -35,7 +35,7 @@ from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.particles import ParticleLayer
-from splits.transport.passages import DOWN, UP
+from splits.transport.sums.passages import DOWN, UP
 from splits.uncertainty import Variable, quantity, stderr_of
 
 MOST_DEPTHS = 200

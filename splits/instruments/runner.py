@@ -13,8 +13,8 @@ from splits.instruments.ensemble import BATCH, Level, Paths
 from splits.instruments.threads import Threads, cpus
 from splits.instruments.tracers import NOTHING_MORE, Heard, tracer_of
 from splits.media.turbid import Medium
-from splits.transport.features import Features
-from splits.transport.notes import NOTE_RAY
+from splits.transport.compiling.features import Features
+from splits.transport.sums.notes import NOTE_RAY
 
 MEMORY = 2**26
 LEGS = 2e7

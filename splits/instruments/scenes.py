@@ -13,10 +13,10 @@ from splits.media.ground import Ground
 from splits.media.particles import ParticleLayer
 from splits.media.readings import Readings
 from splits.media.turbid import Medium
-from splits.transport.light import Light
-from splits.transport.roof import TALLEST
-from splits.transport.scene import GRAINS, NO_GROUND, Grains, Layers, Particles, Scene, Types
-from splits.transport.waves import Fields
+from splits.transport.grains.roof import TALLEST
+from splits.transport.grains.scene import GRAINS, NO_GROUND, Grains, Layers, Particles, Scene, Types
+from splits.transport.optics.light import Light
+from splits.transport.rough.waves import Fields
 
 Part = GranularMedium | ParticleLayer
 LEAST_ATTENUATION = 1e-12

@@ -1,7 +1,7 @@
 """Which random streams each way of measuring has: with one seed, no two draw the same numbers.
 
-A stream is named by seed, level and ray (`splits.transport.rng`).  Each of these is the number of
-the first level of one of them, which has all numbers up to the next.
+A stream is named by seed, level and ray (`splits.transport.numerics.rng`).  Each of these is the
+number of the first level of one of them, which has all numbers up to the next.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from splits.checks import refuse
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
-from splits.transport.waves import reliefs_at
+from splits.transport.rough.waves import reliefs_at
 from splits.uncertainty import quantity
 
 POINTS = 201

@@ -15,16 +15,18 @@ from splits.instruments.ensemble import Level, Manner
 from splits.instruments.scenes import columns_of, fields_of, granular_scene, light_of, listening
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
-from splits.transport import granular, lanes, layer
-from splits.transport.features import Features
+from splits.transport import lanes
+from splits.transport.compiling.features import Features
+from splits.transport.grains import granular
+from splits.transport.grains.scene import Optics
 from splits.transport.lanes.choice import features_for
-from splits.transport.light import Light
-from splits.transport.notes import NOTE_RAY
-from splits.transport.scene import Optics
-from splits.transport.stokes import NATURAL
-from splits.transport.tally import EXIT_LENGTH, exit_rows
-from splits.transport.turbid import Scene
-from splits.transport.waves import room_for
+from splits.transport.optics.light import Light
+from splits.transport.optics.stokes import NATURAL
+from splits.transport.particles import layer
+from splits.transport.particles.turbid import Scene
+from splits.transport.rough.waves import room_for
+from splits.transport.sums.notes import NOTE_RAY
+from splits.transport.sums.tally import EXIT_LENGTH, exit_rows
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
@@ -58,7 +60,8 @@ class Followed(NamedTuple):
     ----------
     legs : int, shape (pieces,)
     notes : list of float, shape (notes, columns)
-        Of each piece, ray by ray, rays counted from its first; see `splits.transport.tally.Notes`.
+        Of each piece, ray by ray, rays counted from its first; see
+        `splits.transport.sums.tally.Notes`.
     lost : str
         Why a ray was lost, or nothing.
     """
@@ -105,7 +108,7 @@ class Tracer(Protocol):
         Parameters
         ----------
         work : int64, shape (pieces, 4)
-            See `splits.transport.granular.batch`.
+            See `splits.transport.grains.granular.batch`.
         levels : sequence of Level
             One for each piece.
         exits : float, shape (rays, columns)

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from splits.transport.rng import table_probabilities
+from splits.transport.numerics.rng import table_probabilities
 
 TABLE_POINTS = 1025
 """Probabilities at which quantile functions are tabulated."""

@@ -10,7 +10,7 @@ import numpy as np
 from splits.checks import refuse
 from splits.media.ground import Ground
 from splits.media.readings import TransportReadings
-from splits.transport.scene import Grains
+from splits.transport.grains.scene import Grains
 
 
 class Interface(NamedTuple):

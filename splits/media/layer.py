@@ -11,9 +11,9 @@ import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of
 from splits.media.rough_surface import RoughSurface
-from splits.transport.phase import Phase, henyey_greenstein, rayleigh, tabulated
-from splits.transport.turbid import OPEN, Turbid
-from splits.transport.waves import Fields
+from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
+from splits.transport.particles.turbid import OPEN, Turbid
+from splits.transport.rough.waves import Fields
 
 CLEARANCE = 8.0
 """Standard deviations of height that must fit between mean surface and bottom."""
@@ -50,7 +50,7 @@ class Layer:
         Follow the Stokes vector; light comes in unpolarized.
     max_polarization : float
         Largest degree of polarization of light scattered once, 0 to 1, of Henyey–Greenstein and
-        tabulated functions (see `splits.transport.phase`).
+        tabulated functions (see `splits.transport.optics.phase`).
     opaque : bool
         Nothing comes back from below the surface: particles and bottom do not count.
     depth_m : float

@@ -12,8 +12,8 @@ import numpy as np
 from splits.checks import refuse
 from splits.media.granular import Interface
 from splits.media.layer import Layer
-from splits.transport.scene import DRY_PORE, WET_PORE
-from splits.transport.waves import Fields
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
+from splits.transport.rough.waves import Fields
 
 LEFT_OUT = {
     "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),

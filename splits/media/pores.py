@@ -10,7 +10,7 @@ import numpy as np
 from splits.checks import in_range, refuse
 from splits.materials import RefractiveIndex
 from splits.media.granular import Interface
-from splits.transport.scene import DRY_PORE
+from splits.transport.grains.scene import DRY_PORE
 
 AIR, WATER = "air", "water"
 

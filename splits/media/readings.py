@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from splits.checks import known_keywords, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
-from splits.transport.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
+from splits.transport.grains.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "entry": tuple(ENTRY),

@@ -13,8 +13,8 @@ import numpy as np
 from scipy import special
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
-from splits.transport import waves as kernels
-from splits.transport.rng import start_stream, table_probabilities
+from splits.transport.numerics.rng import start_stream, table_probabilities
+from splits.transport.rough import waves as kernels
 
 MOST_WAVES = 100_000
 QUANTILES = 4097
@@ -275,7 +275,7 @@ class RoughSurface:
     def realisation(self, seed: int, number: int = 0) -> np.ndarray:
         """Return the waves that ray `number` of ensemble 0 draws as its first numbers.
 
-        Rows are those of `splits.transport.waves`, which also evaluates them.
+        Rows are those of `splits.transport.rough.waves`, which also evaluates them.
         """
         seed, number = _whole("seed", seed, low=0), _whole("number", number, low=0)
         state = np.zeros(1, dtype=np.uint64)

@@ -20,7 +20,7 @@ from splits.media.inputs import described, indices_of, limited_normal, sample_de
 from splits.media.pores import Pores, other_pores
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
-from splits.transport.scene import Grains, Types
+from splits.transport.grains.scene import Grains, Types
 
 
 @known_keywords

@@ -17,7 +17,7 @@ from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.pores import Pores, other_pores
 from splits.media.readings import Readings
-from splits.transport.scene import Grains, Types
+from splits.transport.grains.scene import Grains, Types
 
 
 @known_keywords

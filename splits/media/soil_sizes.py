@@ -17,7 +17,7 @@ import numpy as np
 
 from splits.checks import in_range, numbers, refuse
 from splits.media.grain_statistics import TABLE_POINTS, integral_and_quantiles
-from splits.transport.rng import table_probabilities
+from splits.transport.numerics.rng import table_probabilities
 
 LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
 """Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""

@@ -17,7 +17,7 @@ from splits.media.ground import Ground, ground_facts
 from splits.media.layer import Layer
 from splits.media.particles import ParticleLayer
 from splits.media.pores import Pores
-from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
 
 MOST_LAYERS = 200
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 from splits.media.granular import Described, GranularMedium, LayeredMedium
-from splits.transport.phase import Phase
-from splits.transport.turbid import Turbid
-from splits.transport.waves import Fields
+from splits.transport.optics.phase import Phase
+from splits.transport.particles.turbid import Turbid
+from splits.transport.rough.waves import Fields
 
 
 @runtime_checkable

@@ -2,7 +2,7 @@
 
 Nothing in this folder imports the rest of the package.  Every function is a small Numba
 kernel that also runs as plain Python with ``NUMBA_DISABLE_JIT=1``.  Machine code is kept between
-processes (`splits.transport.cache`).
+processes (`splits.transport.compiling.cache`).
 """
 
 from __future__ import annotations

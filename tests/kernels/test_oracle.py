@@ -15,10 +15,11 @@ from oracle import granular as oracle_granular
 from scenes import medium_scene, optics_at, oracle_slab
 
 import splits
-from splits.transport import granular, lanes
+from splits.transport import lanes
+from splits.transport.grains import granular
+from splits.transport.grains.scene import UNLIMITED, Optics
 from splits.transport.lanes.choice import features_for
-from splits.transport.scene import UNLIMITED, Optics
-from splits.transport.tally import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows
+from splits.transport.sums.tally import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows
 
 pytestmark = [NEEDS_JIT, pytest.mark.long]
 

@@ -85,7 +85,7 @@ def grain_walk(
     Parameters
     ----------
     q, d, w, n : 3 float each
-        Entry point on the unit sphere (see `splits.transport.spheroid`), ray direction, major
+        Entry point on the unit sphere (see `spheroid.py` in the package), ray direction, major
         axis, outward normal.
     minor, flattening, facetness : float
         Semi-minor axis (m), flattening and facetness of the grain.

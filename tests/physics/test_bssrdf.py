@@ -8,8 +8,8 @@ from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
 from splits.instruments.bssrdf import CELLS
-from splits.transport.positions import spread
-from splits.transport.tally import (
+from splits.transport.sums.positions import spread
+from splits.transport.sums.tally import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,

@@ -14,8 +14,8 @@ from scenes import coated, optics_of, pore_drawn, scene_of
 from scipy import integrate
 
 import splits
-from splits.transport.spheroid import Size
-from splits.transport.vectors import Vector, dot
+from splits.transport.grains.spheroid import Size
+from splits.transport.numerics.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 

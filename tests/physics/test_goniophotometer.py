@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.transport.fresnel import interface
+from splits.transport.optics.fresnel import interface
 
 pytestmark = NEEDS_JIT
 

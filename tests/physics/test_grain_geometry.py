@@ -10,9 +10,10 @@ from numba import njit
 from spheroids import real_point, sphere_point, unit
 
 import splits
-from splits.transport import rng, spheroid
-from splits.transport.spheroid import Entry, Segment, Size, Spheroid
-from splits.transport.vectors import Vector
+from splits.transport.grains import spheroid
+from splits.transport.grains.spheroid import Entry, Segment, Size, Spheroid
+from splits.transport.numerics import rng
+from splits.transport.numerics.vectors import Vector
 
 B = 1.7
 SPHERICITIES = (0.35, 0.7, 0.9, 1.0)

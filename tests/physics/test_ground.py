@@ -9,11 +9,12 @@ from scenes import medium_scene
 
 import splits
 from splits.instruments.scenes import constants_of
-from splits.transport import granular, lanes
+from splits.transport import lanes
+from splits.transport.grains import granular
+from splits.transport.grains.scene import Optics, shared_optics
 from splits.transport.lanes.choice import features_for
-from splits.transport.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
-from splits.transport.scene import Optics, shared_optics
-from splits.transport.tally import (
+from splits.transport.sums.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
+from splits.transport.sums.tally import (
     EXIT_LENGTH,
     EXIT_SIDE,
     EXIT_WEIGHT,

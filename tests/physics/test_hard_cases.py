@@ -16,8 +16,8 @@ from scipy import integrate
 import splits
 from splits.instruments.arguments import WAVELENGTH_RANGE_NM
 from splits.materials.datasets import _DATASETS, dataset
-from splits.transport.fresnel import interface
 from splits.transport.lanes.choice import LARGEST
+from splits.transport.optics.fresnel import interface
 
 pytestmark = NEEDS_JIT
 

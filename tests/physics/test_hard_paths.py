@@ -13,13 +13,14 @@ from scenes import medium_scene, optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
-from splits.transport import facets, granular, spheroid, vectors
-from splits.transport.faces import Index
-from splits.transport.fresnel import Passage, interface, refracted
-from splits.transport.spheroid import Entry, Segment, Size, Spheroid
-from splits.transport.surface import Stand, contrast
-from splits.transport.vectors import Vector, along, dot, scaled
-from splits.transport.walk import trial
+from splits.transport.grains import facets, granular, spheroid
+from splits.transport.grains.spheroid import Entry, Segment, Size, Spheroid
+from splits.transport.grains.surface import Stand, contrast
+from splits.transport.grains.walk import trial
+from splits.transport.numerics import vectors
+from splits.transport.numerics.vectors import Vector, along, dot, scaled
+from splits.transport.optics.faces import Index
+from splits.transport.optics.fresnel import Passage, interface, refracted
 
 MANY = 10_000_000
 DRIFT = 1e-9

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from splits.transport.fresnel import Passage, between, interface, refracted
-from splits.transport.vectors import Vector
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.fresnel import Passage, between, interface, refracted
 
 COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
 INDICES = [

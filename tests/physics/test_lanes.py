@@ -16,12 +16,12 @@ from splits.instruments.fixed import EVERY_RAY
 from splits.instruments.runner import BATCH, Runner
 from splits.materials.refractive_index import absorption_coefficient
 from splits.transport import lanes
-from splits.transport.features import Features
+from splits.transport.compiling.features import Features
+from splits.transport.grains.scene import UNLIMITED, Optics
 from splits.transport.lanes import rows
 from splits.transport.lanes.rows import LANES
 from splits.transport.lanes.surface import surface
-from splits.transport.scene import UNLIMITED, Optics
-from splits.transport.tally import EXIT_DIRECTION, EXIT_POSITION, exit_rows
+from splits.transport.sums.tally import EXIT_DIRECTION, EXIT_POSITION, exit_rows
 
 pytestmark = NEEDS_JIT
 

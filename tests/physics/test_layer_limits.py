@@ -10,7 +10,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z, largest_z
 
 import splits
-from splits.transport.fresnel import interface
+from splits.transport.optics.fresnel import interface
 
 NM = [550.0]
 MIRROR = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}

@@ -10,8 +10,8 @@ from chi2 import judge_z
 
 import splits
 from splits.checks import Refusal
-from splits.transport.roof import TALLEST
-from splits.transport.waves import EXTREME
+from splits.transport.grains.roof import TALLEST
+from splits.transport.rough.waves import EXTREME
 
 WAVES = {"rms_height_m": 0.02, "wave_number_per_m": 20.0, "correlation": "gaussian", "waves": 24}
 SETTINGS = {

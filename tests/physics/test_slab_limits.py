@@ -11,10 +11,10 @@ from scenes import optics_of, scene_of, trace
 from scipy import integrate
 
 import splits
-from splits.transport import granular
-from splits.transport.fresnel import interface
-from splits.transport.scene import NO_GROUND, UNLIMITED
-from splits.transport.tally import exit_rows, tally
+from splits.transport.grains import granular
+from splits.transport.grains.scene import NO_GROUND, UNLIMITED
+from splits.transport.optics.fresnel import interface
+from splits.transport.sums.tally import exit_rows, tally
 
 pytestmark = NEEDS_JIT
 

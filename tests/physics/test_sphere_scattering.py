@@ -14,8 +14,8 @@ from scipy import integrate
 from spheroids import gradient, quadratic, real_point
 
 import splits
-from splits.transport.spheroid import Size
-from splits.transport.vectors import Vector, dot
+from splits.transport.grains.spheroid import Size
+from splits.transport.numerics.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 

@@ -13,11 +13,11 @@ from numba import njit
 from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import rng
-from splits.transport.crossings import CROSSINGS, LEAKS, LEGS, LOSSES, crossings
-from splits.transport.march import GONE, first_crossing
-from splits.transport.vectors import Vector, along, scaled
-from splits.transport.waves import draw_waves, relief_at, room_for
+from splits.transport.numerics import rng
+from splits.transport.numerics.vectors import Vector, along, scaled
+from splits.transport.particles.crossings import CROSSINGS, LEAKS, LEGS, LOSSES, crossings
+from splits.transport.rough.march import GONE, first_crossing
+from splits.transport.rough.waves import draw_waves, relief_at, room_for
 
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}

@@ -13,19 +13,20 @@ from chi2 import stream
 from numba import njit
 from scenes import carried
 
-from splits.transport import facets, granular, rng, scalar, spheroid, surface
-from splits.transport.elementary import Angle
-from splits.transport.faces import Crossing
-from splits.transport.features import EVERYTHING
-from splits.transport.flight import FIRST_ROULETTE, Meeting
+from splits.transport.compiling.features import EVERYTHING
+from splits.transport.grains import facets, granular, scalar, spheroid, surface
+from splits.transport.grains.flight import FIRST_ROULETTE, Meeting
+from splits.transport.grains.scalar import Candidate, Found
+from splits.transport.grains.scene import LOBE
+from splits.transport.grains.spheroid import Spheroid
+from splits.transport.grains.surface import Numbers, Stand
+from splits.transport.grains.walk import trial, walk
 from splits.transport.lanes import rows
 from splits.transport.lanes.surface import numbers_at
-from splits.transport.scalar import Candidate, Found
-from splits.transport.scene import LOBE
-from splits.transport.spheroid import Spheroid
-from splits.transport.surface import Numbers, Stand
-from splits.transport.vectors import UP, Vector
-from splits.transport.walk import trial, walk
+from splits.transport.numerics import rng
+from splits.transport.numerics.elementary import Angle
+from splits.transport.numerics.vectors import UP, Vector
+from splits.transport.optics.faces import Crossing
 
 single = np.float32
 

@@ -11,12 +11,10 @@ from oracle import scene as oracle_scene
 import splits
 from splits.instruments.scenes import granular_scene, particles_of
 from splits.materials.refractive_index import absorption_coefficient
-from splits.transport import granular, scalar
-from splits.transport.flight import Flier, Purse
-from splits.transport.lanes.batch import passing_of
-from splits.transport.light import Light
-from splits.transport.scalar import Beam
-from splits.transport.scene import (
+from splits.transport.grains import granular, scalar
+from splits.transport.grains.flight import Flier, Purse
+from splits.transport.grains.scalar import Beam
+from splits.transport.grains.scene import (
     GRAINS,
     KEPT,
     NO_GROUND,
@@ -28,8 +26,10 @@ from splits.transport.scene import (
     Types,
     shared_optics,
 )
-from splits.transport.spheroid import Segment
-from splits.transport.vectors import ORIGIN, Vector
+from splits.transport.grains.spheroid import Segment
+from splits.transport.lanes.batch import passing_of
+from splits.transport.numerics.vectors import ORIGIN, Vector
+from splits.transport.optics.light import Light
 
 
 def coated(thickness, materials, facetness=0.0):

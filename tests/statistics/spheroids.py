@@ -1,6 +1,6 @@
 """Grains in real space, for tests: kernels keep them as points on the unit sphere.
 
-Written down independently of `splits.transport.spheroid`; all functions take stacks of vectors.
+Written down independently of `transport/grains/spheroid.py`; all functions take stacks of vectors.
 """
 
 from __future__ import annotations

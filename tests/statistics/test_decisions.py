@@ -21,11 +21,13 @@ from spheroids import dot, gradient, nearest, real_point
 
 import splits
 from splits.media import grain_statistics
-from splits.transport import faces, fresnel, granular, rng, scalar
-from splits.transport.faces import Index
-from splits.transport.light import Light, launched
-from splits.transport.scene import DRY_PORE, WET_PORE
-from splits.transport.vectors import ORIGIN, UP, Vector
+from splits.transport.grains import granular, scalar
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
+from splits.transport.numerics import rng
+from splits.transport.numerics.vectors import ORIGIN, UP, Vector
+from splits.transport.optics import faces, fresnel
+from splits.transport.optics.faces import Index
+from splits.transport.optics.light import Light, launched
 
 COUNT = scaled(200_000)
 # Way from the end of the last leg, its direction, its length.

@@ -10,11 +10,11 @@ from numba import njit
 from scipy import stats
 
 import splits
-from splits.transport import elementary, rng, vectors
-from splits.transport.elementary import Angle
-from splits.transport.faces import Index
-from splits.transport.surface import Stand, contrast
-from splits.transport.vectors import Vector
+from splits.transport.grains.surface import Stand, contrast
+from splits.transport.numerics import elementary, rng, vectors
+from splits.transport.numerics.elementary import Angle
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.faces import Index
 
 COUNT = scaled(200_000)
 NORMALS = np.array(

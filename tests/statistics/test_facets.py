@@ -9,8 +9,8 @@ from events import facet_normal_of, facet_struck, unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.transport import facets
-from splits.transport.vectors import UP, Vector, dot
+from splits.transport.grains import facets
+from splits.transport.numerics.vectors import UP, Vector, dot
 
 COUNT = scaled(200_000)
 FACETNESS = (0.3, 1.0)

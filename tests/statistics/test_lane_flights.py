@@ -14,7 +14,7 @@ from scipy import stats
 
 import splits
 from splits.media import grain_statistics
-from splits.transport.features import Features
+from splits.transport.compiling.features import Features
 from splits.transport.lanes import draws, flight, rows
 
 pytestmark = NEEDS_JIT

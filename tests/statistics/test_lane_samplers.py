@@ -24,12 +24,13 @@ from numba import njit
 from scipy import stats
 
 from splits.media import grain_statistics
-from splits.transport import facets, rng
-from splits.transport.elementary import circle, logarithm
+from splits.transport.grains import facets
 from splits.transport.lanes import draws, numbers, rows
 from splits.transport.lanes.surface import numbers_at
 from splits.transport.lanes.vectors import look_up
-from splits.transport.vectors import UP, Vector
+from splits.transport.numerics import rng
+from splits.transport.numerics.elementary import circle, logarithm
+from splits.transport.numerics.vectors import UP, Vector
 
 pytestmark = NEEDS_JIT
 

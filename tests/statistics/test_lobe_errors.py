@@ -8,7 +8,7 @@ import pytest
 from splits.instruments.angular import estimate
 from splits.instruments.detail import angles_of
 from splits.instruments.directional import GROUPS
-from splits.transport.directions import basis_of
+from splits.transport.sums.directions import basis_of
 
 POLAR = np.array([0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 72.5, 75.0, 77.5, 80.0])
 AZIMUTH = np.array([0.0, 5.0, 10.0, 60.0, 90.0, 120.0, 180.0])

@@ -10,8 +10,8 @@ import pytest
 from chi2 import EDGES, draw, judge_p, judge_z, p_of_counts, scaled
 from numba import njit
 
-from splits.transport import phase, polarized_faces, stokes
-from splits.transport.vectors import Vector
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics import phase, polarized_faces, stokes
 
 COUNT = scaled(200_000)
 RAYLEIGH = phase.rayleigh()

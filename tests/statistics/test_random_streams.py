@@ -6,7 +6,7 @@ import numpy as np
 from chi2 import SEED, draw, judge_p, judge_z, p_of_counts, p_of_values, scaled
 from numba import njit
 
-from splits.transport import rng
+from splits.transport.numerics import rng
 
 MASK = 2**64 - 1
 COUNT = scaled(400_000)

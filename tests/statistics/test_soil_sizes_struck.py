@@ -12,8 +12,8 @@ from scenes import medium_scene, next_of, optics_of, starting
 from scipy import stats
 
 import splits
-from splits.transport import rng
-from splits.transport.vectors import Vector
+from splits.transport.numerics import rng
+from splits.transport.numerics.vectors import Vector
 
 COUNT = scaled(200_000)
 # Cells of equal probability that do not fall on the table's own knots, and both tails.

@@ -11,10 +11,11 @@ from scipy import integrate, stats
 from spheroids import dot, gradient, quadratic, real_point
 
 from splits.media import grain_statistics
-from splits.transport import rng, scalar, spheroid
-from splits.transport.rng import table_probabilities
-from splits.transport.spheroid import Size
-from splits.transport.vectors import Vector
+from splits.transport.grains import scalar, spheroid
+from splits.transport.grains.spheroid import Size
+from splits.transport.numerics import rng
+from splits.transport.numerics.rng import table_probabilities
+from splits.transport.numerics.vectors import Vector
 
 COUNT = scaled(200_000)
 SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)

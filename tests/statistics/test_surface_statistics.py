@@ -11,9 +11,9 @@ from numba import njit
 from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import rng
-from splits.transport import waves as kernels
-from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.transport.numerics import rng
+from splits.transport.rough import waves as kernels
+from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, PHASE
 
 REALISATIONS = scaled(60_000)
 K0, SIGMA = 2.0, 0.3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from chi2 import scaled
 
-from splits.transport.stokes import Stokes
-from splits.transport.vectors import Vector
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.stokes import Stokes
 
 GEOMETRIES = scaled(50_000) // 1000 * 4
 IDENTITY = np.eye(3)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.wave_sums import AMPLITUDE, KX, KY, PHASE
-from splits.transport.waves import surface_of
+from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.transport.rough.waves import surface_of
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}

@@ -13,14 +13,14 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport import facets, flight, spheroid, surface
-from splits.transport.elementary import Angle
-from splits.transport.faces import Index
-from splits.transport.features import EVERYTHING, Features
-from splits.transport.flight import Fates, Flier, Space
-from splits.transport.spheroid import Aim, Entry, Segment, Size, Spheroid
-from splits.transport.surface import Numbers, Stand
-from splits.transport.vectors import Vector
+from splits.transport.compiling.features import EVERYTHING, Features
+from splits.transport.grains import facets, flight, spheroid, surface
+from splits.transport.grains.flight import Fates, Flier, Space
+from splits.transport.grains.spheroid import Aim, Entry, Segment, Size, Spheroid
+from splits.transport.grains.surface import Numbers, Stand
+from splits.transport.numerics.elementary import Angle
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.faces import Index
 
 pytestmark = NEEDS_JIT
 

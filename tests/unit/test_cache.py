@@ -18,12 +18,12 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport import cache
-from splits.transport.cache import Folder, KernelCache, folders, keep
+from splits.transport.compiling import cache
+from splits.transport.compiling.cache import Folder, KernelCache, folders, keep
 
 SCRIPT = """
 import numpy as np
-from splits.transport.rng import mix64, start_stream, uniform
+from splits.transport.numerics.rng import mix64, start_stream, uniform
 state = np.zeros(1, dtype=np.uint64)
 start_stream(state, 1, 2, 3)
 print(uniform(state), mix64(np.uint64(7)))

@@ -9,8 +9,8 @@ import xarray as xr
 from splits.analysis.directions import merged_cells, principal_plane
 from splits.instruments.cells import centres
 from splits.instruments.detail import PENALTY, SLOWEST, angles_of, finer, supported
-from splits.transport.directions import basis_of, count_cells, evaluate_all, expand
-from splits.transport.tally import (
+from splits.transport.sums.directions import basis_of, count_cells, evaluate_all, expand
+from splits.transport.sums.tally import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,

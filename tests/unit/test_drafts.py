@@ -12,10 +12,11 @@ from numba.core.runtime import _nrt_python, rtsys
 from scenes import medium_scene, optics_at
 
 import splits
-from splits.transport import cache, granular
-from splits.transport.cache import Folder
-from splits.transport.jit import entry, kernel, owner, part
-from splits.transport.tally import exit_rows
+from splits.transport.compiling import cache
+from splits.transport.compiling.cache import Folder
+from splits.transport.compiling.jit import entry, kernel, owner, part
+from splits.transport.grains import granular
+from splits.transport.sums.tally import exit_rows
 
 
 @kernel

@@ -13,7 +13,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport import arithmetic, elementary
+from splits.transport.numerics import arithmetic, elementary
 
 pytestmark = NEEDS_JIT
 single = np.float32

@@ -11,11 +11,11 @@ from rough_surfaces import GAUSSIAN, SURFACES, realised, summed
 from scipy import optimize
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import march as kernels
-from splits.transport.march import GONE, LOST
-from splits.transport.vectors import Vector
-from splits.transport.wave_sums import KX, KY, LANES
-from splits.transport.waves import Slope, draw_waves, relief_at, room_for, surface_of
+from splits.transport.numerics.vectors import Vector
+from splits.transport.rough import march as kernels
+from splits.transport.rough.march import GONE, LOST
+from splits.transport.rough.wave_sums import KX, KY, LANES
+from splits.transport.rough.waves import Slope, draw_waves, relief_at, room_for, surface_of
 
 
 def crossing(surface, ray, side, farthest=math.inf):

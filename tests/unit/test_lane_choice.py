@@ -11,10 +11,10 @@ from scenes import coated, medium_scene, optics_of, scene_of
 from scipy import integrate
 
 import splits
-from splits.transport.features import Features
-from splits.transport.fresnel import interface
+from splits.transport.compiling.features import Features
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
 from splits.transport.lanes.choice import DEEPEST, FAINT, GRAZING, extinction_shows, features_for
-from splits.transport.scene import DRY_PORE, WET_PORE
+from splits.transport.optics.fresnel import interface
 
 
 def features(medium, k=0.0, analog=False, positions=False, depth=None):

@@ -13,9 +13,9 @@ from numba import njit
 from scenes import medium_scene, optics_at, passing
 
 import splits
+from splits.transport.compiling.ownership import Checked
 from splits.transport.lanes import flight, rows, surface
 from splits.transport.lanes.choice import features_for
-from splits.transport.ownership import Checked
 
 ARITHMETIC = re.compile(r"\tv(?:add|sub|mul|fn?m(?:add|sub)\d+)([sp])s\s.*%([xyz])mm\d+$", re.M)
 FEATURES = binding.get_host_cpu_features()

@@ -21,9 +21,9 @@ from polarized_light import (
     vector,
 )
 
-from splits.transport import polarized_faces as faces
-from splits.transport.fresnel import interface
-from splits.transport.stokes import rotated_to
+from splits.transport.optics import polarized_faces as faces
+from splits.transport.optics.fresnel import interface
+from splits.transport.optics.stokes import rotated_to
 
 COSINES = [*np.logspace(-12, 0, 13), *(1.0 - np.logspace(-15, -1, 8)), 0.3, 0.5, 0.7]
 INDICES = [(1.0, 1.33), (1.33, 1.0), (1.0, 1.0 + 1e-9), (1.0 + 1e-9, 1.0), (1.0, 300.0), (2.4, 1.5)]

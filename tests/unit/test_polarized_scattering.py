@@ -21,8 +21,8 @@ from polarized_light import (
     vector,
 )
 
-from splits.transport import phase, stokes
-from splits.transport.vectors import Vector
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics import phase, stokes
 
 RAYLEIGH = phase.rayleigh()
 

@@ -18,13 +18,14 @@ from splits.materials import ice_density
 from splits.materials.mixing import maxwell_garnett
 from splits.media import grain_statistics as statistics
 from splits.media.soil_sizes import LIMITS_M, soil_sizes
-from splits.transport import facets, rng, spheroid
-from splits.transport.elementary import Angle
-from splits.transport.fresnel import interface
-from splits.transport.rng import table_probabilities
-from splits.transport.spheroid import Spheroid
-from splits.transport.surface import Numbers
-from splits.transport.vectors import UP, Vector
+from splits.transport.grains import facets, spheroid
+from splits.transport.grains.spheroid import Spheroid
+from splits.transport.grains.surface import Numbers
+from splits.transport.numerics import rng
+from splits.transport.numerics.elementary import Angle
+from splits.transport.numerics.rng import table_probabilities
+from splits.transport.numerics.vectors import UP, Vector
+from splits.transport.optics.fresnel import interface
 
 M = mp.mpf
 RELATIVE = 1e-12

@@ -11,7 +11,7 @@ from rough_surfaces import GAUSSIAN, PRINTED, SPECTRUM, TABLE
 from scipy import integrate, special
 
 from splits.media.rough_surface import LAWS, RoughSurface, SurfaceField
-from splits.transport import waves as kernels
+from splits.transport.rough import waves as kernels
 
 BAD = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),

@@ -11,10 +11,10 @@ from mpmath import mp
 from rough_surfaces import SURFACES, realised, summed
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport import march
-from splits.transport import waves as kernels
-from splits.transport.vectors import Vector
-from splits.transport.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE
+from splits.transport.numerics.vectors import Vector
+from splits.transport.rough import march
+from splits.transport.rough import waves as kernels
+from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE
 
 
 @pytest.mark.parametrize("name", SURFACES)

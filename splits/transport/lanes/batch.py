@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.flight import Space
-from splits.transport.jit import ZERO, entry, owner, part
+from splits.transport.compiling.jit import ZERO, entry, owner, part
+from splits.transport.grains.flight import Space
+from splits.transport.grains.scalar import fates_of
+from splits.transport.grains.scene import LOBE
 from splits.transport.lanes import rows
 from splits.transport.lanes.draws import draw_types
 from splits.transport.lanes.ends import (
@@ -26,10 +28,8 @@ from splits.transport.lanes.ground import at_ground, reaches_ground
 from splits.transport.lanes.layers import at_interface, begin_again, land, relocate
 from splits.transport.lanes.rows import Passing
 from splits.transport.lanes.surface import surface
-from splits.transport.notes import has_room, no_notes, room_for, taken
-from splits.transport.scalar import fates_of
-from splits.transport.scene import LOBE
-from splits.transport.tally import Told
+from splits.transport.sums.notes import has_room, no_notes, room_for, taken
+from splits.transport.sums.tally import Told
 
 
 @part
@@ -197,11 +197,11 @@ def batch(seed, work, scene, optics, exits, features):
         which takes ``features.orders``.  Seed, ensemble and number name a ray's random stream: it
         is the same in whatever lane and batch, and in whatever company.
     scene : Scene
-        See `splits.transport.scene`; at most one coating.
+        See `splits.transport.grains.scene`; at most one coating.
     optics : Optics
         With a row for each item.
     exits : float64[rays, columns]
-        A row for each ray, item after item, see `splits.transport.tally`; must come from
+        A row for each ray, item after item, see `splits.transport.sums.tally`; must come from
         `exit_rows`.
     features : Features
 

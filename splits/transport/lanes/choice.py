@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numba import config
 
-from splits.transport import facets, spheroid
-from splits.transport.features import Features
-from splits.transport.fresnel import interface
-from splits.transport.jit import borrower
-from splits.transport.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
+from splits.transport.compiling.features import Features
+from splits.transport.compiling.jit import borrower
+from splits.transport.grains import facets, spheroid
+from splits.transport.grains.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
+from splits.transport.optics.fresnel import interface
 
 FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
@@ -46,7 +46,7 @@ def features_for(
     Parameters
     ----------
     scene, optics
-        See `splits.transport.scene`.
+        See `splits.transport.grains.scene`.
     positions : bool
         Whether horizontal positions of exit are wanted.
     orders : bool

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.arithmetic import root
-from splits.transport.jit import HALF, ONE, ZERO, borrower, part
+from splits.transport.compiling.jit import HALF, ONE, ZERO, borrower, part
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import below_one, word
 from splits.transport.lanes.vectors import look_up, two_at_a_time, widest_vectors
+from splits.transport.numerics.arithmetic import root
 
 _33 = np.uint64(33)
 
@@ -79,7 +79,7 @@ def draw_types(state, words, width, features, tables, share):
         Curvature, flattening and half facetness at the probabilities of
         `rng.table_probabilities`.
     share : float64[layers, most]
-        See `splits.transport.scene.Layers`.
+        See `splits.transport.grains.scene.Layers`.
     """
     widest_vectors()
     curvature, flattening, sigma = tables

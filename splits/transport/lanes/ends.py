@@ -7,20 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.faces import Index, facing, meet
-from splits.transport.features import Features
-from splits.transport.flight import FIRST_ROULETTE, to_boundary
-from splits.transport.jit import ONE, ZERO, part
+from splits.transport.compiling.features import Features
+from splits.transport.compiling.jit import ONE, ZERO, part
+from splits.transport.grains.flight import FIRST_ROULETTE, to_boundary
+from splits.transport.grains.scene import DRY_PORE, WET_PORE, Optics, Scene
 from splits.transport.lanes import rows
 from splits.transport.lanes.flight import flier_at, travel
 from splits.transport.lanes.numbers import double, word
 from splits.transport.lanes.rows import Passing, put, vector
-from splits.transport.light import launched
-from splits.transport.notes import write
-from splits.transport.rng import start_stream
-from splits.transport.scene import DRY_PORE, WET_PORE, Optics, Scene
-from splits.transport.tally import EXIT_LENGTH, record
-from splits.transport.vectors import Vector
+from splits.transport.numerics.rng import start_stream
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.faces import Index, facing, meet
+from splits.transport.optics.light import launched
+from splits.transport.sums.notes import write
+from splits.transport.sums.tally import EXIT_LENGTH, record
 
 _LOW32 = np.uint64(0xFFFFFFFF)
 

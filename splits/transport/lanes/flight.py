@@ -1,6 +1,6 @@
 """Roulette, the next grain and the way to it, for every lane between grains.
 
-See `splits.transport.flight` for the physics.
+See `splits.transport.grains.flight` for the physics.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.elementary import circle
-from splits.transport.flight import Flier, Purse, Space, next_grain, roulette
-from splits.transport.jit import ONE, ZERO, borrower, part
+from splits.transport.compiling.jit import ONE, ZERO, borrower, part
+from splits.transport.grains.flight import Flier, Purse, Space, next_grain, roulette
+from splits.transport.grains.scene import MAX_REJECTIONS
+from splits.transport.grains.spheroid import Aim, Segment, Size, placed
 from splits.transport.lanes import rows
 from splits.transport.lanes.numbers import fine, three, word
 from splits.transport.lanes.rows import put, vector
 from splits.transport.lanes.vectors import two_at_a_time, widest_vectors
-from splits.transport.scene import MAX_REJECTIONS
-from splits.transport.spheroid import Aim, Segment, Size, placed
-from splits.transport.vectors import Vector, chosen
+from splits.transport.numerics.elementary import circle
+from splits.transport.numerics.vectors import Vector, chosen
 
 _MOST_TRIES = single(MAX_REJECTIONS)
 _NUMBERS = np.uint32(5)

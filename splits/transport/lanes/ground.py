@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.jit import ZERO, part
+from splits.transport.compiling.jit import ZERO, part
+from splits.transport.grains.scene import NO_GROUND
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, let_in, put_down
 from splits.transport.lanes.layers import enter, set_out, take_note
-from splits.transport.notes import passage
-from splits.transport.scene import NO_GROUND
-from splits.transport.vectors import UP, lobe
+from splits.transport.numerics.vectors import UP, lobe
+from splits.transport.sums.notes import passage
 
 
 @part

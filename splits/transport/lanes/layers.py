@@ -1,6 +1,6 @@
 """Rays of lanes among layers, between the passes: faces, legs through several layers, the way back.
 
-See `splits.transport.granular` for what happens there.
+See `splits.transport.grains.granular` for what happens there.
 """
 
 from __future__ import annotations
@@ -8,16 +8,16 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.faces import facing, meet
-from splits.transport.flight import to_boundary
-from splits.transport.granular import beyond
-from splits.transport.jit import ONE, ZERO, part
+from splits.transport.compiling.jit import ONE, ZERO, part
+from splits.transport.grains.flight import to_boundary
+from splits.transport.grains.granular import beyond
 from splits.transport.lanes import rows
 from splits.transport.lanes.ends import draw, illuminate, index_of
 from splits.transport.lanes.flight import flier_at, space_at
 from splits.transport.lanes.rows import put
-from splits.transport.notes import note, of_ray, passage
-from splits.transport.vectors import Vector
+from splits.transport.numerics.vectors import Vector
+from splits.transport.optics.faces import facing, meet
+from splits.transport.sums.notes import note, of_ray, passage
 
 
 @part

@@ -1,13 +1,13 @@
-"""Random numbers of the lanes: the streams of `splits.transport.rng`, cut into single precision."""
+"""Random numbers of the lanes: the streams of `numerics.rng`, cut into single precision."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy import float32 as single
 
-from splits.transport.jit import HALF, ONE, part
+from splits.transport.compiling.jit import HALF, ONE, part
 from splits.transport.lanes.rows import COUNT, KEY_HIGH, KEY_LOW
-from splits.transport.rng import GOLDEN, mix64
+from splits.transport.numerics.rng import GOLDEN, mix64
 
 _LOW21 = np.uint64(0x1FFFFF)
 _LOW23 = np.uint64(0x7FFFFF)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.transport.flight import Fates, Space
-from splits.transport.jit import exact, part
-from splits.transport.vectors import Vector
+from splits.transport.compiling.jit import exact, part
+from splits.transport.grains.flight import Fates, Space
+from splits.transport.numerics.vectors import Vector
 
 LANES = 64
 """Rays side by side: enough to fill vectors and to average over, few enough for the cache."""

@@ -1,20 +1,13 @@
-"""One trial at a grain's surface in every lane: see `splits.transport.surface` for the physics."""
+"""One trial at a grain's surface in every lane: see `grains.surface` for the physics."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from splits.transport.arithmetic import root
-from splits.transport.elementary import Angle, half_circle, logarithm
-from splits.transport.faces import Index
-from splits.transport.facets import facing, rough
-from splits.transport.jit import ONE, ZERO, borrower, exact, part
-from splits.transport.lanes import rows
-from splits.transport.lanes.numbers import three, word
-from splits.transport.lanes.rows import put, vector
-from splits.transport.lanes.vectors import two_at_a_time, widest_vectors
-from splits.transport.spheroid import Spheroid, across
-from splits.transport.surface import (
+from splits.transport.compiling.jit import ONE, ZERO, borrower, exact, part
+from splits.transport.grains.facets import facing, rough
+from splits.transport.grains.spheroid import Spheroid, across
+from splits.transport.grains.surface import (
     Contrast,
     Numbers,
     Outcome,
@@ -24,7 +17,14 @@ from splits.transport.surface import (
     goings,
     outcome,
 )
-from splits.transport.vectors import Vector, chosen, scaled
+from splits.transport.lanes import rows
+from splits.transport.lanes.numbers import three, word
+from splits.transport.lanes.rows import put, vector
+from splits.transport.lanes.vectors import two_at_a_time, widest_vectors
+from splits.transport.numerics.arithmetic import root
+from splits.transport.numerics.elementary import Angle, half_circle, logarithm
+from splits.transport.numerics.vectors import Vector, chosen, scaled
+from splits.transport.optics.faces import Index
 
 _MINUS_TWO = exact(-2.0)
 
@@ -199,7 +199,7 @@ def surface(state, words, width, features, scene):
     width : int
         Lanes in use, from the first on: a multiple of `rows.STRIDE`.
     features, scene : Features, Scene
-        See `splits.transport.features` and `splits.transport.lanes.rows`.
+        See `splits.transport.compiling.features` and `splits.transport.lanes.rows`.
 
     Returns
     -------

@@ -29,6 +29,7 @@ VALUE = "_value"
 """What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
 
 
+@cache
 def package_version() -> str:
     """Return the installed version of this package."""
     try:

@@ -23,10 +23,12 @@ def scattering_mean_step(optics: xr.Dataset) -> np.ndarray:
     d and d' the directions before and after: half the mean square distance gone per grain, summed
     over the memory g, g², … of directions, is l'²/(1 − g).
     """
-    free = 1.0 / optics.extinction
-    square = (free + optics.displacement_before) * (free + optics.displacement_after)
-    square = square + 0.5 * (1.0 - optics.asymmetry_parameter) * optics.displacement_square
-    values: np.ndarray = np.sqrt(square).values
+    # Arrays add in a hundredth of the time that labelled ones take.
+    free = 1.0 / optics.extinction.values
+    before, after = optics.displacement_before.values, optics.displacement_after.values
+    turned = 1.0 - optics.asymmetry_parameter.values
+    square = (free + before) * (free + after) + 0.5 * turned * optics.displacement_square.values
+    values: np.ndarray = np.sqrt(square)
     return values
 
 

@@ -147,6 +147,7 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
         return (share / count[:, np.newaxis]).sum(axis=0)
 
     for _ in range(200):
+        before = rays.copy()
         ratio = excess(rays)
         multipliers *= (ratio / ratio.max()) ** 0.5
         multipliers /= multipliers.sum()
@@ -154,6 +155,8 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
         gain = (multipliers * share).sum(axis=1) / count**2
         rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
         rays *= excess(rays).max()
+        if np.allclose(rays, before, rtol=1e-6, atol=0.0):
+            break
     rays = np.maximum(rays, floor)
     # What the floor gives away can be saved elsewhere; a little is added against falling short,
     # but only where more is wanted, or levels that have enough would grow with every round.

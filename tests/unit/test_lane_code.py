@@ -17,7 +17,9 @@ from splits.transport.compiling.ownership import Checked
 from splits.transport.lanes import flight, rows, surface
 from splits.transport.lanes.choice import features_for
 
-ARITHMETIC = re.compile(r"\tv(?:add|sub|mul|fn?m(?:add|sub)\d+)([sp])s\s.*%([xyz])mm\d+$", re.M)
+ARITHMETIC = re.compile(
+    r"\tv(?:add|sub|mul|fn?m(?:add|sub)\d+)([sp])s\s.*%([xyz])mm\d+(?: \{%k\d\})?(?: \{z\})?$", re.M
+)
 FEATURES = binding.get_host_cpu_features()
 WIDEST = "z" if FEATURES.get("avx512f") else "y"
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as single
 
+from splits.transport.compiling.alignment import align_stack, aligned
 from splits.transport.compiling.jit import ZERO, entry, owner, part
 from splits.transport.grains.flight import Space
 from splits.transport.grains.scalar import fates_of
@@ -45,7 +46,7 @@ def passing_of(scene):
 @owner
 def room(materials):
     """Return lanes of which none is in use."""
-    state = np.zeros(rows.STATE, dtype=np.float32)
+    state = aligned(rows.STATE)
     state[rows.STATUS : rows.STATUS + rows.LANES] = rows.IDLE
     words = np.zeros(rows.WORDS, dtype=np.uint32)
     length = np.zeros((rows.LANES, materials))
@@ -211,6 +212,7 @@ def batch(seed, work, scene, optics, exits, features):
         Its legs int64[items], the grains drawn: what the rays cost.  Its notes are of rays that
         reach a ground; each ray's are in the order of time.
     """
+    align_stack()
     types = scene.types
     tables = (
         types.curvature.astype(np.float32),

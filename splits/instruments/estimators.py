@@ -155,7 +155,7 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
         gain = (multipliers * share).sum(axis=1) / count**2
         rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
         rays *= excess(rays).max()
-        if np.allclose(rays, before, rtol=1e-6, atol=0.0):
+        if (np.abs(rays - before) <= 1e-4 * before).all():
             break
     rays = np.maximum(rays, floor)
     # What the floor gives away can be saved elsewhere; a little is added against falling short,

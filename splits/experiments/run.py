@@ -103,7 +103,11 @@ def run(
         if facts.get("stopped_by") == "rays" and not asked:
             say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
         if facts.get("stopped_by") == "degree":
-            say(f"{head}: lobes too narrow for the expansion, estimator: cells shows them")
+            say(
+                f"{head}: stopped before the error was reached: in some directions light changes "
+                "faster than the expansion can follow, which no rays mend; stated errors allow "
+                "for it; `estimator: cells` shows such light"
+            )
     return _stack(experiment, results, time.perf_counter() - begun)
 
 

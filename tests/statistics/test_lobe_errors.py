@@ -61,7 +61,8 @@ def projected(width):
     mean = values.T @ light
     covariance = (values.T * light) @ values - np.outer(mean, mean)
     share, vectors = np.linalg.eigh(covariance)
-    return mean, vectors * np.sqrt(np.maximum(share, 0.0))
+    # The symmetric root: eigenvectors of equal values are another set on every machine.
+    return mean, (vectors * np.sqrt(np.maximum(share, 0.0))) @ vectors.T
 
 
 def compared(width, rays, classes):

@@ -10,6 +10,7 @@ import numpy as np
 from splits.experiments.stacks import path_of
 
 PARAMETERS: dict[str, tuple[str, str]] = {
+    "algae_cells_ml": ("cells of algae per volume of meltwater", "1"),
     "asymmetry": ("mean cosine of the scattering angle", "1"),
     "bottom_albedo": ("albedo of the bottom", "1"),
     "density_kg_m3": ("mass of ice per volume", "kg m-3"),
@@ -18,6 +19,8 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "ground": ("ground below", "1"),
     "grain_size_um": ("major-axis diameter of the grains, smallest to largest", "um"),
     "hematite_ratio": ("mass of hematite per mass of iron oxide", "1"),
+    "impurities_in": ("where impurities are", "1"),
+    "impurities_ng_g": ("mass of impurities per mass of ice", "1e-9"),
     "incidence_deg": ("angle of incidence", "degree"),
     "iron_oxide": ("mass of hematite and goethite per mass of sand", "1"),
     "layers": ("layers", "1"),

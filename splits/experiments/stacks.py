@@ -12,7 +12,7 @@ from splits.checks import named, one_of, refuse, under, unknown_key
 from splits.media import Layer, Sand, Snow, Stack
 
 LAYERS = "layers"
-MERGED = ("readings", "refractive_index", "pores")
+MERGED = ("readings", "refractive_index", "pores", "impurities_ng_g", "algae_cells_ml")
 """Keywords that are mappings: a grid's values add to those of the medium."""
 MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
 """Media that a stack may hold."""

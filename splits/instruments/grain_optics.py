@@ -12,8 +12,7 @@ from splits.instruments import streams
 from splits.instruments.nodes import Nodes, choose_nodes, nodes_at
 from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import Threads
-from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium
+from splits.media.granular import GranularMedium, absorption_of
 from splits.transport.grains.scattering import PARTS, Solitary, scatter
 from splits.transport.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, shared_optics
 from splits.uncertainty import without_one
@@ -89,7 +88,7 @@ def optics_of(
         Of the medium at these wavelengths.
     """
     index = medium.indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
+    absorption = absorption_of(medium, index, wavelengths)
     wet = _wet_share(medium.saturation, index, plan.wet_pores)
     at_nodes = _wet_share(medium.saturation, nodes.index, plan.wet_pores)
     traced = _trace(scene, nodes, at_nodes, absorption, plan)

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.materials.refractive_index import absorption_coefficient
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.granular import GranularMedium, LayeredMedium, absorption_of
 from splits.media.ground import Ground
 from splits.media.particles import ParticleLayer
 from splits.media.readings import Readings
@@ -65,7 +64,7 @@ def columns_of(medium: Medium) -> int:
 def constants_of(medium: Medium, wavelength_nm: np.ndarray) -> Constants:
     """Return what a medium and its ground are to light at wavelengths (nm)."""
     index = medium.indices(wavelength_nm)
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    absorption = absorption_of(medium, index, wavelength_nm)
     ground = ground_of(medium)
     if ground is None:
         return Constants(index, absorption)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from splits.checks import refuse
+from splits.materials.refractive_index import absorption_coefficient
 from splits.media.ground import Ground
 from splits.media.readings import TransportReadings
 from splits.transport.grains.scene import Grains
@@ -59,6 +60,35 @@ class Described(Protocol):
     def describe(self) -> dict[str, Any]:
         """Return all inputs and derived quantities, for a dataset's attributes."""
         ...
+
+
+@runtime_checkable
+class Impure(Protocol):
+    """A medium that may hold what absorbs besides its materials."""
+
+    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
+        ...
+
+
+def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the absorption coefficients (1/m) of a medium's materials, impurities included.
+
+    Parameters
+    ----------
+    medium : Described
+    index : complex, shape (wavelengths, materials)
+        Its refractive indices.
+    wavelength_nm : float, shape (wavelengths,)
+    """
+    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    first = 0
+    for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
+        count = len(part.materials())
+        if isinstance(part, Impure):
+            absorption[:, first : first + count] += part.added_absorption(wavelength_nm)
+        first += count
+    return absorption
 
 
 @runtime_checkable

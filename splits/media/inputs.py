@@ -11,6 +11,11 @@ from splits.checks import in_range, numbers, refuse, scalar, suggestion
 from splits.materials import RefractiveIndex, given_index, refractive_index
 from splits.media.ground import ground_facts
 
+SPELT_OUT = (
+    "refractive_index", "readings", "ground", "pores",
+    "impurities_ng_g", "algae_cells_ml", "impurities_in",
+)  # fmt: skip
+"""Inputs that attributes hold part by part."""
 _LIMITS = ("min", "max", "mean", "sd")
 
 
@@ -75,11 +80,7 @@ def described(medium: Any) -> dict[str, Any]:
     medium : dataclass
         With fields ``refractive_index`` (by material), ``readings`` and ``ground`` among others.
     """
-    inputs = {
-        f.name: getattr(medium, f.name)
-        for f in fields(medium)
-        if f.name not in ("refractive_index", "readings", "ground", "pores")
-    }
+    inputs = {f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in SPELT_OUT}
     inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, numbers, refuse
+from splits.checks import in_range, known_keywords, numbers, one_of, refuse
 from splits.materials import ice_density
+from splits.materials.impurities import Impurity, described_impurities, impurities_of
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
 from splits.media.ground import Ground
@@ -39,6 +40,13 @@ class Snow:
     pores : mapping, optional
         Fractions of the pore space filled with other media, by name: ``{"brine": 0.1}``.
         ``refractive_index`` has to know them.
+    impurities_ng_g : mapping, optional
+        Mass of impurities per mass of ice (ng/g) by kind: ``{"black_carbon": 50}``; kinds and
+        tables of one's own: `splits.materials.impurities.impurities_of`.  They absorb only.
+    algae_cells_ml : mapping, optional
+        Cells of "ice_algae" or "snow_algae" per ml of meltwater.
+    impurities_in : {"ice", "pores"}
+        Where they are, evenly spread: within the grains, or in all pores between them.
     density_kg_m3 : float
         Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
     temperature_c : float
@@ -82,6 +90,9 @@ class Snow:
     readings: Readings = field(default_factory=Readings)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
+    impurities_ng_g: Mapping[str, Any] = field(default_factory=dict)
+    algae_cells_ml: Mapping[str, float] = field(default_factory=dict)
+    impurities_in: str = "ice"
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -119,11 +130,18 @@ class Snow:
         given = self.refractive_index
         put("pores", other_pores(self.pores, self.saturation, given, ("ice",)))
         put("refractive_index", indices_of(("ice", "water"), given, self.pores))
+        one_of("impurities_in", self.impurities_in, ("ice", "pores"))
+        # Bad ones are refused here.
+        _ = self._impurities
 
     @cached_property
     def _diameters_m(self) -> tuple[float, float]:
         scale = 1e-6 if self.readings.size_is == "diameter" else 2e-6
         return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
+
+    @cached_property
+    def _impurities(self) -> tuple[Impurity, ...]:
+        return impurities_of(self.impurities_ng_g, self.algae_cells_ml)
 
     @property
     def largest_grain_m(self) -> float:
@@ -201,9 +219,26 @@ class Snow:
         index[:, self._ice] = self.refractive_index["ice"](wavelength_nm)
         return index
 
+    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
+        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
+        added = np.zeros((wavelength_nm.size, self._ice + 1))
+        per_ice = sum(one.per_ice(wavelength_nm) for one in self._impurities)
+        if self.impurities_in == "ice":
+            added[:, self._ice] = ice_density(self.temperature_c) * per_ice
+        else:
+            added[:, : self._ice] = np.reshape(
+                self.density_kg_m3 / self.porosity * per_ice, (-1, 1)
+            )
+        return added
+
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
-        return described(self) | {
-            "mean_grain_distance_m": self.mean_grain_distance_m,
-            "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
-        }
+        return (
+            described(self)
+            | described_impurities(self._impurities, self.impurities_in)
+            | {
+                "mean_grain_distance_m": self.mean_grain_distance_m,
+                "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+            }
+        )

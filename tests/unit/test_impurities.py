@@ -1,0 +1,125 @@
+"""Impurities in snow: what they add to absorption, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import judge_z
+
+import splits
+from splits.instruments.scenes import constants_of
+from splits.materials import ice_density
+from splits.materials.impurities import kinds
+
+W = np.array([400.0, 550.0, 700.0])
+ICE, DRY, WET = 2, 0, 1
+
+
+def added(snow, wavelengths=W):
+    clean = splits.Snow(temperature_c=snow.temperature_c)
+    return constants_of(snow, wavelengths).absorption - constants_of(clean, wavelengths).absorption
+
+
+def test_soot_absorbs_by_its_mass_per_volume_of_ice():
+    """7500 m²/kg at 550 nm (Flanner et al. 2021), 100 ng in every g of ice."""
+    more = added(splits.Snow(impurities_ng_g={"black_carbon": 100.0}))
+    assert more[1, ICE] == pytest.approx(7513.0 * 1e-7 * ice_density(-1.0), rel=1e-3)
+    assert (more[:, [DRY, WET]] == 0.0).all()
+
+
+def test_as_much_is_absorbed_wherever_it_is():
+    """Per volume of snow, if light were the same everywhere."""
+    dirt = {"impurities_ng_g": {"dust_sahara": 2000.0}, "algae_cells_ml": {"snow_algae": 1e4}}
+    ice, pores = (splits.Snow(impurities_in=place, **dirt) for place in ("ice", "pores"))
+    np.testing.assert_allclose(
+        ice.ice_fraction * added(ice)[:, ICE], pores.porosity * added(pores)[:, DRY], rtol=1e-12
+    )
+    np.testing.assert_allclose(added(pores)[:, DRY], added(pores)[:, WET], rtol=1e-12)
+    assert (added(pores)[:, ICE] == 0.0).all()
+
+
+def test_kinds_add_up_and_tables_of_ones_own_serve(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text("# mine\nwavelength_nm,absorption_m2_kg\n300,100\n800,50\n")
+    lists = {"ng_g": 10.0, "wavelength_nm": [300, 800], "absorption_m2_kg": [100, 50]}
+    soot = splits.Snow(impurities_ng_g={"black_carbon": 5.0})
+    both = splits.Snow(
+        impurities_ng_g={"black_carbon": 5.0, "mine": {"ng_g": 10.0, "table": str(path)}}
+    )
+    alone = splits.Snow(impurities_ng_g={"mine": lists})
+    np.testing.assert_allclose(added(both), added(soot) + added(alone), rtol=1e-9)
+    assert added(alone)[0, ICE] == pytest.approx(90.0 * 1e-8 * ice_density(-1.0), rel=1e-9)
+    facts = both.describe()
+    assert facts["black_carbon_ng_g"] == pytest.approx(5.0)
+    assert len(facts["mine_sha256"]) == 64
+    assert facts["impurities_in"] == "ice"
+
+
+def test_layers_of_a_stack_have_their_own():
+    clean, dirty = splits.Snow(), splits.Snow(impurities_ng_g={"black_carbon": 500.0})
+    stack = splits.Stack([clean, dirty, splits.Sand(), clean])
+    plain = splits.Stack([clean, clean, splits.Sand(), clean])
+    more = constants_of(stack, W).absorption - constants_of(plain, W).absorption
+    assert stack.materials()[5] == "layers.1.ice"
+    assert (more[:, 5] > 0.0).all()
+    assert (np.delete(more, 5, axis=1) == 0.0).all()
+
+
+def test_every_kind_absorbs_over_the_whole_solar_spectrum():
+    w = np.linspace(300.0, 2500.0, 221)
+    for kind in kinds():
+        assert (added(splits.Snow(impurities_ng_g={kind: 1.0}), w)[:, ICE] > 0.0).all(), kind
+
+
+LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"impurities_ng_g": {"black_carbn": 5}}, "did you mean black_carbon"),
+        ({"impurities_ng_g": {"soot": 5}}, "one of black_carbon, brown_carbon"),
+        ({"impurities_ng_g": {"black_carbon": -5}}, r"impurities_ng_g\.black_carbon = -5"),
+        ({"impurities_ng_g": {"black_carbon": float("nan")}}, "black_carbon"),
+        ({"impurities_ng_g": {"snow_algae": 5}}, "stands under algae_cells_ml"),
+        ({"algae_cells_ml": {"black_carbon": 5}}, "stands under impurities_ng_g"),
+        ({"impurities_ng_g": 3}, "a mapping of amounts by kind"),
+        ({"impurities_in": "air"}, "one of ice, pores"),
+        ({"impurities_ng_g": {"mine": {"ng": 3}}}, "ng_g and table, or"),
+        ({"impurities_ng_g": {"mine": {"ng_g": 3, "table": "no.csv"}}}, "an existing CSV file"),
+        ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelengths, 1 values"),
+        ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
+    ],
+)
+def test_bad_impurities_are_refused_in_one_line(given, text):
+    with pytest.raises(ValueError, match=text) as error:
+        splits.Snow(**given)
+    assert "\n" not in str(error.value)
+
+
+def test_wavelengths_beyond_the_table_are_refused():
+    with pytest.raises(ValueError, match="range of impurity black_carbon"):
+        splits.spectrophotometer(splits.Snow(impurities_ng_g={"black_carbon": 1.0}), [2600.0])
+
+
+@pytest.mark.slow
+def test_soot_in_ice_is_ice_that_absorbs_more():
+    """Extinction so faint does not reflect: the same as ice of a larger k."""
+    w, each = np.array([500.0, 600.0, 700.0]), {"saturation": 0.0, "depth_m": 0.05}
+    dirty = splits.Snow(impurities_ng_g={"black_carbon": 2000.0}, **each)
+    alpha = constants_of(dirty, w).absorption[:, ICE]
+    n = dirty.refractive_index["ice"](w).real
+    k = alpha * w * 1e-9 / (4.0 * np.pi)
+    table = {"wavelength_nm": list(w), "n": list(n), "k": list(k)}
+    absorbing = splits.Snow(refractive_index={"ice": table}, **each)
+    one, other = (
+        splits.spectrophotometer(snow, w, max_stderr=0.004, seed=seed)
+        for seed, snow in enumerate((dirty, absorbing), start=1)
+    )
+    z = [
+        (one[name] - other[name]) / np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"])
+        for name in ("reflectance", "transmittance")
+    ]
+    judge_z(np.array(z), independent=1, bound_added=True)
+    clean = splits.spectrophotometer(splits.Snow(**each), w, max_stderr=0.004)
+    assert (clean.reflectance - one.reflectance > 0.02).all()

@@ -2,7 +2,7 @@
 
 Printed are B and g at 900 nm without diffraction (`splits.analysis.grain_shape`) for the papers'
 readings and for others, with standard errors.  Natural snow, 33 samples in micro-tomography
-(Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02, g 0.65 ± 0.03, B/(1 − g) 4.8.
+(Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02 and g 0.65 ± 0.03.
 
     python benchmarks/grain_shape.py [TABLE.csv] [--rays 65536]
 """

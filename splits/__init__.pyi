@@ -15,3 +15,6 @@ from .media import Sand as Sand
 from .media import SandReadings as SandReadings
 from .media import Snow as Snow
 from .media import Stack as Stack
+from .skies import Sky as Sky
+from .skies import albedo as albedo
+from .skies import sky as sky

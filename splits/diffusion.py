@@ -44,13 +44,14 @@ def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
     """
     node, weight = np.polynomial.legendre.leggauss(256)
     mu, weight = 0.5 * (1.0 + node), 0.5 * weight
-    n = np.asarray(n)[..., np.newaxis]
-    # Where n < 1 and light is totally reflected, the root of 0 reflects all of it.
-    inner = np.sqrt(np.maximum(1.0 - (1.0 - mu**2) / n**2, 0.0))
-    across = ((mu - n * inner) / (mu + n * inner)) ** 2
-    along = ((n * mu - inner) / (n * mu + inner)) ** 2
+    n = np.asarray(n, dtype=float)
+    # From the dense side, where the integrand has a corner, by reciprocity.
+    dense = np.maximum(n, 1.0 / n)[..., np.newaxis]
+    inner = np.sqrt(1.0 - (1.0 - mu**2) / dense**2)
+    across = ((mu - dense * inner) / (mu + dense * inner)) ** 2
+    along = ((dense * mu - inner) / (dense * mu + inner)) ** 2
     values: np.ndarray = (weight * mu * (across + along)).sum(axis=-1)
-    return values
+    return np.where(n < 1.0, 1.0 - (1.0 - values) * n**2, values)
 
 
 class Rest(NamedTuple):

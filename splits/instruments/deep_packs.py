@@ -23,8 +23,9 @@ from splits.checks import refuse
 from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
 from splits.instruments.estimators import Estimate
 from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type, roughly
-from splits.media.granular import GranularMedium
+from splits.media.granular import GranularMedium, absorption_of
 from splits.media.ground import Ground
+from splits.media.particles import ParticleLayer
 from splits.media.stack import Stack
 from splits.media.turbid import Medium
 from splits.transport.grains.scene import DRY_PORE, WET_PORE
@@ -46,7 +47,8 @@ LEAST_TURN = 0.01
 RAYS = BATCH
 """To measure what each type of grain does: asymmetry to 2 %, far better than `DOUBT`."""
 ROUGHLY = 256
-"""To see roughly what they do: losses of a tenth to a fifth, far better than `CLEARLY`."""
+"""To see roughly what they do, far better than `CLEARLY`; of rare dark grains too little is seen,
+and then a better look is taken."""
 
 
 class Cut(NamedTuple):
@@ -60,6 +62,9 @@ class Cut(NamedTuple):
         Of the cut (m).
     passed : float, shape (wavelengths,)
         Share that the rest lets through of what it keeps.
+    clear : bool, shape (wavelengths,)
+        Whether nothing absorbs, below the cut and above, and the ground below lets pass what is
+        not sent back.
     escape : float, shape (wavelengths,)
         Chance that light from the cut leaves at the top.
     enough_m : float
@@ -70,6 +75,7 @@ class Cut(NamedTuple):
     medium: Medium
     depth_m: float
     passed: np.ndarray
+    clear: np.ndarray
     escape: np.ndarray
     enough_m: float
 
@@ -77,14 +83,12 @@ class Cut(NamedTuple):
         """Return the estimate of the whole pack from that of the part above the cut."""
         kept = found.mean[1]
         back = np.minimum(found.mean[0], 1.0)
-        # Where nothing is absorbed, all that does not come back goes through.
-        through = np.where(self.passed == 1.0, 1.0 - back, kept * self.passed)
-        through = np.minimum(through, 1.0 - back)
+        clear = self.clear
+        # Where nothing is absorbed, all that does not come back goes through, in error as in size.
+        through = np.where(clear, 1.0 - back, np.minimum(kept * self.passed, 1.0 - back))
         mean = np.stack([back, through, 1.0 - back - through])
-        clear = self.passed == 1.0
         doubt = DOUBT * kept * self.escape
-        # Where nothing is absorbed, what does not come back goes through, in error as in size.
-        below = np.where(clear, doubt, DOUBT * through)
+        below = np.where(self.passed == 1.0, doubt, DOUBT * through)
         rest = np.where(clear, 0.0, np.hypot(doubt, below))
         missed = np.stack([doubt, below, rest])
         scale = np.stack([np.ones_like(kept), self.passed, np.ones_like(kept)])
@@ -210,7 +214,21 @@ def _cut(
     else:
         part = replace(shorter, ground=ground)
     enough = _enough(rate, diffusion, max_stderr)
-    return Cut(part, height, passed, escape, enough)
+    dark_above = _absorbing_above(medium, optics.wavelength.values)
+    return Cut(part, height, passed, (passed == 1.0) & ~dark_above, escape, enough)
+
+
+def _absorbing_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
+    """Tell at which wavelengths a layer above the lowest one may absorb."""
+    if not isinstance(medium, Stack):
+        return np.zeros(wavelengths.size, dtype=bool)
+    above = len(medium.materials()) - len(medium.parts[-1].materials())
+    absorption = absorption_of(medium, medium.indices(wavelengths), wavelengths)
+    pale = [
+        p.layer.single_scattering_albedo < 1.0 for p in medium.parts if isinstance(p, ParticleLayer)
+    ]
+    dark = (absorption[:, :above] > 0.0).any(axis=1)
+    return np.asarray(dark | any(pale))
 
 
 def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float:

@@ -105,9 +105,12 @@ def optics_of(
 def roughly(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
     """Return about what `pooled_by_type` does, for a part of its time.
 
-    All grains together, and everything but absorption as at one wavelength.
+    All grains together, and everything but absorption as at one wavelength: that of the least, at
+    which light gets farthest.
     """
-    nodes = nodes_at(medium.indices(wavelengths), medium.interfaces(), [wavelengths.size // 2])
+    index = medium.indices(wavelengths)
+    clearest = int(absorption_of(medium, index, wavelengths).max(axis=1).argmin())
+    nodes = nodes_at(index, medium.interfaces(), [clearest])
     scene = granular_scene(medium, 0.0, False)
     values = optics_of(medium, scene, wavelengths, plan, nodes)
     names = ("single_scattering_albedo", "asymmetry_parameter", "extinction", *RATIOS)

@@ -42,6 +42,14 @@ at most half of that."""
 FAINT = 0.25
 """Contrast of a face below which these bounds are in proportion to it: less is reflected."""
 
+INWARD = 2.0
+"""How much more a face moves that light meets from its dense side, in units of `FACE`: what is
+reflected there is total beyond the critical angle."""
+
+KINK = 4.0 / 3.0
+"""Half the change of slope where a face's contrast c goes through 0: little contrast reflects c/3
+of diffuse light from the thin side and 7c/3 from the dense one, and there these change places."""
+
 DARK = 1e-3
 """Extinction coefficient at which a material counts half as absorbing: a grain of a tenth of a
 millimetre then absorbs most of the visible light that enters it."""
@@ -208,7 +216,7 @@ class _Draws:
         # What all layers miss together is at most what the worst would, alone in its place.
         worst = np.zeros(len(t))
         for parts in self.layers:
-            missed = (part.weight * _bias(part, a, b, t) for part in parts)
+            missed = (part.weight * _bias(part, a, b, t) + _bend(part, a, b, t) for part in parts)
             worst = np.maximum(worst, sum(missed, np.zeros(len(t))))
         return worst
 
@@ -235,22 +243,36 @@ class _Draws:
 
 
 class _Part(NamedTuple):
-    """What a layer is judged by: weight, values, shape (wavelengths, n), and their least scale."""
+    """What a layer is judged by.
+
+    Attributes
+    ----------
+    weight : float
+        Of what first and second order miss.
+    values : float, shape (wavelengths, n)
+    least : float
+        Scale below which changes count in proportion to themselves no more.
+    kink : float
+        Half the change of slope where the value, the only one, goes through 0.
+    """
 
     weight: float
     values: np.ndarray
-    least: float
+    least: float = 0.0
+    kink: float = 0.0
 
 
 def _parts(index: np.ndarray, interfaces: Sequence[Interface]) -> list[_Part]:
     """Return what a layer is judged by."""
     parts = [
-        _Part(1.0, contrasts(index, interfaces), 0.0),
-        _Part(1.0, entering(index, interfaces), 0.0),
+        _Part(1.0, contrasts(index, interfaces)),
+        _Part(1.0, entering(index, interfaces)),
     ]
     for face in (i for i in interfaces if i.place == "face"):
         near, far, share = _sides(index, [face])
-        parts.append(_Part(FACE * face.share, _contrasts(near, far, np.ones_like(share)), FAINT))
+        values = _contrasts(near, far, np.ones_like(share))
+        weight = FACE * face.share * (INWARD if (values < 0.0).any() else 1.0)
+        parts.append(_Part(weight, values, FAINT, KINK * face.share))
     return parts
 
 
@@ -288,3 +310,15 @@ def _bias(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
         gap = np.multiply(weight, apart**2, out=np.zeros(len(u)), where=weight > 0.0)
         total += 0.5 * CURVATURE * gap
     return total
+
+
+def _bend(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
+    """Bound what a kink at 0 adds to `_bias`: nothing, if all values have one sign."""
+    if part.kink == 0.0:
+        return np.zeros(len(t))
+    a, b = part.values[first], part.values[second]
+    chord = t[:, np.newaxis] * a + (1.0 - t)[:, np.newaxis] * b
+    apart = t * np.abs(a).sum() + (1.0 - t) * np.abs(b).sum() - np.abs(chord).sum(axis=1)
+    crossed = np.sign(chord) * np.sign(part.values) < 0.0
+    beyond = np.where(crossed, np.minimum(np.abs(chord), np.abs(part.values)), 0.0).sum(axis=1)
+    return part.kink * (np.maximum(apart, 0.0) + 2.0 * beyond)

@@ -17,7 +17,7 @@ from splits.media.ground import Ground, ground_facts
 from splits.media.layer import Layer
 from splits.media.particles import ParticleLayer
 from splits.media.pores import Pores
-from splits.transport.grains.scene import DRY_PORE, WET_PORE
+from splits.transport.grains.scene import WET_PORE
 
 MOST_LAYERS = 200
 
@@ -132,16 +132,28 @@ class Stack:
                 for i in layer.interfaces()
             ]
         for upper, lower in pairwise(range(len(self.parts))):
-            for lid, below in ((upper, lower), (lower, upper)):
-                matrix, grains = self.parts[lid], self.parts[below]
-                if isinstance(matrix, ParticleLayer) and not isinstance(grains, ParticleLayer):
-                    fluids = Pores.of(grains.saturation, grains.pores)
-                    found += [
-                        Interface(part, first[lid] + WET_PORE, first[below] + row, "face", below)
-                        for row, part in enumerate(fluids.shares)
-                        if row != DRY_PORE and part > 0.0
-                    ]
+            for one, other in ((upper, lower), (lower, upper)):
+                found += self._between(one, other, first)
         return found
+
+    def _between(self, one: int, other: int, first: list[int]) -> list[Interface]:
+        """Return what the pores of one layer of grains have in common with its neighbour."""
+        grains, neighbour = self.parts[one], self.parts[other]
+        if isinstance(grains, ParticleLayer):
+            return []
+        shares = Pores.of(grains.saturation, grains.pores).shares
+        matrix = isinstance(neighbour, ParticleLayer)
+        if not matrix and not grains.readings.rules().boundary_fresnel:
+            return []
+        # Air and water of two layers of grains may have tables of their own.
+        rows = [
+            (r, WET_PORE if matrix else r) for r in range(len(shares)) if matrix or r <= WET_PORE
+        ]
+        return [
+            Interface(shares[row], first[other] + beyond, first[one] + row, "face", one)
+            for row, beyond in rows
+            if shares[row] > 0.0
+        ]
 
     def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""

@@ -85,6 +85,28 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
 
 
 @NEEDS_JIT
+@pytest.mark.parametrize("ground", [None, 0.5])
+def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
+    """Clear quartz below, and snow above that is black at 1500 nm."""
+    clear = {"iron_oxide": 0.0, "partition": (1, 0, 0), "saturation": 0.0}
+    found = [
+        splits.spectrophotometer(
+            splits.Stack([splits.Snow(), splits.Sand(**clear, depth_m=depth)], ground=ground),
+            [500.0, 1500.0],
+            max_stderr=0.02,
+            seed=seed,
+        )
+        for seed, depth in enumerate((1.0, 0.007), start=1)
+    ]
+    assert "traced_to_m" in found[0].attrs
+    assert "traced_to_m" not in found[1].attrs
+    for one in found:
+        assert one.absorptance[1] > 0.9
+    spread = np.hypot(found[0].absorptance_stderr[1], found[1].absorptance_stderr[1])
+    assert abs(found[0].absorptance[1] - found[1].absorptance[1]) < 4.0 * spread
+
+
+@NEEDS_JIT
 def test_errors_of_cut_packs_hold(always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
     cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import splits
 from splits import Snow
+from splits.diffusion import diffuse_reflectance
 from splits.instruments.nodes import CURVATURE, MAX_NODES, choose_nodes, contrasts, entering
 from splits.media.granular import Interface
 
@@ -192,3 +194,43 @@ def test_a_face_that_hardly_reflects_asks_for_no_nodes():
     index[:, 1] += 0.2
     strong = choose_nodes(index, [Interface(1.0, 0, 1, "face")], 1e-5)
     assert len(strong.index) > len(faint.index)
+
+
+@pytest.mark.parametrize("lid", [1.32, 1.33, 1.335, 1.5])
+@pytest.mark.parametrize("below", [0.0, 0.02, 0.3, 0.9])
+def test_faces_met_from_either_side_stay_within_their_bound(lid, below):
+    """A lid on wet sand: from some wavelength on the denser side is the other.
+
+    Diffuse light, a clear lid, and pores that send back a part of what enters them.
+    """
+    wavelengths = np.arange(400.0, 1001.0, 50.0)
+    layer = splits.Layer(
+        optical_thickness=1.0, refractive_index=lid, bottom_albedo=None, depth_m=0.02
+    )
+    stack = splits.Stack([layer, splits.Sand(saturation=1.0)])
+    index = stack.indices(wavelengths)
+    names = stack.materials()
+    n = index[:, names.index("layers.1.water")].real / lid
+    outer, inner = diffuse_reflectance(n), diffuse_reflectance(1.0 / n)
+    seen = outer + (1.0 - outer) * (1.0 - inner) * below / (1.0 - inner * below)
+    for tolerance in (1e-2, 1e-3, 2e-4):
+        nodes = choose_nodes(index, stack.interfaces(), tolerance)
+        rows = [np.flatnonzero((index == node).all(axis=1))[0] for node in nodes.index]
+        missed = np.abs(seen[rows] @ nodes.weights - seen)
+        assert (missed <= nodes.bias + 1e-12).all(), (tolerance, missed.max(), nodes.bias.max())
+
+
+def test_faces_between_layers_are_judged_wherever_indices_may_change():
+    def air(last):
+        return {"air": {"wavelength_nm": [400, 1000], "n": [1.5, last], "k": [0, 0]}}
+
+    sands = [splits.Sand(refractive_index=air(last)) for last in (1.4, 1.5)]
+    lid = splits.Layer(
+        optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.1
+    )
+    for stack in (splits.Stack([lid, sands[0]]), splits.Stack(sands)):
+        pairs = {(i.near, i.far) for i in stack.interfaces() if i.place == "face"}
+        names = stack.materials()
+        told = {(names[near], names[far]) for near, far in pairs}
+        below = "layers.1.air" if "layers.1.air" in names else names[0]
+        assert any(below in pair for pair in told), told

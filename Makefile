@@ -58,6 +58,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/deep_packs.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py
+	$(BIN)/python benchmarks/grain_shape.py
 	$(BIN)/python benchmarks/reciprocity.py
 	$(BIN)/python benchmarks/exact_layers.py
 	$(BIN)/python benchmarks/local_estimation.py

@@ -1,0 +1,134 @@
+"""Light of the sky: its irradiances, their integrals, and albedos under them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.skies.irradiance import names
+
+W = np.array([400.0, 500.0, 700.0, 1000.0])
+MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
+
+
+def test_weights_are_integrals_of_irradiance_times_hats():
+    mine = splits.sky(MINE, 30.0)
+    fine = np.linspace(450.0, 900.0, 2_000_001)
+    light = np.interp(fine, mine.wavelength_nm, mine.total)
+    for albedo in (np.ones(4), W / 1000.0, np.array([0.2, 0.9, 0.1, 0.4])):
+        exact = np.trapezoid(light * np.interp(fine, W, albedo), fine)
+        assert mine.weights(W, 450.0, 900.0) @ albedo == pytest.approx(exact, rel=1e-9)
+    # Light beyond the wavelengths, or beyond the sky, is not there.
+    assert mine.weights(W, 300.0, 5000.0).sum() == mine.weights(W, 400.0, 1000.0).sum()
+    assert (mine.weights(W, 1100.0, 1200.0) == 0.0).all()
+
+
+def test_direct_share_is_that_of_irradiances():
+    np.testing.assert_allclose(
+        splits.sky(MINE).direct_share(np.array([300.0, 450.0, 600.0, 1200.0])),
+        [0.5, 2.0 / 2.5, 1.0, 0.0],
+    )
+
+
+@pytest.mark.parametrize("name", names())
+def test_skies_of_snicar_are_direct_or_diffuse(name):
+    share = splits.sky(name).direct_share(np.array([350.0, 1000.0, 2400.0]))
+    np.testing.assert_array_equal(share, 0.0 if name.endswith("_cloudy") else 1.0)
+    assert splits.sky(name).total.sum() == pytest.approx(1.0, abs=0.003)
+
+
+def test_clear_skies_and_the_standard():
+    high, low = splits.sky("clear", 20.0), splits.sky("clear", 75.0)
+    # The beam loses more of its blue the longer its way.
+    blue = np.array([400.0, 450.0])
+    assert (low.direct_share(blue) < high.direct_share(blue)).all()
+    # The sun high over dark ground: about a kilowatt.
+    dark = splits.sky("clear", 20.0, ground_albedo=0.1)
+    assert np.trapezoid(dark.total, dark.wavelength_nm) == pytest.approx(1000.0, rel=0.1)
+    standard = splits.sky("astm_g173")
+    beam = np.trapezoid(standard.direct, standard.wavelength_nm)
+    assert beam == pytest.approx(900.1 * np.cos(np.radians(48.19)), rel=1e-3)
+    snow, soil = (splits.sky("clear", 60.0, ground_albedo=one) for one in (0.9, 0.1))
+    assert snow.diffuse.sum() > soil.diffuse.sum()
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "text"),
+    [
+        ("midlatitude", {}, "did you mean midlatitude_winter"),
+        (3, {}, "must be one of"),
+        ("clear", {"zenith_deg": 95.0}, "zenith_deg"),
+        ("clear", {"zenith_deg": 50.0, "turbidity": 0.1}, "turbidity_500nm"),
+        ("clear", {"ground_albedo": 2.0}, "ground_albedo"),
+        ("high_mountain", {"ozone_atm_cm": 0.3}, "for the sky clear only"),
+        ("astm_g173", {"zenith_deg": 30.0}, "left out"),
+        ("no.csv", {}, "an existing CSV file"),
+        ({"direct": [1, 2]}, {}, "a mapping of wavelength_nm"),
+        (MINE | {"direct": [1.0, 2.0]}, {}, "three lists of the same length"),
+        (MINE | {"direct": [1.0, -2.0, 0.0]}, {}, r"sky\.direct"),
+        (MINE | {"direct": [0, 0, 0], "diffuse": [0, 0, 0]}, {}, "light at some wavelength"),
+        (MINE | {"wavelength_nm": [300, 200, 400]}, {}, "strictly increasing"),
+    ],
+)
+def test_bad_skies_are_refused_in_one_line(given, more, text):
+    with pytest.raises(ValueError, match=text) as error:
+        splits.sky(given, **more)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"wavelength_nm": [250.0, 500.0]}, r"in \[300, 1200\] nm"),
+        ({"wavelength_nm": [500.0]}, "at least two"),
+        ({"bands": {"red": (700, 600)}}, r"bands\.red"),
+        ({"bands": {"thermal": (8000, 9000)}}, r"bands\.thermal"),
+    ],
+)
+def test_what_a_sky_cannot_tell_is_refused(more, text):
+    given = {"wavelength_nm": W} | more
+    with pytest.raises(ValueError, match=text):
+        splits.albedo(splits.Layer(optical_thickness=0.1), MINE, max_stderr=0.1, **given)
+
+
+@pytest.mark.slow
+def test_a_white_layer_is_white_over_all_bands():
+    white = splits.Layer(optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0)
+    found = splits.albedo(white, MINE, W, 0.02, bands={"green": (500, 560)})
+    assert found.band.values.tolist() == ["broadband", "green"]
+    np.testing.assert_allclose(found.band_albedo, 1.0, atol=1e-12)
+    mine = splits.sky(MINE)
+    inside, everything = mine.weights(W, 300, 1200).sum(), 1950.0
+    assert found.irradiance_covered[0] == pytest.approx(inside / everything)
+    assert found.irradiance_covered[1] == pytest.approx(1.0)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_the_sky_mixes_the_sun_and_diffuse_light():
+    snow = splits.Snow(depth_m=0.03)
+    found = splits.albedo(snow, splits.sky(MINE, 50.0), W, 0.02, seed=5)
+    sun = splits.spectrophotometer(snow, W, 50.0, 0.02, seed=5).reflectance
+    rest = splits.spectrophotometer(snow, W, "diffuse", 0.02, seed=6).reflectance
+    share = found.direct_share
+    np.testing.assert_allclose(found.albedo, share * sun + (1.0 - share) * rest, rtol=1e-12)
+
+
+@NEEDS_JIT
+@pytest.mark.long
+def test_errors_of_bands_are_their_scatter_between_seeds():
+    snow, mine = splits.Snow(depth_m=0.03), splits.sky(MINE, 50.0)
+    w = np.arange(400.0, 1001.0, 25.0)
+    runs = [
+        splits.albedo(snow, mine, w, 0.02, seed=2 * seed, bands={"blue": (400, 500)})
+        for seed in range(60)
+    ]
+    values = np.array([run.band_albedo.values for run in runs])
+    stated = np.sqrt(np.mean([run.band_albedo_stderr.values**2 for run in runs], axis=0))
+    ratio = values.std(axis=0, ddof=1) / stated
+    print("scatter over stated", ratio)
+    # 60 seeds know a scatter to 9 %; three times that.
+    assert (ratio < 1.28).all()
+    assert (ratio > 0.5).all()

@@ -115,7 +115,7 @@ class _Diffusing(NamedTuple):
     loss : float
         Share that a grain absorbs.
     turn : float
-        1 − ωg.
+        1 − g, and the loss besides: 1 − ωg where little is lost.
     diffusion : float
         D (m).
     rate : float

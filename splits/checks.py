@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import fields
 from difflib import get_close_matches
 from functools import wraps
+from inspect import signature
 from numbers import Real
 from reprlib import Repr
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -39,6 +40,8 @@ _SHORT.maxstring = _SHORT.maxother = 90
 _SHORT.maxlevel = 4
 
 Class = TypeVar("Class", bound=type)
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 def shown(value: object) -> str:
@@ -126,6 +129,20 @@ def known_keywords(kind: Class) -> Class:
 
     kind.__init__ = checked  # type: ignore[misc]
     return kind
+
+
+def known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Let a function refuse keywords that it does not have as `known_keywords` does."""
+    names = list(signature(function).parameters)
+
+    @wraps(function)
+    def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
+        for key in keywords:
+            if key not in names:
+                raise TypeError(str(unknown_key(key, names)))
+        return function(*values, **keywords)
+
+    return checked
 
 
 @contextmanager

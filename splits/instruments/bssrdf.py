@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import one_of
+from splits.checks import known_arguments, one_of
 from splits.instruments import streams
 from splits.instruments.angular import missed_of_totals
 from splits.instruments.arguments import (
@@ -57,6 +57,7 @@ Sums = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 """What a batch yields: group, weights by distance, first moment, map."""
 
 
+@known_arguments
 def bssrdf(
     medium: Medium,
     wavelength_nm: Any,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, refuse
+from splits.checks import in_range, known_arguments, refuse
 from splits.instruments import streams
 from splits.instruments.arguments import (
     check_incidence,
@@ -46,6 +46,7 @@ _SAFE = 0.6
 PROPERTY_RAYS = 20_000
 
 
+@known_arguments
 def deep_transmittance(
     medium: GranularMedium,
     wavelength_nm: Any,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse
+from splits.checks import in_range, known_arguments, one_of, refuse
 from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.arguments import (
     check_angles,
@@ -49,6 +49,7 @@ _NODES_SHARE = 0.05
 the relative error asked for."""
 
 
+@known_arguments
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Any,

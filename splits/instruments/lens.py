@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, increasing, one_of, refuse, row_of
+from splits.checks import in_range, increasing, known_arguments, one_of, refuse, row_of
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
@@ -30,6 +30,7 @@ SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is looked for."""
 
 
+@known_arguments
 def lens(
     medium: SurfaceMedium,
     screen_depth_m: Any,

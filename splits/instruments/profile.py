@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, increasing, one_of, refuse, row_of
+from splits.checks import in_range, increasing, known_arguments, one_of, refuse, row_of
 from splits.instruments.arguments import (
     check_incidence,
     check_medium,
@@ -45,6 +45,7 @@ _BIAS_SHARE = 0.4
 """Part of the error asked for that interpolation between indices may take."""
 
 
+@known_arguments
 def profile(
     medium: GranularMedium | LayeredMedium,
     wavelength_nm: Any,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import one_of, refuse
+from splits.checks import known_arguments, one_of, refuse
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
 from splits.instruments.grain_optics import BATCH, WET_PORES, Plan, nodes_of, optics_of
 from splits.instruments.labels import run_facts, wavelength_axis
@@ -34,6 +34,7 @@ FOR_THEORIES = {
 """What theories know errors of the optics by: how names end, dimensions before, and labels."""
 
 
+@known_arguments
 def single_scattering(
     medium: GranularMedium,
     wavelength_nm: Any,

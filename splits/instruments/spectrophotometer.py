@@ -8,7 +8,7 @@ from typing import Any
 
 import xarray as xr
 
-from splits.checks import in_range, one_of
+from splits.checks import in_range, known_arguments, one_of
 from splits.instruments.arguments import (
     check_incidence,
     check_medium,
@@ -31,6 +31,7 @@ QUANTITIES = {
 }
 
 
+@known_arguments
 def spectrophotometer(
     medium: Medium,
     wavelength_nm: Any,

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import xarray as xr
 
-from splits.checks import refuse
+from splits.checks import known_arguments, refuse
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
@@ -18,6 +18,7 @@ POINTS = 201
 MOST_REALISATIONS = 10_000_000
 
 
+@known_arguments
 def surface_map(
     medium: SurfaceMedium,
     half_width_m: float,

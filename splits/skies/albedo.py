@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.errors import weighted_error
-from splits.checks import in_range, numbers, refuse
+from splits.checks import in_range, known_arguments, numbers, refuse
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_threads, check_wavelengths, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
@@ -24,6 +24,7 @@ LAST_NM = 2495.0
 ALL = "broadband"
 
 
+@known_arguments
 def albedo(
     medium: Medium,
     sky: Sky | str | Mapping[str, Any],

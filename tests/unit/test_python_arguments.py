@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 
 import numpy as np
@@ -131,3 +132,19 @@ def test_wavelengths_that_each_take_paths_of_their_own_are_counted():
     wavelengths = np.arange(400.0, 2500.0, 0.5)
     with pytest.raises(ValueError, match=r"^wavelength_nm = '4200 wavelengths': must be at most"):
         splits.spectrophotometer(splits.Snow(), wavelengths, max_stderr=1e-6, max_rays=1)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "wrong", "right"),
+    [
+        (splits.spectrophotometer, "incidence", "incidence_deg"),
+        (splits.goniophotometer, "relative_error", "relative_stderr"),
+        (splits.profile, "depths_m", "depth_m"),
+        (splits.single_scattering, "ray", "rays"),
+        (splits.albedo, "band", "bands"),
+    ],
+)
+def test_misspelt_arguments_of_instruments_get_a_suggestion(instrument, wrong, right):
+    with pytest.raises(TypeError, match=rf"^{wrong}: unknown key.*did you mean {right}\?"):
+        instrument(splits.Snow(), [500.0], **{wrong: 1})
+    assert right in inspect.signature(instrument).parameters

@@ -176,6 +176,16 @@ class Snow:
         """Surface area per mass of ice, 4K/ρ_ice for convex grains (m²/kg)."""
         return 4.0 * self.attenuation_per_m / ice_density(self.temperature_c)
 
+    @property
+    def optical_radius_um(self) -> float:
+        """Radius (µm) of the ice spheres of the same specific surface area, 3/(ρ_ice SSA)."""
+        return 3e6 / (ice_density(self.temperature_c) * self.specific_surface_area_m2_kg)
+
+    @property
+    def liquid_water_content(self) -> float:
+        """Volume of water per volume of snow."""
+        return self.saturation * self.porosity
+
     def grains(self) -> Grains:
         """Return the table of particle types: one, of ice."""
         sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)
@@ -240,5 +250,7 @@ class Snow:
             | {
                 "mean_grain_distance_m": self.mean_grain_distance_m,
                 "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+                "optical_radius_um": self.optical_radius_um,
+                "liquid_water_content": self.liquid_water_content,
             }
         )

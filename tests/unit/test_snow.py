@@ -69,10 +69,17 @@ def test_mean_grain_distance_and_specific_surface_area():
     assert Snow().specific_surface_area_m2_kg == pytest.approx(20.3, abs=0.05)
 
 
+def test_liquid_water_is_counted_per_volume_of_snow():
+    wet = Snow(saturation=0.1, density_kg_m3=400)
+    assert wet.describe()["liquid_water_content"] == pytest.approx(0.1 * wet.porosity)
+    assert Snow(saturation=0).liquid_water_content == 0.0
+
+
 def test_specific_surface_area_of_equal_spheres():
     snow = Snow(grain_size_um=(500, 500), sphericity=(1, 1, 1, 0))
     exact = 6.0 / (500e-6 * ice_density(-1.0))
     assert snow.specific_surface_area_m2_kg == pytest.approx(exact, rel=1e-12)
+    assert snow.optical_radius_um == pytest.approx(250.0, rel=1e-12)
     # Mean cross-section over volume of a sphere: 1.5 per diameter.
     assert snow.attenuation_per_m == pytest.approx(1.5 / 500e-6, rel=1e-12)
 

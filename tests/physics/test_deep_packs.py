@@ -21,7 +21,7 @@ FINE = {"grain_size_um": (50.0, 100.0), "density_kg_m3": 300.0}
 PACKS = {
     "dry": splits.Snow(**FINE, saturation=0.0, depth_m=0.03),
     "wet": splits.Snow(**FINE, saturation=0.3, depth_m=0.03),
-    "soaked": splits.Snow(**FINE, saturation=1.0, depth_m=0.06),
+    "soaked": splits.Snow(**FINE, saturation=1.0, depth_m=0.12),
     "on soil": splits.Snow(**FINE, saturation=0.0, depth_m=0.02, ground=0.6),
     "layered": splits.Stack(
         [splits.Snow(depth_m=0.003), splits.Snow(**FINE, saturation=0.0, depth_m=0.02)]

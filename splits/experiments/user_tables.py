@@ -1,4 +1,4 @@
-"""Users' own tables of refractive indices and grounds, where an experiment's settings name them."""
+"""Users' own tables of refractive indices, grounds and impurities, where an experiment's settings name them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-KEYS = ("refractive_index", "ground")
+KEYS = ("refractive_index", "ground", "impurities_ng_g")
 
 
 def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> Any:

@@ -7,6 +7,7 @@ import pytest
 from chi2 import judge_z
 
 import splits
+from splits.experiments.user_tables import tables_in
 from splits.instruments.scenes import constants_of
 from splits.materials import ice_density
 from splits.materials.impurities import kinds
@@ -69,6 +70,14 @@ def test_every_kind_absorbs_over_the_whole_solar_spectrum():
     w = np.linspace(300.0, 2500.0, 221)
     for kind in kinds():
         assert (added(splits.Snow(impurities_ng_g={kind: 1.0}), w)[:, ICE] > 0.0).all(), kind
+
+
+def test_tables_of_ones_own_are_inputs_of_an_experiment():
+    """A changed table runs it again, and an archive holds it."""
+    mine = {"mine": {"ng_g": 3, "table": "mine.csv"}}
+    layers = [{"kind": "snow", "impurities_ng_g": mine}]
+    assert tables_in({"medium": {"kind": "stack", "layers": layers}}) == ["mine.csv"]
+    assert tables_in({"grid": {"impurities_ng_g": {"dirty": mine}}}) == ["mine.csv"]
 
 
 LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}

@@ -1,4 +1,4 @@
-"""Users' own tables of indices, grounds and impurities, where an experiment's settings name them."""
+"""Users' own tables of indices, grounds and impurities that an experiment's settings name."""
 
 from __future__ import annotations
 

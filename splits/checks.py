@@ -115,13 +115,18 @@ def unknown_key(key: str, known: Iterable[str]) -> UnknownKey:
     return UnknownKey(key, None, f"one of {listed(names)}", hint)
 
 
+def keywords_taken(kind: Any) -> list[str]:
+    """Return the keywords of a dataclass: its fields, and others that it says it takes."""
+    return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
+
+
 def known_keywords(kind: Class) -> Class:
     """Let a dataclass refuse keywords that it does not have by the list of those it has."""
     construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
 
     @wraps(construct)
     def checked(self: Any, *values: Any, **keywords: Any) -> None:
-        names = [field.name for field in fields(kind)]
+        names = keywords_taken(kind)
         for key in keywords:
             if key not in names:
                 raise TypeError(str(unknown_key(key, names)))
@@ -273,7 +278,30 @@ def one_of(key: str, value: object, choices: Iterable[str]) -> str:
     raise refuse(key, value, "one of " + listed(names), suggestion(value, names))
 
 
+ALIASES = {
+    "ssa": "specific_surface_area_m2_kg",
+    "surface_area": "specific_surface_area_m2_kg",
+    "grain_radius": "optical_radius_um",
+    "effective_radius": "optical_radius_um",
+    "radius": "optical_radius_um",
+    "lwc": "liquid_water_content",
+    "wetness": "liquid_water_content",
+    "water": "liquid_water_content",
+    "soot": "impurities_ng_g",
+    "black_carbon": "impurities_ng_g",
+    "dust": "impurities_ng_g",
+    "algae": "algae_cells_ml",
+    "thickness": "depth_m",
+    "temperature": "temperature_c",
+    "sza": "incidence_deg",
+    "solar_zenith": "incidence_deg",
+}
+"""What others call some keywords."""
+
+
 def suggestion(name: object, names: Iterable[str]) -> str:
-    """Return "did you mean …?" for a misspelt name, or nothing."""
-    near = get_close_matches(str(name)[:90], list(names), n=1)
+    """Return "did you mean …?" for a misspelt name or one that others use, or nothing."""
+    known = list(names)
+    alias = ALIASES.get(str(name).lower())
+    near = [alias] if alias in known else get_close_matches(str(name)[:90], known, n=1)
     return f"did you mean {near[0]}?" if near else ""

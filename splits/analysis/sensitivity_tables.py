@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.sensitivity import Sensitivity, mean_sensitivity_index
+from splits.analysis.sensitivity import Sensitivity, spectra_sensitivity
 from splits.dataset import at_points, attributes, provenance
 from splits.uncertainty import quantity as quantity_of
 
@@ -38,10 +38,7 @@ def pair_sensitivity(
         wavelength=slice(*where["wavelength_nm"])
     )
     y, z = (at_points(part, {parameter: label}) for label in (low, high))
-    error = f"{quantity}_stderr"
-    return mean_sensitivity_index(
-        y[quantity].values, y[error].values, z[quantity].values, z[error].values
-    )
+    return spectra_sensitivity(y, z, quantity)
 
 
 def sensitivity_table(
@@ -114,7 +111,6 @@ def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = N
     if published is not None:
         theirs, words = columns["published"], f"{label} published in SPLITSnow Table 2"
         variables |= quantity_of("published", over, theirs, None, words)
-    variables["msi_stderr"][2]["long_name"] += " (upper bound)"
     return xr.Dataset(
         variables,
         {

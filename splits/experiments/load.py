@@ -18,6 +18,7 @@ from splits.experiments.simulation import SAMPLE
 from splits.experiments.stacks import LAYERS, with_bases
 from splits.experiments.unused import keywords_given, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
+from splits.media.measured_inputs import on_top
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -125,7 +126,7 @@ def _with_base(medium: Any, place: str, folder: Path) -> Any:
         return medium
     base = one_of(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
     own = {key: value for key, value in medium.items() if key != "base"}
-    return {**read_yaml(folder / f"{base}.yaml"), **own}
+    return on_top(read_yaml(folder / f"{base}.yaml"), own)
 
 
 def _whole(medium: Any, place: str, folder: Path) -> Any:

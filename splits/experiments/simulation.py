@@ -13,16 +13,16 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
 from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import Refusal, named, one_of, refuse, unknown_key
+from splits.checks import Refusal, keywords_taken, named, one_of, refuse, unknown_key
 from splits.experiments.grids import labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
 from splits.experiments.stacks import (
     LAYERS,
+    MAKERS,
     MERGED,
     check_grid,
     check_layers,
@@ -30,14 +30,17 @@ from splits.experiments.stacks import (
     stack_of,
     with_paths,
 )
+from splits.experiments.stacks import MEDIA as LAYER_MEDIA
 from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
 from splits.instruments.scenes import constants_of, ground_of
-from splits.media import Layer, Sand, Snow, Stack
+from splits.media import Stack
 from splits.media.granular import GranularMedium, LayeredMedium, check_room
+from splits.media.measured_inputs import on_top
+from splits.media.readings import together
 from splits.media.turbid import Medium, TurbidMedium
 
-MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer, "stack": Stack}
+MEDIA: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
 ENDLESS = ("spectrophotometer", "refractive_index")
@@ -78,7 +81,7 @@ class Simulation(Section):
     def _runnable(self) -> Simulation:
         kind = self.medium.get("kind", "snow")
         one_of("medium.kind", kind, MEDIA)
-        keywords = [field.name for field in fields(MEDIA[kind])]
+        keywords = keywords_taken(MEDIA[kind])
         samples = self.grid.get(SAMPLE, {})
         for place, settings in {"medium": self.medium, **_places(samples)}.items():
             for key in settings:
@@ -187,7 +190,7 @@ class Simulation(Section):
         for labels, settings, incidence in self.settings():
             kind = self.medium.get("kind", "snow")
             with self.placed(labels):
-                medium = stack_of(**settings) if kind == "stack" else MEDIA[kind](**settings)
+                medium = stack_of(**settings) if kind == "stack" else MAKERS[kind](**settings)
             yield labels, medium, incidence
 
     @contextmanager
@@ -220,17 +223,20 @@ class Simulation(Section):
     def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield what `points` yields, with the medium's keywords in its place."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
-        if not isinstance(base.get("readings", {}), Mapping):
-            raise refuse("medium.readings", base["readings"], "a mapping of named readings")
+        if not isinstance(base.get("readings", {}), Mapping | str):
+            allowed = "a mapping of named readings, or the name of a set"
+            raise refuse("medium.readings", base["readings"], allowed)
         for labels in itertools.product(*self.grid.values()):
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
             sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
-            settings = with_paths({**base, **sample}, values)
+            settings = with_paths(on_top(base, sample), values)
             for key in MERGED:
                 parts = [part[key] for part in (base, sample, values) if key in part]
-                if parts and all(isinstance(part, Mapping) for part in parts):
+                if key == "readings":
+                    settings |= {key: together(parts)} if parts else {}
+                elif parts and all(isinstance(part, Mapping) for part in parts):
                     settings[key] = {k: v for part in parts for k, v in part.items()}
             yield chosen, settings, incidence
 

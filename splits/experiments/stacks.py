@@ -5,17 +5,20 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 from typing import Any
 
-from splits.checks import named, one_of, refuse, under, unknown_key
+from splits.checks import keywords_taken, named, one_of, refuse, under, unknown_key
 from splits.media import Layer, Sand, Snow, Stack
+from splits.media.measured_inputs import on_top
+from splits.media.readings import together
 
 LAYERS = "layers"
 MERGED = ("readings", "refractive_index", "pores", "impurities_ng_g", "algae_cells_ml")
 """Keywords that are mappings: a grid's values add to those of the medium."""
-MEDIA: dict[str, Any] = {"snow": Snow, "sand": Sand, "layer": Layer}
+MEDIA: dict[str, Any] = {"snow": Snow, "natural_snow": Snow, "sand": Sand, "layer": Layer}
 """Media that a stack may hold."""
+MAKERS: dict[str, Callable[..., Any]] = MEDIA | {"natural_snow": Snow.natural}
+"""What makes a medium of a kind of its settings."""
 NOT_IN_STACKS = ("ground", "bottom_albedo", "polarized", "max_polarization", "opaque")
 """Keywords that these have by themselves, but not in a stack."""
 _PATH = re.compile(rf"{LAYERS}\.(\d+)\.(\w+)")
@@ -35,7 +38,7 @@ def kind_of(layer: Mapping[str, Any]) -> str:
 def keywords_of(layer: Mapping[str, Any], top: bool) -> list[str]:
     """Return the keywords that a layer of this kind has in a stack, as its top or below."""
     left_out = NOT_IN_STACKS if top else (*NOT_IN_STACKS, "surface")
-    return [f.name for f in fields(MEDIA[kind_of(layer)]) if f.name not in left_out]
+    return [name for name in keywords_taken(MEDIA[kind_of(layer)]) if name not in left_out]
 
 
 def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -105,7 +108,7 @@ def check_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
 
 def with_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a stack's settings with the values that paths name put in their places."""
-    found = {**settings, **{key: value for key, value in values.items() if path_of(key) is None}}
+    found = on_top(settings, {k: value for k, value in values.items() if path_of(k) is None})
     paths = {key: value for key, value in values.items() if path_of(key) is not None}
     if paths:
         found[LAYERS] = copy.deepcopy(found[LAYERS])
@@ -113,7 +116,10 @@ def with_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str,
         number, key = path_of(parameter) or (0, "")
         layer = found[LAYERS][number]
         both = isinstance(value, Mapping) and isinstance(layer.get(key), Mapping)
-        layer[key] = {**layer[key], **value} if both and key in MERGED else value
+        new = {**layer[key], **value} if both and key in MERGED else value
+        if key == "readings" and key in layer:
+            new = together([layer[key], value])
+        found[LAYERS][number] = on_top(layer, {key: new})
     return found
 
 
@@ -134,7 +140,7 @@ def with_bases(place: str, medium: Any, complete: Callable[[Any, str], Any]) -> 
     return {**medium, LAYERS: layers}
 
 
-def stack_of(layers: Any, ground: Any = None) -> Stack:
+def stack_of(layers: Any, ground: Any = None, readings: Any = None) -> Stack:
     """Return the stack that settings describe; refusals name the layer."""
     media = []
     for number, layer in enumerate(layers):
@@ -142,5 +148,5 @@ def stack_of(layers: Any, ground: Any = None) -> Stack:
             kind, settings = kind_of(layer), {k: v for k, v in layer.items() if k != "kind"}
             # Below all layers is the stack's ground.
             bottom = {"bottom_albedo": None} if kind == "layer" else {}
-            media.append(MEDIA[kind](**settings, **bottom))
-    return Stack(tuple(media), ground)
+            media.append(MAKERS[kind](**settings, **bottom))
+    return Stack(tuple(media), ground, readings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,9 +13,12 @@ from pydantic import Field
 from splits.analysis.roles import ANGULAR, LAYER, SAND, SENSITIVITY_DEPTHS, SNOW, Role
 from splits.checks import one_of, refuse, suggestion, unknown_key
 from splits.experiments.model import RULES, Experiment
+from splits.experiments.rank_readings import BOUNDARIES
 from splits.experiments.sections import Section
 from splits.experiments.simulation import NAME
 from splits.experiments.yaml_files import ConfigError
+from splits.media.readings import CHOICES, Readings
+from splits.transport.grains.scene import FATE
 
 FIGURE = (".png", ".svg")
 
@@ -49,6 +53,12 @@ PRODUCTS: dict[str, dict[str, Product]] = {
         key: _table(f"{{study}}_{key}") for key in ("trends", "weights", "colours")
     },
     "sand_compositions": {"table": _table("{study}")},
+    "readings": {
+        "table": _table("{study}"),
+        "statements": _table("{study}_statements"),
+        "without": _table("{study}_without"),
+        "figure": Product("figures", FIGURE, "{study}"),
+    },
     "angular_trends": {"table": _table("{study}")},
     "layer_trends": {"table": _table("{study}")},
 }  # fmt: skip
@@ -61,6 +71,7 @@ SOME = ("angular_trends", "layer_trends")
 """Kinds that make what they can of some of their roles."""
 FILES = {
     "sensitivity": {"published": "published"},
+    "readings": {"published": "published"},
     "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
 }
 """Tables of numbers that a kind of study reads, and their folders beside that of media."""
@@ -84,11 +95,13 @@ class Study(Section):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends",
+        "layer_trends", "readings",
     ]  # fmt: skip
     experiments: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
     sensitivity: str | None = None
+    readings: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    text: dict[str, str] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
     products: dict[str, str] = Field(default_factory=dict)
 
@@ -193,7 +206,8 @@ def _check_keys(study: Study) -> None:
     if (study.kind == "agreement") != (study.sensitivity is not None):
         allowed = "the name of a study" if study.kind == "agreement" else "left out"
         raise refuse("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
-    wanted = FILES.get(study.kind, {}) if study.kind == "agreement" else {}
+    _check_readings(study)
+    wanted = FILES.get(study.kind, {}) if study.kind in ("agreement", "readings") else {}
     for key in wanted:
         if key not in study.files:
             raise refuse("files", study.files, f"with {', '.join(wanted)}")
@@ -201,6 +215,23 @@ def _check_keys(study: Study) -> None:
         if not NAME.fullmatch(name):
             allowed = "lower-case letters, digits and underscores, a letter first"
             raise refuse(f"products.{key}", name, allowed)
+
+
+def _check_readings(study: Study) -> None:
+    """Refuse readings that there are not, and their lack or presence where it is wrong."""
+    if (study.kind == "readings") != bool(study.readings):
+        allowed = "choices by reading" if study.kind == "readings" else "left out"
+        raise refuse("readings", study.readings, f"{allowed} for kind = {study.kind!r}")
+    known = {f.name: CHOICES[f.name] for f in fields(Readings)} | {BOUNDARIES: tuple(FATE)}
+    for key, choices in study.readings.items():
+        if key not in known:
+            raise unknown_key(f"readings.{key}", known)
+        for choice in choices:
+            one_of(f"readings.{key}", choice, known[key])
+    for key, choice in study.text.items():
+        if key not in study.readings:
+            raise unknown_key(f"text.{key}", study.readings)
+        one_of(f"text.{key}", choice, study.readings[key])
 
 
 def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None:

@@ -18,6 +18,7 @@ from splits.figures.lobes import lobes
 from splits.figures.measured import measured_albedo
 from splits.figures.points import points
 from splits.figures.polarization import polarization
+from splits.figures.readings import readings_map
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
 from splits.figures.style import save_figure
@@ -34,6 +35,7 @@ __all__ = [
     "points",
     "polarization",
     "principal_planes",
+    "readings_map",
     "refractive_indices",
     "save_figure",
     "sensitivity_bars",

@@ -5,11 +5,11 @@ docs/model.md says why each default was taken and what the alternatives do to re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar
 
-from splits.checks import known_keywords, one_of, refuse, suggestion
+from splits.checks import known_keywords, listed, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
 from splits.transport.grains.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
@@ -28,6 +28,36 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "excess_magnetite": EXCESS_MAGNETITE,
     "attenuation": ("solid", "printed"),
 }
+
+SETS: dict[str, dict[str, str]] = {
+    "splits_2007": {
+        "entry": "uniform", "facets": "projected", "wrong_side": "lobe",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject",
+    },
+    "splitsnow_2021": {
+        "entry": "uniform", "facets": "any", "wrong_side": "mirrored",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject",
+    },
+    "geometric": {
+        "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
+        "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
+    },
+}  # fmt: skip
+"""Sets of readings by name; what a set does not say stays as by default."""
+SET = "set"
+"""Key of a mapping of readings that names the set which the others stand beside."""
+
+
+def together(given: Sequence[Any]) -> Any:
+    """Return readings given one after the other as one: a set's name replaces all before it."""
+    found: Any = {}
+    for one in given:
+        mapping = {SET: one} if isinstance(one, str) else one
+        if not isinstance(mapping, Mapping):
+            return one
+        found = dict(mapping) if SET in mapping else {**found, **mapping}
+    return found[SET] if list(found) == [SET] else found
+
 
 Kind = TypeVar("Kind", bound="TransportReadings")
 
@@ -73,12 +103,26 @@ class TransportReadings:
 
     @classmethod
     def of(cls: type[Kind], value: Any) -> Kind:
-        """Return readings, given as such or as a mapping of names to choices, or refuse them."""
+        """Return readings, or refuse them.
+
+        Parameters
+        ----------
+        value : Readings, str or mapping
+            The name of one of `SETS`; or a mapping of names to choices, with the name of a set
+            under ``set`` if they are to stand beside it and not beside the default.
+        """
         if isinstance(value, cls):
             return value
+        if isinstance(value, str):
+            return cls(**SETS[one_of("readings", value, SETS)])
         if not isinstance(value, Mapping):
-            raise refuse("readings", value, "a mapping of named readings")
+            raise refuse(
+                "readings", value, f"a mapping of named readings, or one of {listed(SETS)}"
+            )
         names = [f.name for f in fields(cls)]
+        if SET in value:
+            base = SETS[one_of(f"readings.{SET}", value[SET], SETS)]
+            return cls.of({**base, **{key: given for key, given in value.items() if key != SET}})
         for name in value:
             if name not in names:
                 raise refuse(
@@ -108,8 +152,14 @@ class TransportReadings:
 class Readings(TransportReadings):
     """Named readings of SPLITSnow, besides those of `TransportReadings`.
 
+    By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
+    (entry, grains that do not fit), and where it is silent or can be read two ways the combination
+    that comes nearest to all that the paper states about its model (docs/readings.md).
+
     Parameters
     ----------
+    facets, wrong_side
+        As in `TransportReadings`.
     size_is : {"diameter", "semi_axis"}
         What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
     struck_size : {"attenuation", "uniform"}
@@ -117,6 +167,8 @@ class Readings(TransportReadings):
         attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
     """
 
+    facets: str = "any"
+    wrong_side: str = "mirrored"
     size_is: str = "diameter"
     struck_size: str = "attenuation"
 

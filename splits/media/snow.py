@@ -9,34 +9,54 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, numbers, one_of, refuse
+from splits.checks import (
+    in_range,
+    keywords_taken,
+    known_keywords,
+    numbers,
+    one_of,
+    refuse,
+    unknown_key,
+)
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, described_impurities, impurities_of
 from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
+from splits.media.measured_inputs import takes_measured
+from splits.media.natural_snow import natural_settings, shape_facts
 from splits.media.pores import Pores, other_pores
 from splits.media.readings import Readings
 from splits.transport.grains.scene import Grains, Types
 
 
 @known_keywords
+@takes_measured
 @dataclass(frozen=True)
 class Snow:
     """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
+
+    For snow of which a surface area was measured see `Snow.natural`.
 
     Parameters
     ----------
     grain_size_um : (min, max)
         Major-axis diameter of the grains (µm), uniform between the two; 1 to 100 000, max at
-        most 1000 min.
+        most 1000 min.  "Uniform" is the paper's word for P(s) in its attenuation K1 (Eq A.7),
+        which is that of a number of grains ∝ s⁻⁴ P(s): by number, area and volume of grains
+        sizes go as s⁻⁴, s⁻² and s⁻¹, and none of the three is uniform.
+    specific_surface_area_m2_kg, optical_radius_um : float
+        In place of `grain_size_um`: surface area per mass of ice, 0.2 to 2000 m²/kg, or the radius
+        (µm) of the spheres that have it.  Sizes keep the ratio of Table 1's, 1 to 2.5.
     facetness : (min, max, mean, sd)
         0 (smooth) to 1; normal with mean and standard deviation within [min, max].
     sphericity : (min, max, mean, sd)
         Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
     saturation : float
         Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
+    liquid_water_content : float
+        In place of `saturation`: volume of water per volume of snow, 0 to the porosity.
     pores : mapping, optional
         Fractions of the pore space filled with other media, by name: ``{"brine": 0.1}``.
         ``refractive_index`` has to know them.
@@ -57,8 +77,9 @@ class Snow:
     refractive_index : mapping, optional
         Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
         see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
-    readings : Readings or mapping, optional
-        Named readings of the papers.
+    readings : Readings, str or mapping, optional
+        Named readings of the papers, or the name of a set: "splitsnow_2021" (default),
+        "splits_2007" or "geometric".
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
@@ -94,6 +115,43 @@ class Snow:
     algae_cells_ml: Mapping[str, float] = field(default_factory=dict)
     impurities_in: str = "ice"
 
+    @classmethod
+    def natural(cls, **settings: Any) -> Snow:
+        """Return snow as it lies, by its surface area: dry, deep and clean unless said.
+
+        Its grains have the absorption enhancement and the asymmetry parameter that natural snow
+        was measured to have at 900 nm (`splits.media.natural_snow`), its readings are those that
+        geometry and reciprocity ask for (``geometric``), its ice absorbs as Picard et al. (2016)
+        found below 600 nm, and its water is Segelstein's.
+
+        Parameters
+        ----------
+        specific_surface_area_m2_kg, optical_radius_um : float
+            One of the two.
+        density_kg_m3 : float
+            300 by default.
+        depth_m : float
+            Infinite by default, which only the spectrophotometer takes.
+        **settings
+            Whatever `Snow` takes.
+
+        Raises
+        ------
+        ValueError
+            Without a size, or for a value outside its range.
+
+        Examples
+        --------
+        >>> from splits import Snow
+        >>> snow = Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=250, depth_m=1)
+        >>> round(snow.optical_radius_um, 1)
+        163.6
+        """
+        for key in settings:
+            if key not in keywords_taken(cls):
+                raise TypeError(str(unknown_key(key, keywords_taken(cls))))
+        return cls(**natural_settings(settings))
+
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -121,7 +179,7 @@ class Snow:
                 "kg/m3",
                 open_low=True,
                 open_high=True,
-                hint=f"ice at {self.temperature_c:g} °C has {ice:g} kg/m3",
+                hint=f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}",
             ),
         )
         put("ground", Ground.of(self.ground))
@@ -253,4 +311,5 @@ class Snow:
                 "optical_radius_um": self.optical_radius_um,
                 "liquid_water_content": self.liquid_water_content,
             }
+            | shape_facts(self)
         )

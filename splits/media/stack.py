@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from splits.checks import known_keywords, refuse, suggestion, under
+from splits.checks import known_keywords, one_of, refuse, suggestion, under
 from splits.media.granular import GranularMedium, Interface
 from splits.media.ground import Ground, ground_facts
 from splits.media.layer import Layer
 from splits.media.particles import ParticleLayer
 from splits.media.pores import Pores
+from splits.media.readings import SETS
 from splits.transport.grains.scene import WET_PORE
 
 MOST_LAYERS = 200
@@ -41,6 +42,9 @@ class Stack:
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+    readings : str, optional
+        Name of a set of readings, see `splits.media.readings.SETS`, that all layers of grains take
+        in place of their own: snow and sand have different ones by default.
 
     Raises
     ------
@@ -59,6 +63,7 @@ class Stack:
 
     layers: tuple[GranularMedium | Layer, ...]
     ground: Any = None
+    readings: str | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.layers, str | GranularMedium | Layer) or not isinstance(
@@ -84,6 +89,8 @@ class Stack:
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
+        if self.readings is not None:
+            layers = tuple(self._read_anew(layer) for layer in layers)
         grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
         for number, layer in grains:
             top, first = grains[0]
@@ -91,10 +98,18 @@ class Stack:
                 raise refuse(
                     f"layers[{number}].readings", layer.readings.as_dict(),
                     f"those of layers[{top}], {first.readings.as_dict()}",
-                    "rays are followed by one set of rules",
+                    "one set holds for all: Stack(..., readings='geometric')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.of(self.ground))
+
+    def _read_anew(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
+        """Return a layer with the stack's readings."""
+        if isinstance(layer, Layer):
+            return layer
+        own: Any = layer.readings
+        chosen = SETS[one_of("readings", self.readings, SETS)]
+        return replace(cast(Any, layer), readings=type(own).of({**own.as_dict(), **chosen}))
 
     @cached_property
     def parts(self) -> tuple[GranularMedium | ParticleLayer, ...]:

@@ -91,7 +91,11 @@ def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
     clear = {"iron_oxide": 0.0, "partition": (1, 0, 0), "saturation": 0.0}
     found = [
         splits.spectrophotometer(
-            splits.Stack([splits.Snow(), splits.Sand(**clear, depth_m=depth)], ground=ground),
+            splits.Stack(
+                [splits.Snow(), splits.Sand(**clear, depth_m=depth)],
+                ground=ground,
+                readings="splits_2007",
+            ),
             [500.0, 1500.0],
             max_stderr=0.02,
             seed=seed,

@@ -31,7 +31,10 @@ MEDIA = {
     "wet snow": (WET, WET),
     "dry snow": (DRY, DRY),
     "sand": (SAND, SAND),
-    "stack": (splits.Stack([FRESH, WET, SAND]), splits.Stack([SAND, WET, FRESH])),
+    "stack": tuple(
+        splits.Stack(order, readings="splits_2007")
+        for order in ([FRESH, WET, SAND], [SAND, WET, FRESH])
+    ),
 }
 """Samples, and the same as seen from below."""
 
@@ -39,7 +42,7 @@ MEDIA = {
 def over(medium, ground):
     """Return a medium over a ground."""
     if isinstance(medium, splits.Stack):
-        return splits.Stack(medium.layers, ground=ground)
+        return splits.Stack(medium.layers, ground=ground, readings=medium.readings)
     settings = {name: getattr(medium, name) for name in ("depth_m", "saturation")}
     if isinstance(medium, splits.Sand):
         settings["partition"] = medium.partition

@@ -19,7 +19,7 @@ LAYERS = {
 }  # fmt: skip
 LID = splits.Layer(optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01)
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
-SAND = splits.Sand(depth_m=0.004)
+SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
 
 

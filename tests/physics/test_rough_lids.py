@@ -23,7 +23,7 @@ SETTINGS = {
 DEPTH = 0.3
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 WET = splits.Snow(depth_m=0.006, saturation=0.3)
-SAND = splits.Sand(depth_m=0.004)
+SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
 
 
 def lid(share=1.0, surface=None, **settings):
@@ -90,7 +90,11 @@ def test_a_flattening_surface_becomes_the_flat_one(incidence):
     waves = {**WAVES, "rms_height_m": 1e-4 * WAVES["rms_height_m"]}
     thin = {"optical_thickness": 1.0}
     rough, smooth = (
-        measured(splits.Stack([lid(surface=s, **thin), WET, SAND], ground=0.3), incidence, seed)
+        measured(
+            splits.Stack([lid(surface=s, **thin), WET, SAND], ground=0.3),
+            incidence,
+            seed,
+        )
         for seed, s in ((20, waves), (21, None))
     )
     judge_z(apart(rough, smooth), independent=1)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
 
 import splits
+from splits.checks import keywords_taken
 from splits.dataset import attributes, provenance
 from splits.experiments.model import Experiment
 from splits.experiments.run import run
@@ -56,7 +55,7 @@ def small_lens():
 def test_every_parameter_has_a_long_name_and_units():
     from splits.experiments.coordinates import PARAMETERS
 
-    keywords = {field.name for medium in MEDIA.values() for field in fields(medium)}
+    keywords = {name for medium in MEDIA.values() for name in keywords_taken(medium)}
     assert set(PARAMETERS) == keywords | {"medium", "incidence_deg"}
     assert all(long_name and units for long_name, units in PARAMETERS.values())
 

@@ -104,7 +104,10 @@ def test_readings_on_a_grid_add_to_those_of_the_medium():
         ({"grid": {"saturaton": [0.1]}}, "grid.saturaton: unknown key.*did you mean saturation"),
         ({"grid": {"incidence_deg": [0, 90]}}, "incidence_deg = 90"),
         ({"grid": [1]}, "grid = .*mapping"),
-        ({"medium": {"kind": "salt"}}, "medium.kind = 'salt': must be one of layer, sand, snow"),
+        (
+            {"medium": {"kind": "salt"}},
+            "medium.kind = 'salt': must be one of layer, natural_snow, sand, snow",
+        ),
         ({"instrument": {"incidence_deg": True}}, "incidence_deg = True"),
         (
             {"medium": {"readings": 3}, "grid": {"readings": {"any": {"facets": "any"}}}},

@@ -58,8 +58,8 @@ def test_kinds_add_up_and_tables_of_ones_own_serve(tmp_path):
 
 def test_layers_of_a_stack_have_their_own():
     clean, dirty = splits.Snow(), splits.Snow(impurities_ng_g={"black_carbon": 500.0})
-    stack = splits.Stack([clean, dirty, splits.Sand(), clean])
-    plain = splits.Stack([clean, clean, splits.Sand(), clean])
+    stack = splits.Stack([clean, dirty, splits.Sand(), clean], readings="splits_2007")
+    plain = splits.Stack([clean, clean, splits.Sand(), clean], readings="splits_2007")
     more = constants_of(stack, W).absorption - constants_of(plain, W).absorption
     assert stack.materials()[5] == "layers.1.ice"
     assert (more[:, 5] > 0.0).all()

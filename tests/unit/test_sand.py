@@ -52,7 +52,7 @@ BAD = [
     ("depth_m", -1.0, "(0, 10000]"),
     ("size_tail", 0.1, "[1e-06, 0.01]"),
     ("refractive_index", 1.55, "mapping"),
-    ("readings", "linear", "mapping"),
+    ("readings", "linear", "must be one of geometric"),
 ]
 
 

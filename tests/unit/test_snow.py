@@ -12,7 +12,7 @@ import yaml
 from splits import Readings, Snow
 from splits.materials import ice_density
 from splits.media.granular import check_room
-from splits.media.readings import CHOICES
+from splits.media.readings import CHOICES, together
 
 TABLE1 = Path(__file__).parents[2] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"
@@ -43,7 +43,7 @@ BAD = [
     ("depth_m", -0.1, "(0, 10000]"),
     ("depth_m", float("-inf"), "(0, 10000]"),
     ("refractive_index", 1.31, "mapping"),
-    ("readings", "projected", "mapping"),
+    ("readings", "projected", "must be one of geometric"),
 ]
 
 NAMES = [field.name for field in fields(Readings)]
@@ -131,8 +131,24 @@ def test_bad_readings_are_refused_by_name(name):
         Snow(readings={f"{name}x": CHOICES[name][0]})
 
 
-def test_readings_have_their_first_choice_by_default():
-    assert Readings().as_dict() == {name: CHOICES[name][0] for name in NAMES}
+def test_sets_of_readings_have_names():
+    first = {name: CHOICES[name][0] for name in NAMES}
+    assert Readings.of("splits_2007").as_dict() == first
+    assert Snow().readings == Readings() == Readings.of("splitsnow_2021")
+    assert Readings().as_dict() == first | {"facets": "any", "wrong_side": "mirrored"}
+    beside = Readings.of({"set": "geometric", "facets": "any"})
+    assert (beside.entry, beside.facets) == ("projected", "any")
+    with pytest.raises(ValueError, match=r"readings\.set = 'geo'.*geometric"):
+        Readings.of({"set": "geo"})
+
+
+def test_readings_given_one_after_the_other():
+    assert together(["geometric"]) == "geometric"
+    assert together(["geometric", {"facets": "any"}]) == {"set": "geometric", "facets": "any"}
+    assert together([{"facets": "any"}, "splits_2007"]) == "splits_2007"
+    assert together([{"facets": "any"}, {"entry": "projected"}, {}]) == {
+        "facets": "any", "entry": "projected",
+    }  # fmt: skip
 
 
 def test_a_snow_does_not_change():

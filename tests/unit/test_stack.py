@@ -52,7 +52,7 @@ def test_a_thin_layer_has_room_in_a_thick_stack():
 
 
 def test_layers_keep_their_order_their_types_and_their_materials():
-    stack = splits.Stack([FRESH, SAND, splits.Snow()])
+    stack = splits.Stack([FRESH, SAND, splits.Snow()], readings="splits_2007")
     scene = granular_scene(stack, 30.0, False)
     assert scene.layers.face == pytest.approx([0.0, -0.02, -0.12, -0.24])
     assert stack.depth_m == pytest.approx(0.24)
@@ -83,7 +83,7 @@ def test_layers_keep_their_order_their_types_and_their_materials():
 def test_every_layer_bounds_what_interpolation_misses():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
     for order in ([FRESH, SAND], [SAND, FRESH]):
-        stack = splits.Stack(order)
+        stack = splits.Stack(order, readings="splits_2007")
         nodes = choose_nodes(stack.indices(wavelengths), stack.interfaces(), 1e-3)
         alone = choose_nodes(SAND.indices(wavelengths), SAND.interfaces(), 1e-3)
         assert len(nodes.index) >= len(alone.index)

@@ -25,6 +25,7 @@ medium:
     - {base: splitsnow_table1, density_kg_m3: 120, saturation: 0, depth_m: 0.02}
     - {kind: sand, depth_m: 0.05}
   ground: 0.2
+  readings: splits_2007
 instrument: {wavelength_nm: [500]}
 """
 
@@ -76,7 +77,7 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
     [
         ("medium: {kind: stack}", "medium.layers = None: must be a list of layers, top first"),
         ("medium: {kind: stack, layers: [3]}", "medium.layers.0 = 3: must be a mapping"),
-        ("medium: {kind: stack, layers: [{kind: ice}]}", "one of layer, sand, snow"),
+        ("medium: {kind: stack, layers: [{kind: ice}]}", "one of layer, natural_snow, sand, snow"),
         (
             "medium: {kind: stack, layers: [{kind: layer, bottom_albedo: 1}]}",
             "layers.0.bottom_albedo: unknown key",

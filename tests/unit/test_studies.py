@@ -35,7 +35,10 @@ def test_shipped_studies_have_all_that_they_need(shipped):
     assert paths == {
         "data/fig23_sensitivity.nc", "figures/fig23_sensitivity.png",
         "figures/fig23_sensitivity.svg", "tables/sensitivity.csv", "tables/table2.csv",
-        "tables/agreement.csv", "tables/measured_bands.csv", "tables/table1.csv",
+        "tables/agreement.csv", "tables/readings_together.csv",
+        "tables/readings_together_statements.csv", "tables/readings_together_without.csv",
+        "figures/readings_together.png", "figures/readings_together.svg",
+        "tables/measured_bands.csv", "tables/table1.csv",
         "tables/table3.csv", "figures/letcher2022_measured.png",
         "figures/letcher2022_measured.svg", "tables/sand_trends.csv", "tables/sand_weights.csv",
         "tables/sand_colours.csv", "tables/sand_compositions.csv", "tables/angular_trends.csv",

@@ -121,6 +121,34 @@ for NAME in of_kind("layer_trends"):
             "../scripts/layer_trends.py"
 
 
+for NAME in of_kind("readings"):
+
+    rule:
+        name:
+            NAME
+        input:
+            **study_files(NAME),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: workflow.cores or 1
+        params:
+            physics=physics_digest(),
+            readings=STUDIES[NAME].readings,
+            text=STUDIES[NAME].text,
+            seed=SETTINGS.seed,
+            error_factor=SETTINGS.accuracies[SETTINGS.accuracy].max_stderr / 0.002,
+        message:
+            "Holding combinations of readings against the paper"
+        script:
+            "../scripts/readings.py"
+
+
 for NAME in of_kind("sand_compositions"):
 
     rule:

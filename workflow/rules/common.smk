@@ -29,6 +29,12 @@ REPORTS = {
         "weights": ("sand_weights", "Sand"),
         "colours": ("sand_colours", "Sand"),
     },
+    "readings": {
+        "table": ("readings_together", "Agreement"),
+        "statements": ("readings_statements", "Agreement"),
+        "without": ("readings_without", "Agreement"),
+        "figure": ("readings_together", "Agreement"),
+    },
     "sand_compositions": {"table": ("sand_compositions", "Sand")},
     "angular_trends": {"table": ("angular_trends", "Angles")},
     "layer_trends": {"table": ("layer_trends", "Layers")},

@@ -1,0 +1,127 @@
+"""Snow by what people measure of it: surface area, radius, liquid water; in Python and in files."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+import splits
+from splits.experiments.load import load_experiment
+from splits.experiments.yaml_files import ConfigError
+from splits.media.measured_inputs import on_top
+from splits.media.natural_snow import SHAPE
+
+MEDIA = Path(__file__).parents[2] / "config" / "media"
+
+
+@pytest.mark.parametrize("area", [0.25, 5.0, 20.0, 60.0, 1900.0])
+def test_sizes_have_the_surface_area_asked_for(area):
+    for snow in (
+        splits.Snow.natural(specific_surface_area_m2_kg=area),
+        splits.Snow(specific_surface_area_m2_kg=area, temperature_c=-20.0),
+    ):
+        assert snow.specific_surface_area_m2_kg == pytest.approx(area, rel=1e-12)
+        assert snow.grain_size_um[1] / snow.grain_size_um[0] == pytest.approx(2.5)
+        same = splits.Snow(
+            optical_radius_um=snow.optical_radius_um, sphericity=snow.sphericity,
+            temperature_c=snow.temperature_c,
+        )  # fmt: skip
+        assert same.grain_size_um == pytest.approx(snow.grain_size_um)
+
+
+def test_water_by_volume_of_snow():
+    snow = splits.Snow(liquid_water_content=0.02, density_kg_m3=400)
+    assert snow.liquid_water_content == pytest.approx(0.02)
+    assert snow.saturation == pytest.approx(0.02 / snow.porosity)
+
+
+def test_natural_snow_is_deep_dry_and_geometric():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
+    assert snow.depth_m == math.inf and snow.saturation == 0.0
+    assert snow.readings == splits.Readings.of("geometric")
+    assert snow.refractive_index["water"].name == "segelstein_1981"
+    assert "picard" in snow.refractive_index["ice"].name
+    facts = snow.describe()
+    assert facts["absorption_enhancement_900nm"] == SHAPE.enhancement
+    assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
+    for changed in ({"facetness": (0.1, 0.1, 0.1, 0)}, {"readings": {"facets": "any"}}):
+        other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
+        assert "absorption_enhancement_900nm" not in other.describe()
+    assert other.readings.entry == "projected"
+    own = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
+    assert own.refractive_index["water"].name == "segelstein_1981"
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: splits.Snow.natural(), ValueError, "area_m2_kg = None: must be given"),
+        (lambda: splits.Snow.natural(ssa=20), TypeError, "mean specific_surface_area_m2_kg"),
+        (lambda: splits.Snow(ssa=20), TypeError, "mean specific_surface_area_m2_kg"),
+        (lambda: splits.Snow(grain_size=3), TypeError, "mean grain_size_um"),
+        (lambda: splits.Snow(lwc=0.1), TypeError, "mean liquid_water_content"),
+        (
+            lambda: splits.Snow(specific_surface_area_m2_kg=20, grain_size_um=(100, 200)),
+            ValueError, "left out where specific_surface_area_m2_kg is given",
+        ),
+        (
+            lambda: splits.Snow((100, 200), optical_radius_um=100),
+            ValueError, "left out where grain_size_um is given",
+        ),
+        (
+            lambda: splits.Snow(saturation=0.1, liquid_water_content=0.1),
+            ValueError, "left out where saturation is given",
+        ),
+        (lambda: splits.Snow(liquid_water_content=0.9), ValueError, r"in \[0, 0.70"),
+        (lambda: splits.Snow(specific_surface_area_m2_kg=0.1), ValueError, r"\[0.2, 2000\]"),
+        (lambda: splits.Snow(optical_radius_um="a"), ValueError, "optical_radius_um = 'a'"),
+        (
+            lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=0.25),
+            ValueError, "not g/cm3",
+        ),
+        (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_line(make, error, message):
+    with pytest.raises(error, match=message) as refused:
+        make()
+    assert "\n" not in str(refused.value)
+
+
+def test_other_words_replace_what_a_base_says():
+    base = {"grain_size_um": (1, 2), "saturation": 0.1, "depth_m": 1}
+    found = on_top(base, {"optical_radius_um": 3, "depth_m": 2})
+    assert found == {"saturation": 0.1, "optical_radius_um": 3, "depth_m": 2}
+
+
+def loaded(folder, text):
+    path = folder / "made.yaml"
+    path.write_text(text)
+    return [medium for _, medium, _ in load_experiment(path, MEDIA).points()]
+
+
+def test_in_files(tmp_path):
+    text = (
+        "medium: {kind: natural_snow, depth_m: 1, optical_radius_um: 100}\n"
+        "grid: {specific_surface_area_m2_kg: [10, 20]}\ninstrument: {wavelength_nm: [500]}\n"
+    )
+    found = loaded(tmp_path, text)
+    assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
+    assert all(one.readings == splits.Readings.of("geometric") for one in found)
+    text = (
+        "medium: {base: splitsnow_table1, readings: geometric}\n"
+        "grid: {liquid_water_content: [0, 0.1], readings: {same: {}, other: {facets: any},"
+        " paper: splitsnow_2021}}\ninstrument: {wavelength_nm: [500]}\n"
+    )
+    found = loaded(tmp_path, text)
+    assert found[3].liquid_water_content == pytest.approx(0.1)
+    assert [(one.readings.entry, one.readings.facets) for one in found[:3]] == [
+        ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
+    ]  # fmt: skip
+    with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):
+        loaded(tmp_path, "medium: {kind: natural_snow, ssa: 20}\n")
+    pack = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
+    (stack,) = loaded(tmp_path, pack + "instrument: {wavelength_nm: [500]}\n")
+    assert stack.layers[0].optical_radius_um == pytest.approx(90.0)

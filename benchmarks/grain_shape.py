@@ -4,12 +4,17 @@ Printed are B and g at 900 nm without diffraction (`splits.analysis.grain_shape`
 readings and for others, with standard errors.  Natural snow, 33 samples in micro-tomography
 (Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02 and g 0.65 ± 0.03.
 
-    python benchmarks/grain_shape.py [TABLE.csv] [--rays 65536]
+    python benchmarks/grain_shape.py [TABLE.csv] [--rays 65536] [--search]
+
+With --search it looks for the facetness and sphericity whose B and g, with the readings
+``geometric``, come nearest to natural snow's: those of `splits.Snow.natural`.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import math
 from typing import Any
 
 import pandas as pd
@@ -44,7 +49,30 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         SHARP, {**equal(0.2), "sphericity": (0.45, 0.45, 0.45, 0.0)},
     ),
 }  # fmt: skip
-"""Readings besides the default ones, and grains besides those of Table 1."""
+"""Readings besides those of SPLITS, and grains besides those of Table 1."""
+
+NATURAL_B, NATURAL_G = (1.68, 0.02), (0.65, 0.03)
+"""Mean and standard deviation over samples."""
+
+
+def search(rays: int) -> None:
+    """Print how far shapes lie from natural snow's, in standard deviations of its samples."""
+    best = (math.inf, "")
+    for sphericity, facetness in itertools.product(
+        (0.65, 0.7, 0.75, 0.8), (0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
+    ):
+        grains = {**equal(facetness), "sphericity": (sphericity, sphericity, sphericity, 0.0)}
+        snow = splits.Snow(saturation=0.0, readings="geometric", **grains)
+        b, g, _ = optical_shape(snow, rays=rays)
+        off = [(b.value - NATURAL_B[0]) / NATURAL_B[1], (g.value - NATURAL_G[0]) / NATURAL_G[1]]
+        line = (
+            f"sphericity {sphericity:g}, facetness {facetness:g}: "
+            f"B {b.value:.3f} ± {b.stderr:.3f}, "
+            f"g {g.value:.3f} ± {g.stderr:.3f}; off by {off[0]:+.1f} and {off[1]:+.1f}"
+        )
+        print(line, flush=True)
+        best = min(best, (math.hypot(*off), line))
+    print(f"nearest: {best[1]}")
 
 
 def main() -> None:
@@ -54,10 +82,15 @@ def main() -> None:
     )
     parser.add_argument("table", nargs="?")
     parser.add_argument("--rays", type=int, default=65_536)
+    parser.add_argument("--search", action="store_true")
     given = parser.parse_args()
+    if given.search:
+        search(given.rays)
+        return
     rows = []
     for name, (readings, grains) in CASES.items():
-        snow = splits.Snow(saturation=0.0, readings=readings, **grains)
+        both = {"set": "splits_2007", **readings}
+        snow = splits.Snow(saturation=0.0, readings=both, **grains)
         shape = optical_shape(snow, rays=given.rays)
         row: dict[str, Any] = {"grains": name}
         for key, one in shape._asdict().items():

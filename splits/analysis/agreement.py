@@ -146,8 +146,8 @@ def _measured_rows(
         ("AVIRIS-NG, 3 bands", "Table 3", bands(datasets["aviris"], aviris))
     ]
     measured = letcher_bands(datasets["letcher"], letcher)
-    for (facetness, depth), table in measured.groupby(["facetness", "depth_m"]):
-        what = f"Letcher et al. (2022), {1e3 * depth:g} mm, mean facetness {facetness}"
+    for (snow, depth), table in measured.groupby(["snow", "depth_m"], sort=False):
+        what = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
         tables.append((what, "The Cryosphere 16, 4343", table))
     rows: list[dict[str, object]] = []
     for what, place, table in tables:

@@ -55,13 +55,13 @@ def bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
 
 
 def letcher_bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
-    """Return model and measured albedo for every facetness and depth of the experiment.
+    """Return model and measured albedo for every snow and depth of the experiment.
 
     The model's light is `DIFFUSE_SHARE` from the whole hemisphere and the rest a beam.
     """
     tables = []
-    for facetness, depth in itertools.product(dataset.facetness.values, LETCHER_COLUMNS):
-        part = dataset.sel(facetness=facetness).sel(depth_m=depth, method="nearest")
+    for snow, depth in itertools.product(dataset.medium.values, LETCHER_COLUMNS):
+        part = dataset.sel(medium=snow).sel(depth_m=depth, method="nearest")
         beam, diffuse = (part.sel(incidence_deg=i) for i in ("beam", "diffuse"))
         share = DIFFUSE_SHARE
         mixed = xr.Dataset(
@@ -76,7 +76,7 @@ def letcher_bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
         )
         column = measured.rename(columns={LETCHER_COLUMNS[depth]: "reflectance"})
         table = bands(mixed, column)
-        table.insert(0, "facetness", str(facetness))
+        table.insert(0, "snow", str(snow))
         table.insert(1, "depth_m", depth)
         tables.append(table)
     return pd.concat(tables, ignore_index=True)

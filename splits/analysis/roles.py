@@ -50,7 +50,7 @@ SNOW = {
     "saturation_transmittance": Role(("saturation",), band_nm=(400.0, 1450.0)),
     "density_transmittance": Role(("density_kg_m3",), at_nm=(1420.0,), band_nm=_VISIBLE),
     "aviris": Role(at_nm=(842.25, 1073.76, 1237.93)),
-    "letcher": Role(("facetness", "depth_m", "incidence_deg"),
+    "letcher": Role(("medium", "depth_m", "incidence_deg"),
                     {"depth_m": (0.34, 0.045), "incidence_deg": ("beam", "diffuse")}),
     "readings": Role(("readings",), at_nm=(842.25, 1073.76, 1237.93)),
 }  # fmt: skip

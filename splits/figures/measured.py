@@ -25,10 +25,10 @@ def measured_albedo(table: pd.DataFrame) -> Figure:
         for column, depth in enumerate(depths):
             top, bottom = panels[:, column]
             part = table[table.depth_m == depth]
-            groups = list(part.groupby("facetness"))
-            for (facetness, rows), colour in zip(groups, colours(len(groups)), strict=True):
+            groups = list(part.groupby("snow", sort=False))
+            for (snow, rows), colour in zip(groups, colours(len(groups)), strict=True):
                 x, error = rows.wavelength_nm, BAND * rows.stderr
-                top.errorbar(x, rows.model, error, color=colour, lw=1.3, label=f"{facetness}")
+                top.errorbar(x, rows.model, error, color=colour, lw=1.3, label=f"{snow}")
                 bottom.errorbar(x, rows.difference, error, color=colour, lw=1.3)
             first = groups[0][1]
             top.plot(first.wavelength_nm, first.measured, "ks", ms=4, label="measured")
@@ -40,6 +40,6 @@ def measured_albedo(table: pd.DataFrame) -> Figure:
                 axes.spines[["top", "right"]].set_visible(False)
         panels[0, 0].set_ylabel("albedo")
         panels[1, 0].set_ylabel("model − measured")
-        panels[0, 1].legend(title="mean facetness", frameon=False)
+        panels[0, 1].legend(frameon=False, fontsize=8)
         figure.tight_layout()
     return figure

@@ -68,7 +68,11 @@ def _ice_warren_2008() -> Tabulated:
 
 
 def _ice_picard_2016() -> Tabulated:
-    """Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm."""
+    """Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm.
+
+    Picard's table begins at 320 nm; from 200 nm to there its first value is held, for the last
+    half per cent of sunlight.
+    """
     from snowoptics import refractive_index as data
 
     warren = _ice_warren_2008()
@@ -77,13 +81,17 @@ def _ice_picard_2016() -> Tabulated:
         short[short < 600.0],
         np.asarray(data.ki2016_clean_i, dtype=float)[short < 600.0],
     )
+    beyond = np.arange(200.0, short[0], 10.0)
+    short = np.concatenate([beyond, short])
+    absorption = np.concatenate([np.full(beyond.size, absorption[0]), absorption])
     k_short = absorption * short * 1e-9 / (4.0 * np.pi)
     keep = warren.wavelength_nm >= 600.0
     w = np.concatenate([short, warren.wavelength_nm[keep]])
     n = np.concatenate([warren(short).real, warren.n[keep]])
     k = np.concatenate([k_short, warren.k[keep]])
     source = (
-        "k below 600 nm: G. Picard, Q. Libois, L. Arnaud. Refinement of the ice absorption "
+        "k below 600 nm, constant absorption below 320 nm: G. Picard, Q. Libois, L. Arnaud. "
+        "Refinement of the ice absorption "
         "spectrum in the visible using radiance profile measurements in Antarctic snow, "
         "The Cryosphere 10, 2655-2672 (2016); elsewhere: " + warren.source
     )

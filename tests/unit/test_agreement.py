@@ -101,13 +101,13 @@ def test_bands_hold_model_against_measurement():
 
 
 def test_letcher_mixes_beam_and_diffuse_light():
-    dims = ("facetness", "depth_m", "incidence_deg", "wavelength")
+    dims = ("medium", "depth_m", "incidence_deg", "wavelength")
     values = np.zeros((1, 2, 2, 1))
     values[0, :, 0, 0], values[0, :, 1, 0] = 0.4, 0.8
     dataset = xr.Dataset(
         {"reflectance": (dims, values), "reflectance_stderr": (dims, np.full_like(values, 0.01))},
         {
-            "facetness": ["0.3"],
+            "medium": ["natural snow"],
             "depth_m": list(LETCHER_COLUMNS),
             "incidence_deg": ["beam", "diffuse"],
             "wavelength": [500.0],
@@ -119,7 +119,7 @@ def test_letcher_mixes_beam_and_diffuse_light():
     assert sorted(table.depth_m) == sorted(LETCHER_COLUMNS)
     np.testing.assert_allclose(table.model, share * 0.8 + (1 - share) * 0.4)
     np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(share, 1 - share))
-    assert (table.facetness == "0.3").all()
+    assert (table.snow == "natural snow").all()
 
 
 @pytest.mark.parametrize("name", ["aviris_ng_varsa2021", "snow_albedo_letcher2022"])

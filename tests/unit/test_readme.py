@@ -1,10 +1,11 @@
-"""What README prints is what its first example prints."""
+"""What README prints is what its examples print."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import pytest
 from chi2 import NEEDS_JIT
 
 README = Path(__file__).parents[2] / "README.md"
@@ -17,9 +18,9 @@ def lines(text):
 
 
 @NEEDS_JIT
-def test_the_first_example_prints_what_stands_below_it(capsys):
+def test_the_example_of_a_spectrum_prints_what_stands_below_it(capsys):
     """Its last digits may differ between processors, whose logarithms do."""
-    example = r"```python\n(import splits\n.*?)```\n\n```\n(.*?)```"
+    example = r"```python\n(import splits\n(?:(?!```).)*print\(ds\)\n)```\n\n```\n(.*?)```"
     program, shown = re.search(example, README.read_text(encoding="utf-8"), re.S).groups()
     made = {}
     exec(compile(program, "README.md", "exec"), made)
@@ -34,3 +35,17 @@ def test_the_first_example_prints_what_stands_below_it(capsys):
             assert abs(away) <= 4.0 * float(made["ds"][f"{name}_stderr"][0])
     attributes = re.search(r"Attributes: \(12/\d+\)", shown)[0]
     assert attributes in printed
+
+
+@NEEDS_JIT
+def test_the_first_example_prints_an_albedo(capsys):
+    pytest.importorskip("pvlib")
+    example = r"```python\n(import splits\n.*?)```\n\n```\n(.*?)```"
+    program, shown = re.search(example, README.read_text(encoding="utf-8"), re.S).groups()
+    exec(compile(program, "README.md", "exec"), {})
+    pattern = r"broadband albedo (\S+) ± (\S+)"
+    now, then = (
+        [float(number) for number in re.search(pattern, text).groups()]
+        for text in (capsys.readouterr().out, shown)
+    )
+    assert abs(now[0] - then[0]) <= 4.0 * now[1] and now[1] == then[1]

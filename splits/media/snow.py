@@ -295,9 +295,9 @@ class Snow:
         if self.impurities_in == "ice":
             added[:, self._ice] = ice_density(self.temperature_c) * per_ice
         else:
-            added[:, : self._ice] = np.reshape(
-                self.density_kg_m3 / self.porosity * per_ice, (-1, 1)
-            )
+            # Per length of leg: legs through pores and through ice go as 1 to 𝓔 (Eq A.3), so this
+            # is what leaves as much of the impurity along a ray as there is per mass of ice.
+            added[:, : self._ice] = np.reshape(self.density_kg_m3 * per_ice, (-1, 1))
         return added
 
     def describe(self) -> dict[str, Any]:

@@ -21,11 +21,12 @@ PAIRS = ((0, 40, 0), (20, 70, 0), (20, 70, 180), (45, 75, 90), (60, 30, 180), (1
 KEEP = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
 SKIP = {"grain_on_last_leg": "skip", "grain_across_boundary": "skip"}
 READINGS = {
-    "default": {},
+    "splits_2007": {},
     "entry projected": {"entry": "projected"},
     "all grains kept": KEEP,
     "skipped at boundaries": {"grain_across_boundary": "skip"},
     "all skipped, entry projected": {**SKIP, "entry": "projected"},
+    "the set geometric": {"set": "geometric"},
 }
 MEDIA = {
     "snow of Table 1, dry, 1300 nm": (splits.Snow, {"saturation": 0.0}, 1300.0),
@@ -43,7 +44,7 @@ def main() -> None:
     print("pairs (incidence, view, azimuth):", *PAIRS)
     for name, (kind, settings, wavelength) in MEDIA.items():
         for reading, readings in READINGS.items():
-            medium = kind(**settings, readings=readings)
+            medium = kind(**settings, readings={"set": "splits_2007", **readings})
             runs = {
                 angle: splits.goniophotometer(
                     medium,

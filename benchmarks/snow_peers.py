@@ -1,13 +1,13 @@
-"""Natural snow beside the models that snow people use: TARTES and the asymptotic theory of snowoptics.
+"""Natural snow beside the models that snow people use: TARTES, and asymptotic theory (snowoptics).
 
-Twelve cases over surface area, layers, soot, soil, angle and sort of light.  TARTES runs twice, with
-the shape that it takes by default (B = n², g 0.82) and with that of our grains (B and g of
+Twelve cases over surface area, layers, soot, soil, angle and sort of light.  TARTES runs twice,
+with the shape that it takes by default (B = n², g 0.82) and with that of our grains (B and g of
 `splits.media.natural_snow`; with diffraction, as TARTES counts, g is (1 + g)/2).  Asymptotic theory
-(Kokhanovsky & Zege 2004, in snowoptics) is for deep clean snow of little absorption.
+(Kokhanovsky & Zege 2004) is for deep clean snow of little absorption.
 
-Printed are the largest and the mean difference from ours over `WAVELENGTHS`, with the error of ours,
-and what soot takes from the albedo at 500 nm: within grains light meets it B times as often as
-between them, where TARTES has it.
+Printed are the mean and the largest difference from ours over `WAVELENGTHS`, with the error of
+ours, and what soot takes from the albedo at 500 nm: within grains light meets it B times as often
+as between them, where TARTES has it.
 
     python benchmarks/snow_peers.py [TABLE.csv] [--max-stderr 0.002]
 """

@@ -105,7 +105,7 @@ def single_scattering(
     Paths are traced with the refractive indices of a few nodes, as by the spectral estimator;
     standard errors contain the bound on what that misses.
     """
-    check_medium(medium, GranularMedium)
+    check_medium(medium, GranularMedium, endless=True)
     if medium.pores:
         raise refuse("pores", dict(medium.pores), "empty: pores are dry or wet here")
     wavelengths = check_wavelengths(wavelength_nm)

@@ -245,7 +245,7 @@ def test_bits_do_not_depend_on_threads():
 @pytest.mark.parametrize("asked", [0.1, pytest.param(0.05, marks=pytest.mark.long)])
 def test_wavelengths_that_share_paths_get_what_they_would_alone(asked):
     # Wet enough that the slab's own face counts, where the index of water changes fast.
-    wet = splits.Snow(saturation=1.0, depth_m=0.02)
+    wet = splits.Snow(saturation=1.0, depth_m=0.02, readings="splits_2007")
     wavelengths = np.arange(2000.0, 2501.0, 20.0)
     grid = {"polar_deg": [0, 40, 70], "azimuth_deg": [0, 90, 180]}
     together = splits.goniophotometer(wet, wavelengths, 30.0, relative_stderr=asked, **grid)

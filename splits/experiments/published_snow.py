@@ -40,7 +40,7 @@ RANGES: dict[str, tuple[Any, ...]] = {
     "grain_size": ((100, 200), (900, 1000)),
     "facetness": ((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)),
     "saturation": (0.0, 0.1, 0.3, 1.0),
-    "density": (100.0, 200.0, 400.0, 500.0),
+    "density": (100.0, 200.0, 400.0, 450.0),
 }
 """Extremes between which sensitivities are taken (section 5.4).  The paper does not say those of
 saturation and density: any two of these values may have been meant."""

@@ -78,8 +78,8 @@ def shape_facts(snow: Any) -> dict[str, float]:
     if not alike or snow.readings != type(snow.readings).of(READINGS):
         return {}
     return {
-        "absorption_enhancement_900nm": SHAPE.enhancement,
-        "absorption_enhancement_900nm_stderr": SHAPE.enhancement_stderr,
-        "asymmetry_parameter_900nm": SHAPE.asymmetry,
-        "asymmetry_parameter_900nm_stderr": SHAPE.asymmetry_stderr,
+        "absorption_enhancement_900nm_dry": SHAPE.enhancement,
+        "absorption_enhancement_900nm_dry_stderr": SHAPE.enhancement_stderr,
+        "asymmetry_parameter_900nm_dry": SHAPE.asymmetry,
+        "asymmetry_parameter_900nm_dry_stderr": SHAPE.asymmetry_stderr,
     }

@@ -153,8 +153,8 @@ class Readings(TransportReadings):
     """Named readings of SPLITSnow, besides those of `TransportReadings`.
 
     By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
-    (entry, grains that do not fit), and where it is silent or can be read two ways the combination
-    that comes nearest to all that the paper states about its model (docs/readings.md).
+    (entry, grains across boundaries), and where it is silent or can be read two ways the
+    combination that came nearest to 24 of its statements about the model (docs/readings.md).
 
     Parameters
     ----------

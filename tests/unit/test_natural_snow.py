@@ -44,11 +44,11 @@ def test_natural_snow_is_deep_dry_and_geometric():
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
     facts = snow.describe()
-    assert facts["absorption_enhancement_900nm"] == SHAPE.enhancement
+    assert facts["absorption_enhancement_900nm_dry"] == SHAPE.enhancement
     assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
     for changed in ({"facetness": (0.1, 0.1, 0.1, 0)}, {"readings": {"facets": "any"}}):
         other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
-        assert "absorption_enhancement_900nm" not in other.describe()
+        assert "absorption_enhancement_900nm_dry" not in other.describe()
     assert other.readings.entry == "projected"
     own = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
     assert own.refractive_index["water"].name == "segelstein_1981"

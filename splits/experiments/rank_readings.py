@@ -1,9 +1,10 @@
 """Which readings did a paper's authors run?  All combinations against all that it states.
 
 The misfit of a combination is the sum of squared differences in bars from every number and trend
-(`splits.analysis.misfit`).  But for noise it grows from stage to stage.  All combinations go through
-the cheap stages; of the costly ones each takes fewer, those with the least sum so far (`TAKEN`).  What
-is left behind may still have had a smaller misfit than the first: this is a search, not a proof.
+(`splits.analysis.misfit`).  But for noise it grows from stage to stage.  All combinations go
+through the cheap stages; of the costly ones each takes fewer, those with the least sum so far
+(`TAKEN`).  What is left behind may still have a smaller misfit than the first: this is a search,
+not a proof.
 """
 
 from __future__ import annotations

@@ -275,7 +275,8 @@ def test_steep_directions_alone_and_dark_sides_have_a_goal_too():
 
 
 def test_detail_that_noise_hides_keeps_a_lobe_above_the_error_asked_for():
-    run = splits.goniophotometer(splits.Snow(), [1800.0], 69.3, seed=6, relative_stderr=0.1)
+    snow = splits.Snow(readings="splits_2007")
+    run = splits.goniophotometer(snow, [1800.0], 69.3, seed=6, relative_stderr=0.1)
     assert run.attrs["stopped_by"] == "detail"
     assert 0.1 < run.attrs["relative_stderr_reached"] < 0.2
 

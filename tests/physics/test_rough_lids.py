@@ -105,7 +105,7 @@ def test_a_rough_lid_of_nothing_changes_nothing():
     tall = {**WAVES, "rms_height_m": 0.03}
     nothing = lid(1.0, tall, optical_thickness=0.0, refractive_index=1.0)
     # A grain that reaches into the lid is kept, so those that reach above the snow are, too.
-    kept = {"readings": {"grain_across_boundary": "keep"}}
+    kept = {"readings": {"set": "splitsnow_2021", "grain_across_boundary": "keep"}}
     below = [splits.Snow(depth_m=0.006, **kept), splits.Sand(depth_m=0.004, **kept)]
     with_lid, without = (
         measured(splits.Stack(layers, ground=0.3), 0.0, seed)

@@ -105,7 +105,8 @@ def test_standard_errors_are_the_scatter_of_seeds():
     names += ("displacement_after", "displacement_square", "wet_share")
     wet = splits.Snow(saturation=0.3, refractive_index={"ice": 1.31 + 1e-4j, "water": 1.33})
     runs = [
-        single_scattering(wet, 1000.0, moments=4, rays=2 * BATCH, seed=seed) for seed in range(40)
+        single_scattering(wet, 1000.0, moments=4, rays=2 * BATCH, seed=seed)
+        for seed in range(40, 120)
     ]
     for name in names:
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))

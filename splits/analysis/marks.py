@@ -20,7 +20,9 @@ from pathlib import Path
 from splits.checks import refuse
 
 NUMBER = r"[+−]?\d+(?:\.\d+)?(?:e-?\d+|[⁰¹²³⁴⁵⁶⁷⁸⁹]+)?"
-MARKED = re.compile(rf"(?<![\d.])({NUMBER}(?: ± {NUMBER})?(?: \([a-z -]+\))?)<!--([a-z0-9_.]+)-->")
+MARKED = re.compile(
+    rf"(?<![\d.])({NUMBER}(?: ± {NUMBER})?(?: \([a-z][a-z0-9 -]*\))?)<!--([a-z0-9_.]+)-->"
+)
 """A marked number, its text and its key."""
 COMMENT = "<!--"
 

@@ -122,9 +122,6 @@ def _table3() -> dict[str, Number]:
                 TABLE3, cell("model", reading=reading, wavelength_nm=nm)
             )
     middle: Where = {"wavelength_nm": bands["1074"]}
-    found["table3.above"] = Number(
-        TABLE3, cell("difference_to_published", reading="default", **middle)
-    )
     for name, largest in (("least", False), ("most", True)):
         found[f"table3.{name}"] = Number(TABLE3, extreme("model", largest=largest, **middle), ".2f")
     for reading in ("default", "splits_2007", "struck_size_uniform"):

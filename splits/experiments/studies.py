@@ -203,8 +203,8 @@ def _check_keys(study: Study) -> None:
     if (study.kind == "sensitivity") != bool(study.pairs):
         allowed = "at least one pair" if study.kind == "sensitivity" else "left out"
         raise refuse("pairs", study.pairs, f"{allowed} for kind = {study.kind!r}")
-    if (study.kind == "agreement") != (study.sensitivity is not None):
-        allowed = "the name of a study" if study.kind == "agreement" else "left out"
+    if (study.kind in ("agreement", "readings")) != (study.sensitivity is not None):
+        allowed = "the name of a study" if study.sensitivity is None else "left out"
         raise refuse("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
     _check_readings(study)
     wanted = FILES.get(study.kind, {}) if study.kind in ("agreement", "readings") else {}

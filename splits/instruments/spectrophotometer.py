@@ -16,16 +16,13 @@ from splits.instruments.arguments import (
     check_wavelengths,
     check_whole,
 )
-from splits.instruments.deep_packs import SHARE, cut_of
-from splits.instruments.estimators import ESTIMATORS
+from splits.instruments.deep_packs import cut_of
+from splits.instruments.estimators import ESTIMATORS, Estimate
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.tracers import KERNELS
 from splits.media.turbid import Medium
 from splits.uncertainty import Variable, deviations, quantity
-
-ATTEMPTS = 3
-"""Runs of a pack that is cut, each to half the error of the one before."""
 
 QUANTITIES = {
     "reflectance": "hemispherical reflectance",
@@ -112,15 +109,12 @@ def spectrophotometer(
     analog = estimator == "analog"
     cut = None if analog else cut_of(medium, wavelengths, max_stderr, seed, threads)
     traced = medium if cut is None else cut.medium
-    goal = max_stderr if cut is None else max_stderr * (1.0 - SHARE**2) ** 0.5
-    for _ in range(ATTEMPTS):
+
+    def estimate(goal: float) -> Estimate:
         runner = Runner(traced, incidence, seed, threads, analog, kernel, progress)
-        found = ESTIMATORS[estimator](runner, traced, wavelengths, goal, max_rays)
-        result = found if cut is None else cut.completed(found, max_stderr)
-        # More may reach a cut than was foreseen: what theory misses then takes more of the error.
-        if result.converged or not found.converged:
-            break
-        goal *= 0.5
+        return ESTIMATORS[estimator](runner, traced, wavelengths, goal, max_rays)
+
+    result = estimate(max_stderr) if cut is None else cut.reached(estimate, max_stderr)
 
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     variables: dict[str, Variable] = {}

@@ -81,6 +81,9 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
         ({"kind": "sand_compositions", "experiments": {"lens": "a"}}, "must be left out for kind"),
         ({"kind": "sensitivity"}, r"own\.pairs = {}: must be at least one pair"),
+        ({"kind": "readings"}, r"own\.sensitivity = None: must be the name of a study"),
+        ({"kind": "layer_trends", "sensitivity": "sensitivity", "experiments": {"lens": "a"}},
+         r"own\.sensitivity = 'sensitivity': must be left out for kind"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
          r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
@@ -109,7 +112,8 @@ def test_what_a_study_lacks_is_said(shipped):
     )
     assert lacking["layer_trends"].startswith("study layer_trends is left out: not selected: layer")
     assert lacking["sand_compositions"].endswith("no experiment with sand is selected")
-    assert "sensitivity_density" in lacking["agreement"], "an agreement needs its sensitivity"
+    for study in ("agreement", "readings_together"):
+        assert "sensitivity_density" in lacking[study], "they need their sensitivity"
 
 
 def test_a_study_of_some_roles_has_their_rows():

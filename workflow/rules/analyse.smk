@@ -136,7 +136,7 @@ for NAME in of_kind("readings"):
             f"{RESULTS}/benchmarks/{NAME}.tsv"
         conda:
             "../../environment.yml"
-        threads: workflow.cores or 1
+        threads: lambda wildcards: workflow.cores or 1
         params:
             physics=physics_digest(),
             readings=STUDIES[NAME].readings,

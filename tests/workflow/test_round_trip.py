@@ -13,7 +13,8 @@ pytestmark = pytest.mark.slow
 SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
 SAND = "medium: {kind: sand, depth_m: 0.01}\n"
 PACK = (
-    "medium: {kind: stack, ground: 0.3, layers: [{base: splitsnow_table1, depth_m: 0.005},"
+    "medium: {kind: stack, ground: 0.3, readings: splits_2007, layers:"
+    " [{base: splitsnow_table1, depth_m: 0.005},"
     " {kind: sand, depth_m: 0.004}]}\n"
 )
 LAYER = "medium: {kind: layer, optical_thickness: 2}\n"

@@ -6,6 +6,7 @@ from .instruments import goniophotometer as goniophotometer
 from .instruments import lens as lens
 from .instruments import profile as profile
 from .instruments import single_scattering as single_scattering
+from .instruments import spectra as spectra
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
 from .media import Layer as Layer
@@ -17,4 +18,7 @@ from .media import Snow as Snow
 from .media import Stack as Stack
 from .skies import Sky as Sky
 from .skies import albedo as albedo
+from .skies import hdrf as hdrf
+from .skies import light_inside as light_inside
+from .skies import sensor as sensor
 from .skies import sky as sky

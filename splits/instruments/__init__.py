@@ -7,6 +7,7 @@ from splits.instruments.lens import lens
 from splits.instruments.profile import profile
 from splits.instruments.runner import Progress
 from splits.instruments.single_scattering import single_scattering
+from splits.instruments.spectra import spectra
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.instruments.surface_map import surface_map
 
@@ -18,6 +19,7 @@ __all__ = [
     "lens",
     "profile",
     "single_scattering",
+    "spectra",
     "spectrophotometer",
     "surface_map",
 ]

@@ -85,7 +85,7 @@ def check_incidence(incidence_deg: Any) -> float | str:
 def check_beam(incidence_deg: Any) -> float:
     """Return the polar angle of a beam in [0, 89.9999] degrees, or refuse it."""
     if isinstance(incidence_deg, str):
-        hint = "diffuse light is for the spectrophotometer"
+        hint = "not for this instrument"
         hint = hint if incidence_deg == "diffuse" else _meant(incidence_deg)
         raise refuse("incidence_deg", incidence_deg, "an angle", hint)
     return check_angle(incidence_deg, "an angle in degrees")

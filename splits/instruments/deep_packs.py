@@ -13,7 +13,7 @@ cut leaves at the top.  The cut lies so deep that this is a part of the error as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ import xarray as xr
 
 from splits.checks import refuse
 from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
-from splits.instruments.estimators import Estimate
+from splits.instruments.cut import DOUBT, SHARE, Cut
 from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type, roughly
 from splits.media.granular import GranularMedium, absorption_of
 from splits.media.ground import Ground
@@ -31,10 +31,6 @@ from splits.media.stack import Stack
 from splits.media.turbid import Medium
 from splits.transport.grains.scene import DRY_PORE, WET_PORE
 
-DOUBT = 0.3
-"""How far, as a part of itself, theory may be off in what the rest of a pack keeps."""
-SHARE = 0.4
-"""Part of the error asked for that the cut may take."""
 LEAST = 600.0
 """Mean distances between grains below which no pack is cut: it is traced in no time."""
 REACH = 5.0
@@ -50,85 +46,6 @@ RAYS = BATCH
 ROUGHLY = 256
 """To see roughly what they do, far better than `CLEARLY`; of rare dark grains too little is seen,
 and then a better look is taken."""
-ATTEMPTS = 3
-"""Runs of a pack that is cut, each to half the error of the one before."""
-
-
-class Cut(NamedTuple):
-    """A pack that is cut.
-
-    Attributes
-    ----------
-    medium : Medium
-        Down to the cut, over a ground that stands for the rest.
-    depth_m : float
-        Of the cut (m).
-    passed : float, shape (wavelengths,)
-        Share that the rest lets through of what it keeps.
-    clear : bool, shape (wavelengths,)
-        Whether nothing absorbs, below the cut and above, and the ground below lets pass what is
-        not sent back.
-    escape : float, shape (wavelengths,)
-        Chance that light from the cut leaves at the top.
-    enough_m : float
-        Depth from which on the lowest layer reflects diffuse light like one without end, within
-        the error asked for, to diffusion theory (m).
-    """
-
-    medium: Medium
-    depth_m: float
-    passed: np.ndarray
-    clear: np.ndarray
-    escape: np.ndarray
-    enough_m: float
-
-    def reached(self, estimate: Callable[[float], Estimate], max_stderr: float) -> Estimate:
-        """Return the estimate of the whole pack to an error.
-
-        More may reach the cut than was foreseen, so that theory misses more there: then the part
-        above it is measured again, to a smaller error.
-
-        Parameters
-        ----------
-        estimate : callable
-            Takes a largest error, returns the estimate of the part above the cut.
-        max_stderr : float
-        """
-        goal = max_stderr * (1.0 - SHARE**2) ** 0.5
-        for _ in range(ATTEMPTS):
-            found = estimate(goal)
-            result = self.completed(found, max_stderr)
-            if result.converged or not found.converged:
-                break
-            goal *= 0.5
-        return result
-
-    def completed(self, found: Estimate, max_stderr: float) -> Estimate:
-        """Return the estimate of the whole pack from that of the part above the cut."""
-        kept = found.mean[1]
-        back = np.minimum(found.mean[0], 1.0)
-        clear = self.clear
-        # Where nothing is absorbed, all that does not come back goes through, in error as in size.
-        through = np.where(clear, 1.0 - back, np.minimum(kept * self.passed, 1.0 - back))
-        mean = np.stack([back, through, 1.0 - back - through])
-        doubt = DOUBT * kept * self.escape
-        below = np.where(self.passed == 1.0, doubt, DOUBT * through)
-        rest = np.where(clear, 0.0, np.hypot(doubt, below))
-        missed = np.stack([doubt, below, rest])
-        scale = np.stack([np.ones_like(kept), self.passed, np.ones_like(kept)])
-        own = scale * found.stderr
-        # Absorbed is what was so above the cut, and what the rest keeps for itself: all that is
-        # neither reflected nor let through.
-        own[2] = np.minimum(own[2] + (1.0 - self.passed) * found.stderr[1], own[0] + own[1])
-        own[1], own[2] = np.where(clear, own[0], own[1]), np.where(clear, 0.0, own[2])
-        stderr = np.hypot(own, missed)
-        groups = found.groups * scale[:2]
-        groups[:, 1] = np.where(clear, -groups[:, 0], groups[:, 1])
-        bias = np.hypot(scale * found.bias, missed)
-        converged = bool(stderr.max() <= max_stderr)
-        return Estimate(
-            mean, stderr, bias, groups, found.rays, found.ensembles, converged, found.kernel
-        )
 
 
 class _Diffusing(NamedTuple):
@@ -167,6 +84,10 @@ class _Diffusing(NamedTuple):
         farthest = float(self.diffusion.max())
         return max(farthest * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
 
+    def rate_at(self, height: float) -> np.ndarray:
+        """Return the rate (1/m), almost 0 where nothing is absorbed: that says the same, no 0/0."""
+        return np.maximum(self.rate, 1e-9 / height)
+
     def serves(self, lowest: Any, max_stderr: float, margin: float = 1.0) -> bool:
         """Return whether a layer that ends is worth a cut, or may be if this is off by a margin."""
         height = self.height(lowest, max_stderr)
@@ -179,67 +100,133 @@ class _Diffusing(NamedTuple):
 
 
 def cut_of(
-    medium: Medium, wavelengths: np.ndarray, max_stderr: float, seed: int, threads: int
+    media: Sequence[Medium],
+    wavelengths: np.ndarray,
+    max_stderr: float,
+    seed: int,
+    threads: int,
 ) -> Cut | None:
-    """Return a pack cut where that serves the error asked for, None where it is traced as it is.
+    """Return packs cut where that serves the error asked for, None where they are traced as such.
+
+    Parameters
+    ----------
+    media : sequence of Medium
+        That share paths, see `splits.instruments.shared_paths`.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    max_stderr, seed, threads
+        As for the spectrophotometer.
 
     Raises
     ------
     ValueError
         For a pack without end whose lowest layer is not of grains.
     """
-    part = medium.layers[-1] if isinstance(medium, Stack) else medium
+    lowest = [_lowest(medium) for medium in media]
+    part = lowest[0]
     if not isinstance(part, GranularMedium):
         return None
-    lowest: Any = part
-    depth = float(lowest.depth_m)
-    if depth * lowest.grains().attenuation < LEAST:
+    depth = float(part.depth_m)
+    if depth * part.grains().attenuation < LEAST:
         return None
-    if lowest.pores or "air" in lowest.refractive_index:
+    if any(one.pores or "air" in one.refractive_index for one in lowest):
         # The rest of a pack is reckoned for pores of water and of air of index 1.
         if math.isinf(depth):
             raise refuse("depth_m", depth, "finite where pores hold other media or other air")
         return None
-    finite: Any = replace(lowest, depth_m=1.0) if math.isinf(depth) else lowest
+    finite = [replace(one, depth_m=1.0) for one in lowest] if math.isinf(depth) else lowest
     plan = Plan(1, RAYS, seed, threads, "equilibrium")
     if not math.isinf(depth):
-        look = _Diffusing.of(roughly(finite, wavelengths, plan._replace(rays=ROUGHLY)))
-        if not look.serves(lowest, max_stderr, CLEARLY):
+        rough = plan._replace(rays=ROUGHLY)
+        looks = (_Diffusing.of(roughly(one, wavelengths, rough)) for one in finite)
+        if not any(look.serves(part, max_stderr, CLEARLY) for look in looks):
             return None
-    optics = pooled_by_type(finite, wavelengths, plan)
-    return _cut(medium, lowest, depth, optics, max_stderr)
+    optics = [pooled_by_type(one, wavelengths, plan) for one in finite]
+    return _cut(media, depth, optics, max_stderr)
 
 
 def _cut(
-    medium: Medium, lowest: Any, depth: float, optics: xr.Dataset, max_stderr: float
+    media: Sequence[Medium], depth: float, optics: Sequence[xr.Dataset], max_stderr: float
 ) -> Cut | None:
-    """Return what `cut_of` returns, for a lowest layer of such optics and depth (m)."""
-    found = _Diffusing.of(optics)
-    endless = math.isinf(depth)
-    if endless and found.turn.min() < LEAST_TURN:
-        raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
-    if not endless and not found.serves(lowest, max_stderr):
+    """Return what `cut_of` returns, for lowest layers of such optics and depth (m)."""
+    found = [_Diffusing.of(one) for one in optics]
+    part = _lowest(media[0])
+    if math.isinf(depth):
+        if min(one.turn.min() for one in found) < LEAST_TURN:
+            raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+    elif not any(one.serves(part, max_stderr) for one in found):
         return None
-    height, loss, diffusion = found.height(lowest, max_stderr), found.loss, found.diffusion
-    # Where nothing is absorbed a rate of almost 0 says the same, without 0/0.
-    rate = np.maximum(found.rate, 1e-9 / height)
-    below = Ground.of(medium.ground)  # type: ignore[union-attr]
-    albedo = np.zeros_like(rate) if below is None else below.albedo(optics.wavelength.values)
-    rest = Rest(rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo))
-    clear = loss <= 0.0
-    sent = np.where(clear & (endless | (albedo == 1.0)), 1.0, rest.sent())
-    passed = np.where(clear & (sent < 1.0), 1.0, rest.passed())
-    arriving = 1.0 / (1.0 + 0.75 * height / (diffusion * 3.0))
-    escape = arriving / (arriving + 1.0 - sent)
-    ground = _ground(optics.wavelength.values, _through_face(sent, lowest, optics))
-    shorter = replace(lowest, depth_m=height)
+    height = max(one.height(part, max_stderr) for one in found)
+    rests = [
+        _Rested.of(medium, one, o.wavelength.values, height)
+        for medium, one, o in zip(media, found, optics, strict=True)
+    ]
+    # Media that share paths all have a ground, or none.
+    least = np.finfo(float).tiny if len(media) > 1 else 0.0
+    wavelengths = optics[0].wavelength.values
+    grounds = [
+        _ground(wavelengths, np.maximum(_through_face(rest.sent, _lowest(medium), o), least))
+        for medium, rest, o in zip(media, rests, optics, strict=True)
+    ]
+    return Cut(
+        tuple(_shorter(m, height, g) for m, g in zip(media, grounds, strict=True)),
+        height,
+        np.stack([rest.passed for rest in rests]),
+        np.stack([rest.clear for rest in rests]),
+        np.stack([rest.escape for rest in rests]),
+        np.stack([ground.depth(wavelengths) for ground in grounds]),
+        max(_enough(one.rate_at(height), one.diffusion, max_stderr) for one in found),
+    )
+
+
+def _lowest(medium: Medium) -> Any:
+    """Return the lowest layer."""
+    return medium.layers[-1] if isinstance(medium, Stack) else medium
+
+
+def _shorter(medium: Medium, height: float, ground: Ground) -> Medium:
+    """Return a pack whose lowest layer is cut, over a ground."""
+    part = replace(_lowest(medium), depth_m=height)
     if isinstance(medium, Stack):
-        part: Medium = replace(medium, layers=(*medium.layers[:-1], shorter), ground=ground)
-    else:
-        part = replace(shorter, ground=ground)
-    enough = _enough(rate, diffusion, max_stderr)
-    dark_above = _absorbing_above(medium, optics.wavelength.values)
-    return Cut(part, height, passed, (passed == 1.0) & ~dark_above, escape, enough)
+        return replace(medium, layers=(*medium.layers[:-1], part), ground=ground)
+    return replace(part, ground=ground)  # type: ignore[no-any-return]
+
+
+class _Rested(NamedTuple):
+    """What the part of a pack below its cut does, at every wavelength; see `Cut`.
+
+    Attributes
+    ----------
+    sent : float
+        Share that it sends back.
+    passed, clear, escape
+        As of a `Cut`.
+    """
+
+    sent: np.ndarray
+    passed: np.ndarray
+    clear: np.ndarray
+    escape: np.ndarray
+
+    @classmethod
+    def of(
+        cls, medium: Medium, found: _Diffusing, wavelengths: np.ndarray, height: float
+    ) -> _Rested:
+        """Return it for a pack among whose grains light diffuses so."""
+        depth = float(_lowest(medium).depth_m)
+        rate, diffusion = found.rate_at(height), found.diffusion
+        below = Ground.of(medium.ground)  # type: ignore[union-attr]
+        albedo = np.zeros_like(rate) if below is None else below.albedo(wavelengths)
+        rest = Rest(
+            rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo)
+        )
+        clear = found.loss <= 0.0
+        sent = np.where(clear & (math.isinf(depth) | (albedo == 1.0)), 1.0, rest.sent())
+        passed = np.where(clear & (sent < 1.0), 1.0, rest.passed())
+        arriving = 1.0 / (1.0 + 0.75 * height / (diffusion * 3.0))
+        escape = arriving / (arriving + 1.0 - sent)
+        dark_above = _absorbing_above(medium, wavelengths)
+        return cls(sent, passed, (passed == 1.0) & ~dark_above, escape)
 
 
 def _absorbing_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:

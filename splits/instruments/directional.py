@@ -18,6 +18,7 @@ from splits.instruments.ensemble import Level
 from splits.instruments.runner import BATCH
 from splits.transport.grains.scene import UNLIMITED, shared_optics
 from splits.transport.sums.directions import Basis, expand
+from splits.transport.sums.tally import EXIT_ORDER
 
 CLASSES = (2, 8, 32, UNLIMITED)
 """Largest order of scattering of each class."""
@@ -48,6 +49,9 @@ class Directional:
     basis : Basis
     classes : sequence of int
         Largest order of scattering of each class, the last `UNLIMITED`.
+    sharp : bool
+        Light that met no grain leaves as a beam, so that polynomials leave it out; of diffuse
+        light they do not.
 
     Attributes
     ----------
@@ -68,12 +72,14 @@ class Directional:
         weights: np.ndarray,
         basis: Basis,
         classes: Sequence[int] = CLASSES,
+        sharp: bool = True,
     ) -> None:
         served = weights > 0.0
         self.absorption = absorption[served]
         self.weights = weights
         self.place = {int(column): row for row, column in enumerate(np.flatnonzero(served))}
         self.basis = basis
+        self.sharp = sharp
         self.edges = np.array(classes, dtype=np.int64)
         rows = len(self.place)
         self.sums = np.zeros((GROUPS, len(classes), 2, rows, basis.scale.size))
@@ -92,6 +98,8 @@ class Directional:
     def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
         """Return the sums of a batch of exits of a level."""
         heard = self.edges[self.edges <= level.most]
+        if not self.sharp:
+            exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
         return (first // BATCH) % GROUPS, *expand(exits, self.absorption, heard, self.basis)
 
     def add(self, level: Level, tallies: Sequence[Sums]) -> None:

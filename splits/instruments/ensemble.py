@@ -209,12 +209,16 @@ class Ensemble:
         Sums over groups of products of two of them estimate covariances of means (random groups;
         Wolter 2007, Introduction to Variance Estimation, chapter 2).
         """
+        off = self.groups - self.rays_of_groups()[:, np.newaxis] * self.means()
+        return off / np.maximum(self.count, 1.0)
+
+    def rays_of_groups(self) -> np.ndarray:
+        """Return how many rays of each group every wavelength listens to, (GROUPS, wavelengths)."""
         rays = np.zeros((GROUPS, len(self.absorption)))
         for level in self.levels:
             turns, rest = divmod(level.rays // BLOCK, GROUPS)
             rays[:, level.served] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
-        off = self.groups - rays[:, np.newaxis] * self.means()
-        return off / np.maximum(self.count, 1.0)
+        return rays
 
     def variances(self) -> np.ndarray:
         """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).

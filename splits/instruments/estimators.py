@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, Paths, scaled
-from splits.instruments.nodes import choose_nodes
+from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Runner
-from splits.instruments.scenes import constants_of
-from splits.media.turbid import Medium
+from splits.instruments.shared_paths import Rows, SharedPaths, Slopes
 
 PILOT = 256
 ANALOG_PILOT = 2048
@@ -28,13 +27,15 @@ _BIAS_SHARE = 0.4
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means and standard errors, shape (3, wavelengths): reflected, transmitted, absorbed.
+    """Means and standard errors, shape (3, rows): reflected, transmitted, absorbed.
+
+    A row is a wavelength, of the one medium or of one of several that share paths.
 
     Attributes
     ----------
-    bias : float, shape (3, wavelengths)
+    bias : float, shape (3, rows)
         Part of the standard error that stands for interpolation between refractive indices.
-    groups : float, shape (GROUPS, 2, wavelengths)
+    groups : float, shape (GROUPS, 2, rows)
         How far groups of rays take the reflected and transmitted means off: sums over them of
         squares are the variance without bias, sums of products covariances.
     rays : int
@@ -45,6 +46,8 @@ class Estimate:
         Whether the error asked for was reached everywhere.
     kernel : str
         "lanes", "scalar", or both where ensembles differ.
+    slopes : Slopes
+        Derivatives, of as many parameters as were asked for.
     """
 
     mean: np.ndarray
@@ -55,25 +58,19 @@ class Estimate:
     ensembles: int
     converged: bool
     kernel: str
+    slopes: Slopes
 
 
-def spectral(
-    runner: Runner,
-    medium: Medium,
-    wavelength_nm: np.ndarray,
-    max_stderr: float,
-    max_rays: int,
-) -> Estimate:
-    """Estimate all wavelengths from path ensembles at a few refractive indices.
+def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:
+    """Estimate all rows from path ensembles at a few refractive indices.
 
     The lengths of a path in each material give its weight at every wavelength (SPLITSnow Eqs
     5-6); wavelengths take the weighted mean of the index nodes around them, and the bound on what
     this interpolation misses is added to the standard error in quadrature.
     """
-    index, absorption = constants_of(medium, wavelength_nm)
-    nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
+    nodes = choose_nodes(rows.index, rows.interfaces, _BIAS_SHARE * max_stderr)
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.tracer.manner)
+        SharedPaths(number, m, rows, w > 0.0, runner.tracer.manner)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     levels = [(e, level) for e in ensembles for level in e.levels]
@@ -113,7 +110,17 @@ def spectral(
         len(ensembles),
         converged,
         runner.kernels(ensembles),
+        _slopes(nodes, ensembles),
     )
+
+
+def _slopes(nodes: Nodes, ensembles: Sequence[SharedPaths]) -> Slopes:
+    """Return derivatives, rows taking the weighted mean of the nodes around them."""
+    found = [e.slope_deviations() for e in ensembles]
+    mean = np.einsum("jw,jqpw->qpw", nodes.weights, np.stack([mean for mean, _ in found]))
+    groups = np.einsum("jw,jgqpw->gqpw", nodes.weights, np.stack([off for _, off in found]))
+    # As much of themselves as of light that is nearly all reflected or nearly all absorbed.
+    return Slopes(mean, groups, np.clip(8.0 * nodes.bias, 0.0, 1.0) * np.abs(mean))
 
 
 def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths]) -> np.ndarray:
@@ -165,26 +172,20 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
     return np.where(more, np.ceil(1.03 * wanted), floor) if more.any() else floor + BATCH
 
 
-def analog(
-    runner: Runner,
-    medium: Medium,
-    wavelength_nm: np.ndarray,
-    max_stderr: float,
-    max_rays: int,
-) -> Estimate:
-    """Estimate each wavelength by itself, with absorption decided by coin toss on every leg.
+def analog(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:
+    """Estimate each row by itself, with absorption decided by coin toss on every leg.
 
     This is the algorithm of SPLITS section 4.3 and SPLITSnow section 3, kept as the reference.
-    `max_rays` is shared equally among the wavelengths.
+    `max_rays` is shared equally among the rows.
     """
-    index, absorption = constants_of(medium, wavelength_nm)
-    limit = max(ANALOG_PILOT, max_rays // len(wavelength_nm))
-    mean = np.empty((3, len(wavelength_nm)))
+    many = len(rows.index)
+    limit = max(ANALOG_PILOT, max_rays // many)
+    mean = np.empty((3, many))
     stderr = np.empty_like(mean)
-    groups = np.empty((GROUPS, 2, len(wavelength_nm)))
+    groups = np.empty((GROUPS, 2, many))
     one = np.ones(1, dtype=bool)
-    rays = 0
-    for row, (m, alpha) in enumerate(zip(index, absorption, strict=True)):
+    traced = 0
+    for row, (m, alpha) in enumerate(zip(rows.index, rows.absorption, strict=True)):
         ensemble = Ensemble(row, m, alpha[np.newaxis], one, runner.tracer.manner)
         level = ensemble.levels[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
@@ -200,16 +201,18 @@ def analog(
         mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
         stderr[:, row] = error
         groups[:, :, row] = ensemble.deviations()[:, :, 0]
-        rays += level.rays
+        traced += level.rays
+    none = np.zeros((GROUPS, 2, 0, many))
     return Estimate(
         mean,
         stderr,
         np.zeros_like(mean),
         scaled(groups, stderr[:2] ** 2),
-        rays,
-        len(wavelength_nm),
+        traced,
+        many,
         bool(stderr.max() <= max_stderr),
         "scalar",
+        Slopes(none[0], none, none[0]),
     )
 
 

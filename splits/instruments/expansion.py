@@ -38,11 +38,11 @@ def expand(
     goal: Goal,
 ) -> tuple[list[Directional], Estimate, str]:
     """Trace until the goal is reached; return the paths, the estimate and what stopped them."""
-    symmetric = runner.tracer.upright
+    symmetric, diffuse = runner.tracer.upright or runner.tracer.diffuse, runner.tracer.diffuse
     angles = angles_of(polar, azimuth, basis_of(DEGREE))
     seen = counted(polar, azimuth)
     ensembles = [
-        Directional(number, m, absorption, w, angles.basis)
+        Directional(number, m, absorption, w, angles.basis, sharp=not diffuse)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     levels = [(e, level) for e in ensembles for level in e.levels]

@@ -13,8 +13,8 @@ from splits.checks import in_range, known_arguments, one_of, refuse
 from splits.instruments.angular import Estimate, largest_error
 from splits.instruments.arguments import (
     check_angles,
-    check_beam,
     check_cells,
+    check_incidence,
     check_medium,
     check_size,
     check_threads,
@@ -32,7 +32,7 @@ from splits.instruments.nodes import choose_nodes
 from splits.instruments.runner import Progress, Runner
 from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS, Heard
-from splits.instruments.views import Found, collected, facts_of, heard_by, traced
+from splits.instruments.views import Found, collected, facts_of, heard_by, traced, under_sky
 from splits.media.turbid import Medium
 from splits.uncertainty import Variable, quantity
 
@@ -53,7 +53,7 @@ the relative error asked for."""
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Any,
-    incidence_deg: float = 0.0,
+    incidence_deg: float | str = 0.0,
     rays: int | None = None,
     seed: int = 1,
     *,
@@ -68,7 +68,7 @@ def goniophotometer(
     kernel: str = "auto",
     progress: Callable[[Progress], None] | None = None,
 ) -> xr.Dataset:
-    """Measure the BRDF and the BTDF of a medium under a beam.
+    """Measure the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
 
     Parameters
     ----------
@@ -76,9 +76,10 @@ def goniophotometer(
         For example `splits.Snow` or `splits.Layer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
-    incidence_deg : float
+    incidence_deg : float or "diffuse"
         Polar angle of the beam, 0 to 89.9999 degrees; beyond 89.9 a run takes minutes, because few
-        grains fit below the boundary there.
+        grains fit below the boundary there.  Or equal radiance from everywhere, of which only the
+        estimator ``expansion`` knows.
     rays : int, optional
         How many rays to trace, rounded up; by default as many as `relative_stderr` takes.
     seed : int
@@ -127,7 +128,9 @@ def goniophotometer(
         ``brdf_q``, ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for
         unpolarized incidence, Q > 0 along the plane that holds the normal.  Over a diffuse bottom
         the BTDF is that of light that arrives there, at angles within the layer; local estimation
-        leaves it out.
+        leaves it out.  Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
+        hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and
+        ``reflectance`` and ``transmittance`` are bihemispherical.
 
     Raises
     ------
@@ -141,11 +144,15 @@ def goniophotometer(
     """
     check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
-    incidence = check_beam(incidence_deg)
+    incidence = check_incidence(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     grounded = ground_of(medium) is not None
     side = _side_of(target, grounded)
     one_of("estimator", estimator, ESTIMATORS)
+    if isinstance(incidence, str) and estimator != "expansion":
+        raise refuse(
+            "incidence_deg", incidence, "an angle for this estimator", "expansion takes it"
+        )
     one_of("kernel", kernel, KERNELS)
     seed, max_rays = check_whole("seed", seed, 0), check_whole("max_rays", max_rays, 1)
     if rays is not None:
@@ -162,7 +169,9 @@ def goniophotometer(
     if estimator == "cells":
         found = collected(runner, nodes, absorption, cells, rays or 1_000_000)
     elif estimator == "local":
-        found = heard_by(listen(medium, incidence, polar, azimuth, goal, runner), wavelengths)
+        found = heard_by(
+            listen(medium, float(incidence), polar, azimuth, goal, runner), wavelengths
+        )
     else:
         paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
         found = Found(result, reached, traced(paths), paths)
@@ -177,7 +186,8 @@ def goniophotometer(
     }
     dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
     unseen = OF_LIGHT_BELOW if grounded else found.unseen
-    return dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
+    dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
+    return under_sky(dataset) if incidence == "diffuse" else dataset
 
 
 def _side_of(target: str, grounded: bool) -> int:

@@ -36,7 +36,7 @@ from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.particles import ParticleLayer
 from splits.transport.sums.passages import DOWN, UP
-from splits.uncertainty import Variable, quantity, stderr_of
+from splits.uncertainty import Variable, deviations, quantity, stderr_of
 
 MOST_DEPTHS = 200
 MOST_SUMS = 100_000_000
@@ -87,7 +87,8 @@ def profile(
         Over ``wavelength`` and ``interval``, between successive depths: ``absorptance``, the share
         of the light that is absorbed there, and ``actinic_flux``, the mean path of the light in
         the interval over its thickness, grains and pores together.  ``absorptance_of_material``
-        over ``material`` besides.  All with standard errors ``…_stderr``.  Reflectance,
+        over ``material`` besides.  All with standard errors ``…_stderr``; irradiances and
+        absorptances also with ``…_groups``, see `splits.analysis.errors`.  Reflectance,
         absorptances, and the net irradiance at the bottom add up to 1.
 
     Raises
@@ -194,12 +195,16 @@ def _dataset(
     variables: dict[str, Variable] = {}
 
     def put(
-        name: str, dims: tuple[str, ...], groups: np.ndarray, label: str, more: Any = 0.0
+        name: str, dims: tuple[str, ...], groups: np.ndarray, label: str, more: Any = None
     ) -> None:
         mean = groups.mean(axis=0)
-        stderr = np.hypot(errors_of(groups, doubt.bias, doubt.least), more)
+        stderr = errors_of(groups, doubt.bias, doubt.least)
+        stderr = stderr if more is None else np.hypot(stderr, more)
         values, error = np.moveaxis(mean, -1, 0), np.moveaxis(stderr, -1, 0)
         variables.update(quantity(name, dims, values, error, label))
+        if more is None:
+            off = np.moveaxis(groups - mean, -1, 1) / np.sqrt(len(groups) * (len(groups) - 1))
+            variables.update(deviations(name, dims, off, label))
 
     put("downward_irradiance", by_depth, found.light[:, DOWN], "downward irradiance")
     put("upward_irradiance", by_depth, found.light[:, UP], "upward irradiance")

@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import xarray as xr
 
-from splits.checks import in_range, known_arguments, one_of
-from splits.instruments.arguments import (
-    check_incidence,
-    check_medium,
-    check_threads,
-    check_wavelengths,
-    check_whole,
-)
-from splits.instruments.deep_packs import cut_of
-from splits.instruments.estimators import ESTIMATORS, Estimate
+from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.arguments import check_medium
+from splits.instruments.estimators import ESTIMATORS
+from splits.instruments.jacobian import Moves, parameter_axis, slope_variables
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.runner import Progress, Runner
-from splits.instruments.tracers import KERNELS
+from splits.instruments.runner import Progress
+from splits.instruments.spectral_run import SIDES, TITLE, Run
 from splits.media.turbid import Medium
-from splits.uncertainty import Variable, deviations, quantity
-
-QUANTITIES = {
-    "reflectance": "hemispherical reflectance",
-    "transmittance": "hemispherical transmittance",
-    "absorptance": "absorptance",
-}
 
 
 @known_arguments
@@ -40,6 +27,7 @@ def spectrophotometer(
     seed: int = 1,
     *,
     estimator: str = "spectral",
+    jacobian: Sequence[str] = (),
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
@@ -63,6 +51,10 @@ def spectrophotometer(
     estimator : {"spectral", "analog"}
         Paths shared by all wavelengths, or the papers' algorithm as a reference: one wavelength
         at a time, absorption by coin toss.
+    jacobian : sequence of str
+        Amounts of impurities to give derivatives to, such as ``impurities_ng_g.black_carbon``,
+        ``algae_cells_ml.snow_algae`` or ``layers.0.impurities_ng_g.black_carbon``: of those that
+        are there, and of those that might be.  They come from the same paths.
     max_rays : int
         The run stops once this many are traced (the first round is traced in any case);
         attribute ``stopped_by`` says whether the error or the rays came first.
@@ -81,7 +73,9 @@ def spectrophotometer(
         ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
         ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
         see `splits.analysis.errors`; absorptance's are minus their sum.  All inputs stand in
-        the attributes.  Of packs so deep that they are cut (`splits.instruments.deep_packs`), the
+        the attributes.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
+        ``parameter`` and ``wavelength``, with errors and groups, where they were asked for.
+        Of packs so deep that they are cut (`splits.instruments.deep_packs`), the
         attribute ``traced_to_m`` says where, and ``optically_deep_m`` from which depth on they
         are as bright as without end; what theory may miss of the rest is in the errors.
 
@@ -96,46 +90,17 @@ def spectrophotometer(
     printed 1/π belongs to a radiance, not to a share of rays).
     """
     check_medium(medium, endless=estimator == "spectral")
-    wavelengths = check_wavelengths(wavelength_nm)
-    incidence = check_incidence(incidence_deg)
-    max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     one_of("estimator", estimator, ESTIMATORS)
-    one_of("kernel", kernel, KERNELS)
-    seed = check_whole("seed", seed, 0)
-    max_rays = check_whole("max_rays", max_rays, 1)
-    threads = check_threads(threads)
-
+    run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    moves = Moves.of(medium, jacobian, run.wavelengths)
+    if moves.parameters and estimator != "spectral":
+        raise refuse("jacobian", list(moves.parameters), "left out for this estimator")
     begun = time.perf_counter()
-    analog = estimator == "analog"
-    cut = None if analog else cut_of(medium, wavelengths, max_stderr, seed, threads)
-    traced = medium if cut is None else cut.medium
+    found = run.estimated([medium], moves, estimator, progress)
+    result = found.result
 
-    def estimate(goal: float) -> Estimate:
-        runner = Runner(traced, incidence, seed, threads, analog, kernel, progress)
-        return ESTIMATORS[estimator](runner, traced, wavelengths, goal, max_rays)
-
-    result = estimate(max_stderr) if cut is None else cut.reached(estimate, max_stderr)
-
-    illumination = "hemispherical" if incidence == "diffuse" else "directional"
-    variables: dict[str, Variable] = {}
-    for row, (name, label) in enumerate(QUANTITIES.items()):
-        long_name = label if name == "absorptance" else f"{illumination}-{label}"
-        variables |= quantity(name, "wavelength", result.mean[row], result.stderr[row], long_name)
-        if name != "absorptance":
-            variables |= deviations(name, "wavelength", result.groups[:, row], long_name)
-    facts = {
-        **run_facts("Virtual spectrophotometer", "spectrophotometer", medium, begun, seed, threads),
-        "incidence_deg": incidence,
-        "estimator": estimator,
-        "max_stderr": max_stderr,
-        "stopped_by": "error" if result.converged else "rays",
-        "max_stderr_reached": float(result.stderr.max()),
-        "interpolation_error_bound": float(result.bias.max()),
-        "max_rays": max_rays,
-        "rays": result.rays,
-        "ensembles": result.ensembles,
-        "kernel": result.kernel,
-    }
-    if cut is not None:
-        facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.enough_m}
-    return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)
+    variables = run.variables(result, ("wavelength",))
+    variables |= slope_variables(result.slopes, moves.parameters, SIDES)
+    facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
+    axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(moves.parameters)}
+    return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.facts(found))

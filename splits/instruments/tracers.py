@@ -79,6 +79,8 @@ class Tracer(Protocol):
     manner : Manner
     upright : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
+    diffuse : bool
+        Whether light comes from everywhere.
     depths_m : float, shape (faces,)
         Depths (m) of all faces of the scene; of a rough top, a height above it.
     stokes : tuple of int
@@ -87,6 +89,7 @@ class Tracer(Protocol):
 
     manner: Manner
     upright: bool
+    diffuse: bool
     depths_m: np.ndarray
     stokes: tuple[int, ...]
 
@@ -158,6 +161,7 @@ class GrainTracer:
         fading = bool((self.scene.particles.albedo < 1.0).any())
         self.manner = Manner(densest, self.scene.ground, fading, analog)
         self.upright = self.scene.light == (1.0, 0.0)
+        self.diffuse = self.scene.light.diffuse > 0.0
         self.stokes: tuple[int, ...] = ()
         self.columns = columns_of(medium)
         self.seed = seed
@@ -262,6 +266,7 @@ class LayerTracer:
         fading = self.scene.layer.albedo < 1.0
         self.manner = Manner(extinction, fading=fading, analog=analog)
         self.upright = light.diffuse == 0.0 and light.cos == 1.0
+        self.diffuse = light.diffuse > 0.0
         self.materials = len(medium.materials())
         # After the path lengths in all materials.
         self.first_stokes = EXIT_LENGTH + self.materials

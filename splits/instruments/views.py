@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from splits.instruments.angular import Estimate
 from splits.instruments.cells import Cells, estimate_cells, stokes_of_cells
@@ -70,3 +71,27 @@ def collected(
     runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
     result = estimate_cells(paths, nodes.bias)
     return Found(result, "rays", traced(paths), paths, stokes_of_cells(paths))
+
+
+def under_sky(dataset: xr.Dataset) -> xr.Dataset:
+    """Return in the terms of diffuse light what was found of a BRDF's place in it."""
+    found = dataset
+    if "btdf" in dataset:
+        for end in ("", "_stderr"):
+            found = found.assign({f"transmittance_factor{end}": np.pi * found[f"btdf{end}"]})
+    terms = {
+        "reflectance_factor": "hemispherical-directional reflectance factor",
+        "transmittance_factor": "hemispherical-directional transmittance factor",
+        "reflectance": "bihemispherical reflectance",
+        "transmittance": "bihemispherical transmittance",
+    }
+    for name, term in terms.items():
+        if name in found:
+            about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
+            found[name].attrs = about
+            found[f"{name}_stderr"].attrs = {
+                "long_name": f"standard error of {term}", "units": "1"
+            }  # fmt: skip
+    beams = ("brdf", "btdf", "specular_reflectance", "direct_transmittance")
+    names = [name + end for name in beams for end in ("", "_stderr")]
+    return found.drop_vars([name for name in names if name in found])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,11 @@ import pandas as pd
 
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
 from splits.materials.tables import user_table
+from splits.skies.bands import Band, bands_of
 
 _TABLE = Path(__file__).with_name("skies.csv")
 COLUMNS = ("wavelength_nm", "direct", "diffuse")
+ALL = "broadband"
 CLOUDY = "_cloudy"
 """How names of skies end from which all light is diffuse."""
 CLEAR = "clear"
@@ -44,7 +46,9 @@ class Sky:
     wavelength_nm : float, shape (n,)
         Strictly increasing (nm).
     direct, diffuse : float, shape (n,)
-        Spectral irradiance, W m⁻² nm⁻¹ or in other units; only ratios count for albedos.
+        Spectral irradiance (W m⁻² nm⁻¹); only ratios count for albedos.
+    relative : bool
+        Whether irradiances are in other units, of which nothing is known.
     sha256 : str
         Of a user's file.
     """
@@ -56,11 +60,30 @@ class Sky:
     direct: np.ndarray
     diffuse: np.ndarray
     sha256: str = ""
+    relative: bool = False
 
     @property
     def total(self) -> np.ndarray:
         """Direct and diffuse irradiance together."""
         return self.direct + self.diffuse
+
+    def scaled_to(self, total_w_m2: float | None) -> Sky:
+        """Return this sky with an irradiance over all its wavelengths (W m⁻²), direct and diffuse.
+
+        Raises
+        ------
+        ValueError
+            Where it is left out and must not be, or is out of range.
+        """
+        if total_w_m2 is None:
+            if self.relative:
+                hint = f"irradiances of {self.name} are relative"
+                raise refuse("total_w_m2", None, "given: the irradiance of all light (W m-2)", hint)
+            return self
+        total = in_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
+        factor = total / self.weights(self.wavelength_nm, self.bands(None)[ALL]).sum()
+        direct, diffuse = factor * self.direct, factor * self.diffuse
+        return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
     def check_covers(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
@@ -82,18 +105,23 @@ class Sky:
         # Where there is no light at all, nothing depends on it.
         return np.divide(direct, total, out=np.zeros_like(total), where=total > 0.0)
 
-    def weights(self, wavelength_nm: np.ndarray, low: float, high: float) -> np.ndarray:
-        """Return the irradiance that each wavelength stands for, in a band from low to high (nm).
+    def bands(self, given: Any) -> dict[str, Band]:
+        """Return the bands that a user names, after the one of all light."""
+        return {ALL: Band.between(*self.wavelength_nm[[0, -1]]), **bands_of(given)}
+
+    def weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
+        """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.
 
         Between wavelengths an albedo is taken as linear, beyond them as nothing: weights are the
-        integrals of irradiance times hats.
+        integrals of irradiance times response times hats.
         """
-        nodes = np.concatenate([wavelength_nm, self.wavelength_nm, [low, high]])
+        low, high = band.ends
+        nodes = np.concatenate([wavelength_nm, self.wavelength_nm, band.wavelength_nm])
         inside = (nodes >= max(low, wavelength_nm[0])) & (nodes <= min(high, wavelength_nm[-1]))
         nodes = np.unique(nodes[inside])
         if nodes.size < 2 or wavelength_nm.size < 2:
             return np.zeros(wavelength_nm.size)
-        # Both factors are linear between nodes: Simpson's rule is exact.
+        # All three factors are linear between nodes: Simpson's rule is exact.
         nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
         step = nodes[2::2] - nodes[:-2:2]
         rule = np.zeros(nodes.size)
@@ -104,6 +132,7 @@ class Sky:
         ):
             rule[place] += part * step / 6.0
         light = rule * np.interp(nodes, self.wavelength_nm, self.total)
+        light *= np.interp(nodes, band.wavelength_nm, band.response)
         hats = np.array(
             [np.interp(nodes, wavelength_nm, hat) for hat in np.eye(wavelength_nm.size)]
         )
@@ -133,7 +162,7 @@ def sky(
         and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
         a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
         both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
-        ``diffuse``, lists, or the path of a CSV file with these columns.
+        ``diffuse``, lists, or the path of a CSV file with these columns (W m⁻² nm⁻¹).
     zenith_deg : float, optional
         Polar angle of the sun, 0 to 89 degrees; 60 by default, and 48.19 for ``astm_g173``,
         which has no other.
@@ -177,7 +206,7 @@ def sky(
     cloudy = given.endswith(CLOUDY)
     parts = (none, light) if cloudy else (light, none)
     source = "SNICAR-ADv3 (Flanner et al. 2021)"
-    return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts)
+    return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
 
 
 def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:

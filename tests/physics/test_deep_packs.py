@@ -41,18 +41,18 @@ def always(monkeypatch):
 def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
     """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
     pack = PACKS[name]
-    cut = cut_of(pack, WAVELENGTHS, 0.02, 1, 2)
+    cut = cut_of([pack], WAVELENGTHS, 0.02, 1, 2)
     assert cut is not None
     assert cut.depth_m < 0.7 * pack.depth_m
     monkeypatch.setattr(deep_packs, "LEAST", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         part, whole = (
             splits.spectrophotometer(one, WAVELENGTHS, incidence, 0.0015, seed)
-            for one in (cut.medium, pack)
+            for one in (cut.media[0], pack)
         )
         kept = part.transmittance.values
-        doubts = {"reflectance": DOUBT * kept * cut.escape, "transmittance": DOUBT * kept}
-        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.passed}
+        doubts = {"reflectance": DOUBT * kept * cut.escape[0], "transmittance": DOUBT * kept}
+        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.passed[0]}
         for quantity, doubt in doubts.items():
             noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
             off = np.abs(guessed[quantity] - whole[quantity].values)
@@ -72,15 +72,15 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [cut_of(pack, WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    decided = [cut_of([pack], WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     monkeypatch.setattr(deep_packs, "CLEARLY", math.inf)
-    better = [cut_of(pack, WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    better = [cut_of([pack], WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
     monkeypatch.setattr(deep_packs, "pooled_by_type", lambda *_: looked.append(1))
-    assert cut_of(splits.Sand(), WAVELENGTHS, max_stderr, 1, 2) is None
+    assert cut_of([splits.Sand()], WAVELENGTHS, max_stderr, 1, 2) is None
     assert not looked
 
 
@@ -130,9 +130,9 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
 def test_rare_dark_grains_are_not_overlooked():
     """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
-    cut = cut_of(sand, np.array([600.0]), 0.005, 1, 2)
+    cut = cut_of([sand], np.array([600.0]), 0.005, 1, 2)
     assert cut is not None
-    assert cut.passed[0] < 0.5
+    assert cut.passed[0, 0] < 0.5
 
 
 @NEEDS_JIT

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 import splits
 from splits.analysis.colour import colours
 from splits.analysis.errors import weighted_error
+from splits.skies.bands import Band
 
 SEEDS = range(1, 61)
 FEW = np.array([450, 560, 700, 860, 1030, 1100, 1240, 1300, 1500, 1650, 1800, 2200], dtype=float)
@@ -40,7 +41,7 @@ def combined(run):
     few = np.isin(w, FEW)
     signs = np.zeros(w.size)
     signs[few] = np.where(np.arange(few.sum()) % 2, -1.0, 1.0)
-    sun = splits.sky("midlatitude_winter").weights(w, float(w[0]), float(w[-1]))
+    sun = splits.sky("midlatitude_winter").weights(w, Band.between(w[0], w[-1]))
     long = 1240.0 if 1240.0 in w else 1000.0
     one, other = w == 860.0, w == long
     a, b = float(r[one][0]), float(r[other][0])

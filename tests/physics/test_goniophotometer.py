@@ -300,7 +300,6 @@ def test_lanes_agree_with_the_scalar_kernel():
 
 
 BAD = [
-    ("incidence_deg", "diffuse", "diffuse light is for the spectrophotometer"),
     ("incidence_deg", 90.0, r"in \[0, 89.9999\] degrees"),
     ("rays", 0, "a whole number of at least 1"),
     ("relative_stderr", 0.9, r"in \[0.0001, 0.5\]"),

@@ -7,6 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
+from splits.skies.bands import Band
 from splits.skies.irradiance import names
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
@@ -19,10 +20,12 @@ def test_weights_are_integrals_of_irradiance_times_hats():
     light = np.interp(fine, mine.wavelength_nm, mine.total)
     for albedo in (np.ones(4), W / 1000.0, np.array([0.2, 0.9, 0.1, 0.4])):
         exact = np.trapezoid(light * np.interp(fine, W, albedo), fine)
-        assert mine.weights(W, 450.0, 900.0) @ albedo == pytest.approx(exact, rel=1e-9)
+        found = mine.weights(W, Band.between(450.0, 900.0)) @ albedo
+        assert found == pytest.approx(exact, rel=1e-9)
     # Light beyond the wavelengths, or beyond the sky, is not there.
-    assert mine.weights(W, 300.0, 5000.0).sum() == mine.weights(W, 400.0, 1000.0).sum()
-    assert (mine.weights(W, 1100.0, 1200.0) == 0.0).all()
+    wide, narrow = (mine.weights(W, Band.between(*e)).sum() for e in ((300, 5000), (400, 1000)))
+    assert wide == narrow
+    assert (mine.weights(W, Band.between(1100.0, 1200.0)) == 0.0).all()
 
 
 def test_direct_share_is_that_of_irradiances():
@@ -82,7 +85,7 @@ def test_bad_skies_are_refused_in_one_line(given, more, text):
     ("more", "text"),
     [
         ({"wavelength_nm": [250.0, 500.0]}, r"in \[300, 1200\] nm"),
-        ({"wavelength_nm": [500.0]}, "at least two"),
+        ({"wavelength_nm": [500.0]}, "at least 2"),
         ({"bands": {"red": (700, 600)}}, r"bands\.red"),
         ({"bands": {"thermal": (8000, 9000)}}, r"bands\.thermal"),
     ],
@@ -100,7 +103,7 @@ def test_a_white_layer_is_white_over_all_bands():
     assert found.band.values.tolist() == ["broadband", "green"]
     np.testing.assert_allclose(found.band_albedo, 1.0, atol=1e-12)
     mine = splits.sky(MINE)
-    inside, everything = mine.weights(W, 300, 1200).sum(), 1950.0
+    inside, everything = mine.weights(W, Band.between(300, 1200)).sum(), 1950.0
     assert found.irradiance_covered[0] == pytest.approx(inside / everything)
     assert found.irradiance_covered[1] == pytest.approx(1.0)
 

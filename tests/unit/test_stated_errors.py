@@ -24,7 +24,17 @@ GRAINS |= {"displacement_before", "displacement_after", "displacement_square"}
 THEORY = {*TOTALS, "absorptance"}
 CASES = {
     "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY),
+    "spectrophotometer, derivatives": (
+        splits.Snow(), ([600.0],),
+        {"max_stderr": 0.1, "jacobian": ["impurities_ng_g.black_carbon"]},
+        THEORY | {"reflectance_jacobian", "transmittance_jacobian"},
+    ),
+    "spectra": ({"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY),
     "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW, ANGLES),
+    "goniophotometer, diffuse": (
+        splits.Snow(), ([600.0], "diffuse", 1), FEW,
+        {"reflectance_factor", "transmittance_factor", "anisotropy_factor", *TOTALS},
+    ),
     "goniophotometer, cells": (
         LAYER, ([600.0], 0.0, 1000), {"estimator": "cells", "cells": (2, 4)}, ANGLES | STOKES,
     ),

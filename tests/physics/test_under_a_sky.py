@@ -1,0 +1,102 @@
+"""Light inside a sample under a sky, and the directions into which it is sent back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+
+W = np.array([400.0, 500.0, 700.0, 1000.0])
+MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
+
+
+@NEEDS_JIT
+def test_light_inside_a_sample_adds_up():
+    """What comes in is sent back, absorbed, or goes out below; and it is as much as was said."""
+    found = splits.light_inside(
+        splits.Snow(depth_m=0.03), splits.sky("midlatitude_winter"), [0.01],
+        [400.0, 700.0, 1000.0, 2000.0], 0.05, total_w_m2=500.0,
+        bands={"photosynthetic": (400, 700)},
+    )  # fmt: skip
+    assert found.band.values.tolist() == ["broadband", "photosynthetic"]
+    net = found.downward_irradiance - found.upward_irradiance
+    kept = found.absorbed_power.sum("interval")
+    np.testing.assert_allclose(kept + net.isel(depth=-1), net.isel(depth=0), rtol=1e-12)
+    arriving = float(found.downward_irradiance[0, 0])
+    assert arriving == pytest.approx(500.0 * float(found.irradiance_covered[0]), rel=1e-9)
+    assert (found.absorbed_power_stderr > 0.0).all()
+
+
+@NEEDS_JIT
+def test_light_inside_has_the_errors_that_seeds_scatter_by():
+    """Fifty seeds; what they measure shares its rays, so each counts as one comparison."""
+    snow, mine = splits.Snow(depth_m=0.02), splits.sky(MINE, 50.0)
+    runs = [
+        splits.light_inside(snow, mine, [0.005], [500.0, 750.0, 1000.0], 0.03, seed=2 * seed)
+        for seed in range(50)
+    ]
+    for name in ("downward_irradiance", "upward_irradiance", "absorbed_power"):
+        values = np.array([run[name].values[0] for run in runs])
+        stated = np.array([run[f"{name}_stderr"].values[0] for run in runs])
+        seen = values.std(axis=0) > 1e-9
+        off = (values - values.mean(axis=0))[:, seen]
+        scale = np.sqrt((stated[:, seen] ** 2).mean(axis=0) * (1.0 - 1.0 / len(runs)))
+        judge_z(off / scale, name, independent=len(runs), bound_added=True)
+        assert np.sqrt(((off / scale) ** 2).mean()) > 0.5
+
+
+def test_skies_in_relative_units_ask_for_their_total():
+    with pytest.raises(ValueError, match="total_w_m2 = None"):
+        splits.sky("midlatitude_winter").scaled_to(None)
+    with pytest.raises(ValueError, match="total_w_m2"):
+        splits.sky(MINE).scaled_to(-3.0)
+    scaled = splits.sky("midlatitude_winter").scaled_to(800.0)
+    assert np.trapezoid(scaled.total, scaled.wavelength_nm) == pytest.approx(800.0)
+    assert splits.sky(MINE).scaled_to(None).total[0] == 2.0
+
+
+@NEEDS_JIT
+def test_the_reflectance_factor_under_diffuse_light_is_the_reciprocal_albedo():
+    """Diffuse light is seen from a direction as much as a beam from there would be reflected."""
+    polar = [0.0, 40.0, 70.0]
+    natural = {"specific_surface_area_m2_kg": 20, "depth_m": 0.03}
+    media = [
+        splits.Snow.natural(**natural),
+        splits.Snow.natural(**natural, liquid_water_content=0.1, ground=0.4),
+        splits.Layer(optical_thickness=1.0, refractive_index=1.33),
+    ]
+    z = []
+    for number, medium in enumerate(media):
+        seen = splits.goniophotometer(
+            medium, [1300.0], "diffuse", seed=number, relative_stderr=0.01, polar_deg=polar,
+            azimuth_deg=[0.0, 90.0],
+        ).isel(wavelength=0)  # fmt: skip
+        assert (seen.reflectance_factor[:, 0] == seen.reflectance_factor[:, 1]).all()
+        for angle in polar:
+            own = splits.spectrophotometer(medium, [1300.0], angle, 0.001, seed=9)
+            here = seen.sel(polar=angle).isel(azimuth=0)
+            off = float(here.reflectance_factor - own.reflectance[0])
+            z.append(off / np.hypot(here.reflectance_factor_stderr, own.reflectance_stderr[0]))
+    judge_z(np.array(z, dtype=float), independent=len(media), bound_added=True)
+
+
+@NEEDS_JIT
+def test_the_reflectance_factor_under_a_sky_mixes_both():
+    snow, mine = splits.Snow(depth_m=0.03), splits.sky(MINE, 50.0)
+    asked = {"relative_stderr": 0.05, "polar_deg": [0.0, 60.0], "azimuth_deg": [0.0, 180.0]}
+    found = splits.hdrf(snow, mine, W, seed=5, **asked)
+    sun = splits.goniophotometer(snow, W, 50.0, seed=5, **asked).reflectance_factor
+    rest = splits.goniophotometer(snow, W, "diffuse", seed=6, **asked).reflectance_factor
+    share = xr.DataArray(mine.direct_share(W), {"wavelength": W}, ("wavelength",))
+    np.testing.assert_allclose(
+        found.reflectance_factor, share * sun + (1.0 - share) * rest, rtol=1e-12
+    )
+    assert found.zenith_deg == 50.0
+
+
+def test_only_the_expansion_knows_diffuse_light():
+    with pytest.raises(ValueError, match="incidence_deg = 'diffuse'"):
+        splits.goniophotometer(splits.Snow(), [500.0], "diffuse", estimator="cells")

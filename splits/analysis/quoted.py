@@ -85,17 +85,41 @@ def _snow() -> dict[str, Number]:
     for depth, (name, snow) in itertools.product((45, 340), snows.items()):
         select = cell(*OURS, quantity=f"{letcher}{depth} mm, {snow}")
         found[f"letcher.{depth}.{name}"] = Number(AGREEMENT, select)
-    return found | _ranking()
+    return found | _ranking() | _surface_area()
 
 
 def _ranking() -> dict[str, Number]:
-    """Return misfits of the first combinations of readings, and how far apart they are."""
-    without = "tables/readings_together_without.csv"
-    first: Where = {"without": "nothing"}
-    return {
-        "readings.first": Number(without, cell("misfit", "misfit_stderr", **first), ".1f"),
-        "readings.margin": Number(without, cell("margin", "margin_stderr", **first), ".1f"),
+    """Return misfits of the first combination of readings, and of the sets with a name."""
+    table = "tables/readings_together.csv"
+    water = "hale_querry_1973"
+    rows: dict[str, Where] = {
+        "first": {"rank": 1},
+        "set": {"set": "splitsnow_2021", "water": water},
+        "parent": {"set": "splits_2007", "water": water},
     }
+    return {
+        f"readings.{name}": Number(table, cell("misfit", "misfit_stderr", **row), ".1f")
+        for name, row in rows.items()
+    }
+
+
+def _surface_area() -> dict[str, Number]:
+    """Return surface areas of measured snow, and what 1310 nm tells of one."""
+    table, law = "tables/surface_area.csv", "tables/surface_area_law.csv"
+    windows = {"all": "all", "below": "below 1340 nm", "above": "above 1440 nm"}
+    found = {
+        f"law.{name}": Number(law, cell("reflectance", "stderr", snow=snow, area=20.0))
+        for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()
+    }
+    for spectrum in ("ID2081@47.66", "ID462@66.04", "ID1746@58.98"):
+        name, _, _ = spectrum.partition("@")
+        for short, window in windows.items():
+            select = cell("area", "area_stderr", spectrum=spectrum, window=window)
+            found[f"area.{name}.{short}"] = Number(table, select, ".1f")
+        whole: Where = {"spectrum": spectrum, "window": "all"}
+        found[f"area.{name}.level"] = Number(table, cell("level", "level_stderr", **whole))
+        found[f"area.{name}.rmse"] = Number(table, cell("rmse", **whole))
+    return found
 
 
 def _table3() -> dict[str, Number]:
@@ -106,6 +130,7 @@ def _table3() -> dict[str, Number]:
         "entry_projected", "facets_projected", "facets_unweighted", "wrong_side_lobe",
         "no_boundary_fresnel", "keep_on_last_leg",
         "skip_on_last_leg", "keep_across_boundary", "skip_across_boundary",
+        "distance_with_grain",
     )  # fmt: skip
     found = {"table3.error": Number(TABLE3, size("stderr"), ".1g")}
     for band, nm in bands.items():

@@ -93,3 +93,9 @@ LAYER = {
     "band_limit": Role(("surface",)),
 }
 """Roles of what is stated of rough layers."""
+
+SURFACE_AREA = {
+    "spectra": Role(("specific_surface_area_m2_kg", "incidence_deg"), band_nm=(700.0, 2400.0)),
+    "field": Role(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
+}
+"""Roles of the surface area of snow from measured spectra."""

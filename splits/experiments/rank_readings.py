@@ -14,26 +14,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from splits.analysis.misfit import Misfit, Statement, misfit, numbers_stated
-from splits.experiments.published_snow import (
-    NUMBERS,
-    STAGES,
-    WATERS,
-    Errors,
-    Trial,
-    Values,
-    trends_stated,
-)
+from splits.experiments.published_snow import FLOORS, NUMBERS, STAGES, pairs_of, trends_stated
+from splits.experiments.trial import WATERS, Errors, Trial, Values
 from splits.media import Readings
 from splits.media.readings import SETS
 
 TAKEN = {
-    "angles": (8, 14), "transmittance": (5, 9), "facetness below": (5, 9),
-    "grain size": (5, 9), "nadir": (3, 4), "grains": (3, 4), "free ranges": (3, 4),
+    "angles": (32, 32), "transmittance": (16, 16), "facetness below": (16, 16),
+    "grain size": (16, 16), "nadir": (7, 7), "grains": (7, 7), "free ranges": (7, 7),
 }  # fmt: skip
 """How many combinations a stage takes of all, and of those that keep to the text, besides the sets
 with a name; others take all that are left."""
@@ -46,6 +40,33 @@ HOPELESS = 100.0
 BOUNDARIES = "boundaries"
 GRAINS_THAT_DO_NOT_FIT = ("grain_on_last_leg", "grain_across_boundary")
 """Readings that ``boundaries`` stands for together."""
+FATES = {
+    "reject": ("reject", "reject"),
+    "keep": ("keep", "keep"),
+    "skip": ("skip", "skip"),
+    "last leg kept": ("keep", "reject"),
+}
+"""What ``boundaries`` may be, and those readings."""
+
+
+class Choice(NamedTuple):
+    """What a paper leaves open, chosen with one water to come as near as can be.
+
+    Attributes
+    ----------
+    misfit : Misfit
+    values : dict
+        Ours and its standard error by statement.
+    floor : float
+        Transmittance below which light counts as none in all sensitivities.
+    ranges : dict
+        Extremes of a parameter by the statements of its sensitivities.
+    """
+
+    misfit: Misfit
+    values: dict[str, tuple[float, float]]
+    floor: float
+    ranges: dict[str, str]
 
 
 @dataclass(eq=False)
@@ -56,45 +77,76 @@ class Combination:
     ----------
     trial : Trial
     values : dict
-        Ours and its standard error by statement, shape (waters,).
-    added : list of float array, shape (waters,)
-        What each stage behind it adds to the sum of squares with each water.
+        Ours and its standard error by statement, see `splits.experiments.trial.Values`.
+    done : int
+        How many stages are behind it.
+    least : float
+        The least sum of squares so far with any water.
     """
 
     trial: Trial
     values: Values = field(default_factory=dict)
-    added: list[np.ndarray] = field(default_factory=list)
-
-    @property
-    def done(self) -> int:
-        """How many stages are behind it."""
-        return len(self.added)
-
-    @property
-    def least(self) -> float:
-        """The least sum of squares so far with any water."""
-        return float(np.sum(self.added, axis=0).min()) if self.added else 0.0
+    done: int = 0
+    least: float = 0.0
 
     def keeps_to(self, text: Mapping[str, str]) -> bool:
         """Tell whether the readings are those of a text."""
         own = self.trial.readings
         return all(getattr(own, name) == choice for name, choice in spelt_out(text).items())
 
-    def is_named(self) -> bool:
-        """Tell whether they are a set with a name, as people use it."""
-        return self.trial.readings in [Readings.of(name) for name in SETS]
+    def set_name(self) -> str:
+        """Return the name that these readings have as a set, nothing if they have none."""
+        own = self.trial.readings
+        return next((name for name in SETS if Readings.of(name) == own), "")
 
-    def misfits(self, stated: Mapping[str, Statement]) -> list[Misfit]:
-        """Return the misfit with each water to those statements that it has values for."""
+    def choices(self, stated: Mapping[str, Statement]) -> list[Choice]:
+        """Return the nearest choice with each water, of those statements that it has values for.
+
+        One floor holds for all sensitivities, one pair of extremes for both of a parameter.
+        """
         known = {name: stated[name] for name in stated if name in self.values}
         return [
-            misfit(
-                known.values(),
-                [self.values[name][0][w] for name in known],
-                [self.values[name][1][w] for name in known],
-            )
+            min((self._with(known, w, f) for f in range(len(FLOORS))), key=lambda c: c.misfit.total)
             for w in range(len(WATERS))
         ]
+
+    def _with(self, known: Mapping[str, Statement], water: int, floor: int) -> Choice:
+        """Return the choice with one water and one floor."""
+        rows = {
+            name: np.array([array[water] if array.ndim == 1 else _floored(array[water], floor)
+                            for array in self.values[name]])
+            for name in known
+        }  # fmt: skip
+        values: dict[str, tuple[float, float]] = {}
+        ranges: dict[str, str] = {}
+        for parameter, names in _free(rows).items():
+            distance = sum(known[name].distance(rows[name][0]) ** 2 for name in names)
+            pair = int(np.argmin(distance))
+            label = pairs_of(parameter)[pair]
+            ranges |= dict.fromkeys(names, label)
+            values |= {name: _pair(rows[name][:, pair]) for name in names}
+        values |= {name: _pair(row) for name, row in rows.items() if row.ndim == 1}
+        ours, errors = zip(*(values[name] for name in known), strict=True) if known else ((), ())
+        found = misfit(known.values(), ours, errors)
+        return Choice(found, values, FLOORS[floor], ranges)
+
+
+def _pair(row: np.ndarray) -> tuple[float, float]:
+    return float(row[0]), float(row[1])
+
+
+def _floored(array: np.ndarray, floor: int) -> np.ndarray:
+    """Return the sensitivities of all pairs with a floor; reflectance has none."""
+    return array[:, min(floor, array.shape[1] - 1)]
+
+
+def _free(rows: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
+    """Return the sensitivities by parameter."""
+    found: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        if row.ndim > 1:
+            found.setdefault(name.split("_", 2)[2], []).append(name)
+    return found
 
 
 def rank_readings(
@@ -129,7 +181,7 @@ def rank_readings(
     Returns
     -------
     combinations : list of Combination
-        All of them, the least misfit first.
+        All of them, and the sets with a name besides, the least misfit first.
     stated : dict
         All statements by name.
     """
@@ -139,16 +191,19 @@ def rank_readings(
         for stage in STAGES
     }
     stated = {name: s for stage in stages.values() for name, s in stage.items()}
-    combinations = [
-        Combination(Trial(Readings(**spelt_out(dict(zip(choices, one, strict=True)))), seed, given))
+    readings = [
+        Readings(**spelt_out(dict(zip(choices, one, strict=True))))
         for one in itertools.product(*choices.values())
-    ]  # fmt: skip
+    ]
+    # Sets with a name may differ from all of them in readings that are not tried.
+    readings += [one for one in map(Readings.of, SETS) if one not in readings]
+    combinations = [Combination(Trial(one, seed, given)) for one in readings]
 
     def further(one: Combination) -> None:
         stage = list(STAGES)[one.done]
-        found = STAGES[stage](one.trial)
-        one.values |= chosen(found, stages[stage])
-        one.added.append(np.array([part.total for part in one.misfits(stages[stage])]))
+        one.values |= STAGES[stage](one.trial)
+        one.done += 1
+        one.least = min(choice.misfit.total for choice in one.choices(stated))
 
     alive = list(combinations)
     with ThreadPoolExecutor(threads) as pool:
@@ -157,11 +212,14 @@ def rank_readings(
             if stage in TAKEN:
                 some, true = TAKEN[stage]
                 literal = [one for one in alive if one.keeps_to(text)][:true]
-                kept = [*alive[:some], *literal, *(one for one in alive if one.is_named())]
+                kept = [*alive[:some], *literal, *(one for one in alive if one.set_name())]
                 alive = [one for one in alive if one in kept]
             if number:
-                # What is off beyond all repair by what costs nothing needs no rays.
-                alive = [one for one in alive if one.least < HOPELESS]
+                # What is off beyond all repair by what costs nothing needs no rays, but two do.
+                alive = [
+                    one for i, one in enumerate(alive)
+                    if i < 2 or one.least < HOPELESS or one.set_name()
+                ]  # fmt: skip
             for done, _ in enumerate(pool.map(further, alive), start=1):
                 if done % LINES_EVERY == 0 or done == len(alive):
                     say(
@@ -174,30 +232,14 @@ def rank_readings(
 def spelt_out(chosen: Mapping[str, str]) -> dict[str, str]:
     """Return choices with both readings in place of ``boundaries``."""
     rest = {name: choice for name, choice in chosen.items() if name != BOUNDARIES}
-    both = {name: chosen[BOUNDARIES] for name in GRAINS_THAT_DO_NOT_FIT if BOUNDARIES in chosen}
-    return rest | both
+    fates = FATES[chosen[BOUNDARIES]] if BOUNDARIES in chosen else ()
+    return rest | dict(zip(GRAINS_THAT_DO_NOT_FIT, fates, strict=bool(fates)))
 
 
-def chosen(found: Values, stated: Mapping[str, Statement]) -> Values:
-    """Choose what a paper leaves open, the same for both quantities of a parameter.
-
-    Parameters
-    ----------
-    found : mapping
-        Arrays of shape (waters,), or (waters, pairs of extremes, floors).
-    stated : mapping
-        Statements of these names.
-    """
-    result: Values = {}
-    free = [name for name, (value, _) in found.items() if value.ndim > 1]
-    for parameter in dict.fromkeys(name.split("_", 2)[2] for name in free):
-        names = [name for name in free if name.split("_", 2)[2] == parameter]
-        distance = sum(stated[name].distance(found[name][0]) ** 2 for name in names)
-        best = np.reshape(distance, (len(WATERS), -1)).argmin(axis=1)
-        shape = np.shape(distance)
-        for name in names:
-            result[name] = tuple(
-                np.broadcast_to(array, shape).reshape(len(WATERS), -1)[np.arange(len(WATERS)), best]
-                for array in found[name]
-            )
-    return {name: result.get(name, value) for name, value in found.items()}
+def called(readings: Readings, name: str) -> str:
+    """Return the choice that readings make of one name of a study, the inverse of `spelt_out`."""
+    own = readings.as_dict()
+    if name != BOUNDARIES:
+        return own[name]
+    fates = tuple(own[one] for one in GRAINS_THAT_DO_NOT_FIT)
+    return next(choice for choice, both in FATES.items() if both == fates)

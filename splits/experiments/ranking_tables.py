@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.analysis.misfit import Misfit, Statement
-from splits.experiments.published_snow import STAGES, WATERS
-from splits.experiments.rank_readings import Combination
+from splits.analysis.misfit import Statement
+from splits.experiments.published_snow import STAGES
+from splits.experiments.rank_readings import Choice, Combination, called
+from splits.experiments.trial import WATERS
 
 GROUPS = {
     "Table 3": ("table3",),
@@ -31,17 +32,18 @@ def ranking(
 ) -> pd.DataFrame:
     """Return one row per combination and water that went through all stages, then the others.
 
-    Columns rank (0 for the others), one per choice, water, text (whether it keeps to it), stages,
-    misfit and misfit_stderr (sum of squares in bars; of the others that so far, which bounds
-    theirs from below), rms (in bars) and worst (the statement furthest off).
+    Columns rank (0 for the others), one per choice, set (a name that these readings have), water,
+    text (whether it keeps to it), stages, misfit and misfit_stderr (sum of squares in bars; of the
+    others that so far, which bounds theirs from below), floor (transmittance that counts as none),
+    rms (in bars) and worst (the statement furthest off).
     """
     rows = []
     for one in combinations:
         complete = one.done == len(STAGES)
-        misfits = one.misfits(stated)
-        order = np.argsort([m.total for m in misfits])
+        found = one.choices(stated)
+        order = _nearest_first(found)
         for water in order if complete else order[:1]:
-            row = _row(one, int(water), misfits[water], stated, choices)
+            row = _row(one, int(water), found[water], stated, choices)
             rows.append({**row, "text": one.keeps_to(text), "complete": complete})
     table = pd.DataFrame(rows)
     table = table.sort_values(["complete", "stages", "misfit"], ascending=[False, False, True])
@@ -53,22 +55,21 @@ def ranking(
 def _row(
     one: Combination,
     water: int,
-    total: Misfit,
+    found: Choice,
     stated: Mapping[str, Statement],
     choices: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    own = one.trial.readings.as_dict()
-    distances = {
-        name: float(stated[name].distance(v[water])) for name, (v, _) in one.values.items()
-    }
+    distances = {name: float(stated[name].distance(v)) for name, (v, _) in found.values.items()}
     worst = max(distances, key=lambda name: abs(distances[name]))
-    rms, _ = total.rms(len(distances))
+    rms, _ = found.misfit.rms(len(distances))
     return {
-        **{key: own[key if key in own else "grain_across_boundary"] for key in choices},
+        **{key: called(one.trial.readings, key) for key in choices},
+        "set": one.set_name(),
         "water": WATERS[water],
         "stages": one.done,
-        "misfit": total.total,
-        "misfit_stderr": total.stderr,
+        "misfit": found.misfit.total,
+        "misfit_stderr": found.misfit.stderr,
+        "floor": found.floor,
         "rms": rms,
         "worst": f"{worst} ({distances[worst]:+.1f})",
     }
@@ -91,11 +92,11 @@ def statements(
     for number, one in enumerate(complete, start=1):
         own = one.trial.readings.as_dict()
         label = ", ".join(f"{name}: {own[name]}" for name in names)
-        order = np.argsort([m.total for m in one.misfits(stated)])
+        found = one.choices(stated)
         for place, (water, (name, statement)) in enumerate(
-            itertools.product(order, stated.items())
+            itertools.product(_nearest_first(found), stated.items())
         ):
-            value, error = (array[water] for array in one.values[name])
+            value, error = found[water].values[name]
             rows.append(
                 {
                     "combination": number, "readings": label, "water": WATERS[water],
@@ -104,6 +105,8 @@ def statements(
                     "published": "above 0" if statement.trend else f"{statement.published:g}",
                     "ours": value, "stderr": error, "bar": statement.bar,
                     "distance": float(statement.distance(value)),
+                    "between": found[water].ranges.get(name, ""),
+                    "floor": found[water].floor if name.startswith("msi_t") else np.nan,
                 }
             )  # fmt: skip
     return pd.DataFrame(rows)
@@ -123,12 +126,13 @@ def left_out(
         kept = {n: s for n, s in stated.items() if not (beginnings and n.startswith(beginnings))}
         best = []
         for one in complete:
-            totals = one.misfits(kept)
-            water = int(np.argmin([m.total for m in totals]))
+            nearest = min((c.misfit for c in one.choices(kept)), key=lambda m: m.total)
             own = one.trial.readings.as_dict()
             label = ", ".join(f"{name}: {own[name]}" for name in names)
-            best.append((totals[water], label))
+            best.append((nearest, label))
         best.sort(key=lambda pair: pair[0].total)
+        if len(best) < 2:
+            continue
         (first, label), (second, other) = best[:2]
         rows.append(
             {
@@ -138,10 +142,16 @@ def left_out(
                 "margin_stderr": float(np.hypot(first.stderr, second.stderr)),
             }
         )  # fmt: skip
-    return pd.DataFrame(rows)
+    columns = ["without", "first", "misfit", "misfit_stderr", "second", "margin", "margin_stderr"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def telling(combinations: Sequence[Combination]) -> list[str]:
-    """Return the readings in which complete combinations differ."""
+    """Return the readings in which complete combinations differ, the first where none does."""
     own = [one.trial.readings.as_dict() for one in combinations if one.done == len(STAGES)]
-    return [name for name in own[0] if len({one[name] for one in own}) > 1]
+    return [name for name in own[0] if len({one[name] for one in own}) > 1] or list(own[0])[:1]
+
+
+def _nearest_first(found: Sequence[Choice]) -> np.ndarray:
+    """Return the numbers of waters, that with the least misfit first."""
+    return np.argsort([choice.misfit.total for choice in found])

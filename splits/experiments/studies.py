@@ -10,15 +10,22 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from splits.analysis.roles import ANGULAR, LAYER, SAND, SENSITIVITY_DEPTHS, SNOW, Role
+from splits.analysis.roles import (
+    ANGULAR,
+    LAYER,
+    SAND,
+    SENSITIVITY_DEPTHS,
+    SNOW,
+    SURFACE_AREA,
+    Role,
+)
 from splits.checks import one_of, refuse, suggestion, unknown_key
 from splits.experiments.model import RULES, Experiment
-from splits.experiments.rank_readings import BOUNDARIES
+from splits.experiments.rank_readings import BOUNDARIES, FATES
 from splits.experiments.sections import Section
 from splits.experiments.simulation import NAME
 from splits.experiments.yaml_files import ConfigError
 from splits.media.readings import CHOICES, Readings
-from splits.transport.grains.scene import FATE
 
 FIGURE = (".png", ".svg")
 
@@ -61,11 +68,18 @@ PRODUCTS: dict[str, dict[str, Product]] = {
     },
     "angular_trends": {"table": _table("{study}")},
     "layer_trends": {"table": _table("{study}")},
+    "surface_area": {
+        "table": _table("{study}"),
+        "law": _table("{study}_law"),
+        "figure": Product("figures", FIGURE, "{study}_found"),
+        "law_figure": Product("figures", FIGURE, "{study}_law"),
+    },
 }  # fmt: skip
 """What each kind of study makes, by key; `Study.products` gives other names."""
 
 ROLES: dict[str, Mapping[str, Role]] = {
     "agreement": SNOW, "sand_tables": SAND, "angular_trends": ANGULAR, "layer_trends": LAYER,
+    "surface_area": SURFACE_AREA,
 }  # fmt: skip
 SOME = ("angular_trends", "layer_trends")
 """Kinds that make what they can of some of their roles."""
@@ -73,6 +87,7 @@ FILES = {
     "sensitivity": {"published": "published"},
     "readings": {"published": "published"},
     "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
+    "surface_area": {"spectra": "measured"},
 }
 """Tables of numbers that a kind of study reads, and their folders beside that of media."""
 
@@ -95,7 +110,7 @@ class Study(Section):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "readings",
+        "layer_trends", "readings", "surface_area",
     ]  # fmt: skip
     experiments: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
@@ -207,7 +222,7 @@ def _check_keys(study: Study) -> None:
         allowed = "the name of a study" if study.sensitivity is None else "left out"
         raise refuse("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
     _check_readings(study)
-    wanted = FILES.get(study.kind, {}) if study.kind in ("agreement", "readings") else {}
+    wanted = FILES.get(study.kind, {}) if study.kind != "sensitivity" else {}
     for key in wanted:
         if key not in study.files:
             raise refuse("files", study.files, f"with {', '.join(wanted)}")
@@ -222,7 +237,7 @@ def _check_readings(study: Study) -> None:
     if (study.kind == "readings") != bool(study.readings):
         allowed = "choices by reading" if study.kind == "readings" else "left out"
         raise refuse("readings", study.readings, f"{allowed} for kind = {study.kind!r}")
-    known = {f.name: CHOICES[f.name] for f in fields(Readings)} | {BOUNDARIES: tuple(FATE)}
+    known = {f.name: CHOICES[f.name] for f in fields(Readings)} | {BOUNDARIES: tuple(FATES)}
     for key, choices in study.readings.items():
         if key not in known:
             raise unknown_key(f"readings.{key}", known)

@@ -22,13 +22,16 @@ from splits.figures.readings import readings_map
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
 from splits.figures.style import save_figure
+from splits.figures.surface_area import area_law, fitted_spectra
 from splits.figures.swatches import swatches
 from splits.figures.waves import lens, surface
 
 __all__ = [
+    "area_law",
     "collectors",
     "draw",
     "fits",
+    "fitted_spectra",
     "lens",
     "lobes",
     "measured_albedo",

@@ -89,7 +89,7 @@ def _steps_of_grains(medium: GranularMedium, absorption: np.ndarray) -> Steps:
     grains, types = medium.grains(), medium.grains().types
     leg = 1.0 / grains.attenuation
     packed = getattr(medium.readings, "attenuation", "solid") == "solid"
-    chord = leg * (1.0 - medium.porosity) if packed else leg
+    chord = medium.mean_grain_distance_m * (1.0 - medium.porosity if packed else 1.0)
     shares = np.diff(grains.share, prepend=0.0)
     depths, of_all = [], []
     for kind in np.flatnonzero(shares > 0.0):

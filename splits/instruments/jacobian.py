@@ -18,6 +18,8 @@ from splits.uncertainty import Variable, deviations, quantity
 STEP = 1e-3
 """Part of what any wavelength's absorption is moved by at most: what absorbs is linear in amounts
 of impurities, and diffusion theory, where it stands for the rest of a pack, is smooth."""
+LEAST_PER_M = 1e-7
+"""By how much (1/m) it is moved where nothing absorbs: theory goes as its root."""
 
 
 class Moves(NamedTuple):
@@ -60,8 +62,17 @@ class Moves(NamedTuple):
 def _step(medium: Medium, parameter: str, base: np.ndarray, wavelengths: np.ndarray) -> float:
     """Return by how much to move a parameter."""
     rise = np.abs(constants_of(moved(medium, parameter, 1.0), wavelengths).absorption - base)
-    both = (rise > 0.0) & (base > 0.0)
-    return float(STEP * (base[both] / rise[both]).min()) if both.any() else 1.0
+    steps = [1.0]
+    for before, more in zip(base, rise, strict=True):
+        absorbing = before > 0.0
+        both = absorbing & (more > 0.0)
+        if both.any():
+            steps.append(STEP * float((before[both] / more[both]).min()))
+        elif more.any():
+            # Clean pores, for example: what else absorbs is there to be compared with.
+            least = STEP * before[absorbing].min() if absorbing.any() else LEAST_PER_M
+            steps.append(float(least / more.max()))
+    return min(steps)
 
 
 def slope_variables(

@@ -45,6 +45,8 @@ class Impurity:
         Absorption per kg (m²/kg) or per cell (m²) over wavelength (nm, strictly increasing).
     sha256 : str
         Of a user's file.
+    own : bool
+        Whether the table is a user's.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Impurity:
     wavelength_nm: np.ndarray
     absorption: np.ndarray
     sha256: str = ""
+    own: bool = False
 
     def per_ice(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the absorption per mass of ice (m²/kg), shaped like the wavelengths (nm)."""
@@ -107,6 +110,9 @@ def described_impurities(found: Sequence[Impurity], place: str) -> dict[str, Any
             facts[f"{one.name}_ng_g"] = one.per_kg / PER_NG_G
         if one.sha256:
             facts[f"{one.name}_sha256"] = one.sha256
+        elif one.own:
+            facts[f"{one.name}_wavelength_nm"] = one.wavelength_nm
+            facts[f"{one.name}_absorption_m2_kg"] = one.absorption
     return facts
 
 
@@ -121,6 +127,8 @@ def _by_mass(name: Any, given: Any) -> Impurity:
     )
     if not own:
         return _of_table("impurities_ng_g", name, PER_NG_G * amount, kinds())
+    if name in _known().columns:
+        raise refuse("impurities_ng_g", name, "a name of its own for a table of one's own")
     digest = ""
     if "table" in given:
         names = ("wavelength_nm", "absorption_m2_kg")
@@ -134,7 +142,7 @@ def _by_mass(name: Any, given: Any) -> Impurity:
         raise refuse(key, found, "two columns of the same length, at least 2")
     if values.min() < 0.0:
         raise refuse(f"{key}.absorption_m2_kg", float(values.min()), "at least 0 m2/kg")
-    return Impurity(str(name), PER_NG_G * amount, w, values, digest)
+    return Impurity(str(name), PER_NG_G * amount, w, values, digest, own)
 
 
 def _of_table(key: str, name: Any, per_kg: float, names: tuple[str, ...]) -> Impurity:

@@ -146,6 +146,11 @@ class GranularMedium(Described, Protocol):
         ...
 
     @property
+    def mean_grain_distance_m(self) -> float:
+        """Mean distance between grains along a ray (m), as the papers have it."""
+        ...
+
+    @property
     def readings(self) -> TransportReadings:
         """Named readings of the papers."""
         ...
@@ -158,6 +163,16 @@ class GranularMedium(Described, Protocol):
     def grains(self) -> Grains:
         """Return the table of particle types."""
         ...
+
+
+def mean_leg_m(medium: GranularMedium) -> float:
+    """Return the mean leg (m) that a ray goes through pores from one grain to the next.
+
+    The papers' mean distance 1/(𝓔 K) is that between entries into grains (SPLITSnow Eq A.3), of
+    mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg.
+    """
+    whole = medium.readings.grain_distance == "leg"
+    return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
 
 
 def check_room(medium: GranularMedium | LayeredMedium) -> None:

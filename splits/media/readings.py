@@ -21,6 +21,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "boundary_fresnel": ("yes", "no"),
     "grain_on_last_leg": tuple(FATE),
     "grain_across_boundary": tuple(FATE),
+    "grain_distance": ("leg", "leg_and_grain"),
     "size_is": ("diameter", "semi_axis"),
     "struck_size": ("attenuation", "uniform"),
     "mixing": tuple(MIXING),
@@ -32,15 +33,16 @@ CHOICES: dict[str, tuple[str, ...]] = {
 SETS: dict[str, dict[str, str]] = {
     "splits_2007": {
         "entry": "uniform", "facets": "projected", "wrong_side": "lobe",
-        "grain_on_last_leg": "reject", "grain_across_boundary": "reject",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
     },
     "splitsnow_2021": {
         "entry": "uniform", "facets": "any", "wrong_side": "mirrored",
-        "grain_on_last_leg": "reject", "grain_across_boundary": "reject",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
     },
     "geometric": {
         "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
         "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
+        "grain_distance": "leg_and_grain",
     },
 }  # fmt: skip
 """Sets of readings by name; what a set does not say stays as by default."""
@@ -88,6 +90,11 @@ class TransportReadings:
         A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2), likewise.  If
         kept, a ray that leaves a grain outside the sample counts as standing on the boundary
         there.  If skipped, grains are as rare near the boundaries as whole grains are.
+    grain_distance : {"leg", "leg_and_grain"}
+        The mean distance between grains is that of a leg through pores, as the papers have it, or
+        that from one entry to the next, the way through the grain included.  With the latter rays
+        are in grains, and in water, for as much of their way as these fill of the volume, and
+        meet as many grains per metre as their surface asks for.
     """
 
     entry: str = "uniform"
@@ -96,6 +103,7 @@ class TransportReadings:
     boundary_fresnel: str = "yes"
     grain_on_last_leg: str = "reject"
     grain_across_boundary: str = "reject"
+    grain_distance: str = "leg"
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -153,8 +161,8 @@ class Readings(TransportReadings):
     """Named readings of SPLITSnow, besides those of `TransportReadings`.
 
     By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
-    (entry, grains across boundaries), and where it is silent or can be read two ways the
-    combination that came nearest to 24 of its statements about the model (docs/readings.md).
+    (entry, grains across boundaries), and where it is silent or can be read two ways a
+    combination that comes as near as any to 24 of its statements (docs/readings.md).
 
     Parameters
     ----------

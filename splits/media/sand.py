@@ -14,7 +14,7 @@ from splits.checks import in_range, known_keywords, numbers
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose
-from splits.media.granular import Interface
+from splits.media.granular import Interface, mean_leg_m
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.pores import Pores, other_pores
@@ -213,7 +213,7 @@ class Sand:
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
         return Grains(
-            attenuation=1.0 / self.mean_grain_distance_m,
+            attenuation=1.0 / mean_leg_m(self),
             share=np.cumsum(self.composition.volume_fractions),
             types=Types(
                 shells=np.array([len(layers) for layers in self._layers], dtype=np.int64),

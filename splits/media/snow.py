@@ -21,7 +21,7 @@ from splits.checks import (
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, described_impurities, impurities_of
 from splits.media import grain_statistics as statistics
-from splits.media.granular import Interface
+from splits.media.granular import Interface, mean_leg_m
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.measured_inputs import takes_measured
@@ -248,7 +248,7 @@ class Snow:
         """Return the table of particle types: one, of ice."""
         sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)
         return Grains(
-            attenuation=1.0 / self.mean_grain_distance_m,
+            attenuation=1.0 / mean_leg_m(self),
             share=np.ones(1),
             types=Types(
                 shells=np.ones(1, dtype=np.int64),
@@ -295,9 +295,11 @@ class Snow:
         if self.impurities_in == "ice":
             added[:, self._ice] = ice_density(self.temperature_c) * per_ice
         else:
-            # Per length of leg: legs through pores and through ice go as 1 to 𝓔 (Eq A.3), so this
-            # is what leaves as much of the impurity along a ray as there is per mass of ice.
-            added[:, : self._ice] = np.reshape(self.density_kg_m3 * per_ice, (-1, 1))
+            # Per length of leg: what leaves as much of the impurity along a ray as there is per
+            # mass of ice, of which a ray crosses 1/K (Eq A.5) for every leg.
+            ice_per_leg = 1.0 / (self.attenuation_per_m * mean_leg_m(self))
+            density = ice_density(self.temperature_c) * ice_per_leg
+            added[:, : self._ice] = np.reshape(density * per_ice, (-1, 1))
         return added
 
     def describe(self) -> dict[str, Any]:

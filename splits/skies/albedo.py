@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.errors import weighted_error
-from splits.checks import in_range, known_arguments, refuse
+from splits.checks import in_range, known_arguments
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_threads, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
@@ -74,6 +74,7 @@ def albedo(
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     seed, threads = check_whole("seed", seed, 0), check_threads(threads)
     named = light.bands(bands)
+    light.check_bands(named, w)
 
     def run(incidence: float | str, number: int) -> xr.Dataset:
         return spectrophotometer(medium, w, incidence, max_stderr, seed + number, threads=threads)
@@ -101,12 +102,9 @@ def _over_bands(spectrum: xr.Dataset, light: Sky, bands: Mapping[str, Band]) -> 
     """Return the albedo of every band, its error, and how much of the band's light is known."""
     w = spectrum.wavelength.values
     value, error, covered = [], [], []
-    for name, band in bands.items():
+    for band in bands.values():
         weights = light.weights(w, band)
         all_light = light.weights(light.wavelength_nm, band).sum()
-        if not weights.any():
-            allowed = f"bands with light between {w[0]:g} and {w[-1]:g} nm"
-            raise refuse(f"bands.{name}", band.ends, allowed)
         normal = xr.DataArray(weights / weights.sum(), {"wavelength": w}, ("wavelength",))
         value.append(float((normal * spectrum.albedo).sum()))
         error.append(float(weighted_error(spectrum, "albedo", normal)))

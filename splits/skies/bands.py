@@ -101,7 +101,8 @@ class Band:
 def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     """Return the bands of a sensor, as `splits.albedo` takes them.
 
-    Bands of thermal light are left out.  The tables are those of pyrsr (extra ``sky``).
+    The tables are those of pyrsr (extra ``sky``), which has bands 1 to 16 of MODIS.  Bands of
+    thermal light are left out.
 
     Parameters
     ----------

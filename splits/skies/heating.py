@@ -95,6 +95,7 @@ def light_inside(
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     seed, threads = check_whole("seed", seed, 0), check_threads(threads)
     named = light.bands(bands)
+    light.check_bands(named, w)
     axes: dict[str, Any] = {}
 
     def run(incidence: float | str, number: int) -> xr.Dataset:

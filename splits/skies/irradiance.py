@@ -106,8 +106,25 @@ class Sky:
         return np.divide(direct, total, out=np.zeros_like(total), where=total > 0.0)
 
     def bands(self, given: Any) -> dict[str, Band]:
-        """Return the bands that a user names, after the one of all light."""
-        return {ALL: Band.between(*self.wavelength_nm[[0, -1]]), **bands_of(given)}
+        """Return the bands that a user names, after the one of all light.
+
+        Raises
+        ------
+        ValueError
+            For a malformed band, or one named like that of all light.
+        """
+        own = bands_of(given)
+        if ALL in own:
+            raise refuse(f"bands.{ALL}", own[ALL].ends, "left out: it is there always")
+        return {ALL: Band.between(*self.wavelength_nm[[0, -1]]), **own}
+
+    def check_bands(self, named: Mapping[str, Band], wavelength_nm: np.ndarray) -> None:
+        """Refuse bands of which no light lies within the wavelengths (nm)."""
+        for name, band in named.items():
+            if not self.weights(wavelength_nm, band).any():
+                first, last = wavelength_nm[[0, -1]]
+                allowed = f"bands with light between {first:g} and {last:g} nm"
+                raise refuse(f"bands.{name}", band.ends, allowed)
 
     def weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
         """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.

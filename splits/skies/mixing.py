@@ -63,6 +63,8 @@ def mixed(
     )
     values: dict[str, Any] = {}
     groups: dict[str, list[xr.DataArray]] = {name: [] for name in names}
+    squares: dict[str, Any] = dict.fromkeys(names, 0.0)
+    missed: dict[str, Any] = dict.fromkeys(names, 0.0)
     ways: list[tuple[xr.DataArray, float | str]] = [
         (share, light.zenith_deg),
         (1.0 - share, "diffuse"),
@@ -73,12 +75,16 @@ def mixed(
         found = run(incidence, number)
         for name in names:
             values[name] = values.get(name, 0.0) + part * found[name]
-            square = (part * found[f"{name}_stderr"]) ** 2
-            values[f"{name}_stderr"] = values.get(f"{name}_stderr", 0.0) + square
+            square: Any = (part * found[f"{name}_stderr"]) ** 2
             if f"{name}_groups" in found:
                 groups[name].append(part * found[f"{name}_groups"])
+                scatter = (groups[name][-1].astype(float) ** 2).sum("group")
+                # Both runs are interpolated between the same indices, and may miss alike.
+                missed[name] = missed[name] + np.maximum(square - scatter, 0.0) ** 0.5
+                square = np.minimum(scatter, square)
+            squares[name] = squares[name] + square
     for name in names:
-        values[f"{name}_stderr"] = values[f"{name}_stderr"] ** 0.5
+        values[f"{name}_stderr"] = (squares[name] + missed[name] ** 2) ** 0.5
         if groups[name]:
             values[f"{name}_groups"] = xr.concat(groups[name], "group")
     return xr.Dataset(values)

@@ -84,6 +84,7 @@ READINGS = some(
     facets=st.sampled_from(["projected", "unweighted", "any"]),
     wrong_side=st.sampled_from(["lobe", "mirrored"]),
     boundary_fresnel=st.sampled_from(["yes", "no"]),
+    grain_distance=st.sampled_from(["leg", "leg_and_grain"]),
     grain_on_last_leg=st.sampled_from(["reject", "keep", "skip"]),
     grain_across_boundary=st.sampled_from(["reject", "keep", "skip"]),
 )

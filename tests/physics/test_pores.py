@@ -159,3 +159,34 @@ def test_what_does_not_serve_more_than_air_and_water_says_so():
     for settings in (MUDDY, {"refractive_index": {"air": HAZE}}):
         with pytest.raises(ValueError, match="depth_m"):
             splits.spectrophotometer(splits.Snow(**settings | {"depth_m": np.inf}), 500.0)
+
+
+@pytest.mark.parametrize("wet", [0.0, 0.1])
+def test_rays_are_in_ice_and_water_for_as_much_of_their_way_as_these_fill(wet):
+    """With the way through a grain counted; far from boundaries, across which none lies."""
+    alike = dict.fromkeys(("ice", "water", "air"), 1.0 + 4e-7j)
+    snow = splits.Snow.natural(
+        specific_surface_area_m2_kg=20, density_kg_m3=400, depth_m=0.08, liquid_water_content=wet,
+        refractive_index=alike,
+    )  # fmt: skip
+    ds = splits.profile(snow, 500.0, [0.02, 0.06], 0.0, 0.001)
+    taken = ds.absorptance_of_material.isel(interval=1).squeeze()
+    error = ds.absorptance_of_material_stderr.isel(interval=1).squeeze()
+    expected = {"ice": snow.ice_fraction, "water": wet, "air": snow.porosity - wet}
+    whole = float(taken.sum())
+    z = [
+        (float(taken.sel(material=name)) - share * whole) / float(error.sel(material=name))
+        for name, share in expected.items()
+        if share
+    ]
+    judge_z(np.array(z[:-1]), independent=1, bound_added=True)
+
+
+def test_the_papers_distance_is_that_of_a_leg():
+    dry = {"density_kg_m3": 400.0, "grain_size_um": (200, 600)}
+    paper = splits.Snow(**dry)
+    other = splits.Snow(**dry, readings={"grain_distance": "leg_and_grain"})
+    assert paper.mean_grain_distance_m == other.mean_grain_distance_m
+    legs = [1.0 / snow.grains().attenuation for snow in (paper, other)]
+    assert legs[0] == paper.mean_grain_distance_m
+    assert legs[1] == pytest.approx(paper.porosity * legs[0])

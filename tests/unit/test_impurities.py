@@ -96,6 +96,7 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
         ({"impurities_in": "air"}, "one of ice, pores"),
         ({"impurities_ng_g": {"mine": {"ng": 3}}}, "ng_g and table, or"),
         ({"impurities_ng_g": {"mine": {"ng_g": 3, "table": "no.csv"}}}, "an existing CSV file"),
+        ({"impurities_ng_g": {"snow_algae": LISTS}}, "a name of its own"),
         ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelengths, 1 values"),
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
     ],
@@ -104,6 +105,14 @@ def test_bad_impurities_are_refused_in_one_line(given, text):
     with pytest.raises(ValueError, match=text) as error:
         splits.Snow(**given)
     assert "\n" not in str(error.value)
+
+
+def test_a_table_of_ones_own_stands_in_the_attributes():
+    own = {"ng_g": 3, "wavelength_nm": [300, 2500], "absorption_m2_kg": [20.0, 1.0]}
+    facts = splits.Snow(impurities_ng_g={"mine": own}).describe()
+    assert facts["mine_ng_g"] == pytest.approx(3.0)
+    assert facts["mine_wavelength_nm"].tolist() == [300.0, 2500.0]
+    assert facts["mine_absorption_m2_kg"].tolist() == [20.0, 1.0]
 
 
 def test_wavelengths_beyond_the_table_are_refused():

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from splits.analysis.misfit import Statement, misfit, numbers_stated
-from splits.experiments.published_snow import NUMBERS, STAGES, TRENDS, WATERS, beside
-from splits.experiments.rank_readings import TAKEN, Combination, chosen, spelt_out
+from splits.experiments.published_snow import FLOORS, NUMBERS, RANGES, STAGES, TRENDS, pairs_of
+from splits.experiments.rank_readings import FATES, TAKEN, Combination, called, spelt_out
 from splits.experiments.ranking_tables import left_out, ranking, statements, telling
+from splits.experiments.trial import WATERS, beside, sectors
 from splits.materials import refractive_index
 from splits.media import Readings
 
@@ -38,9 +40,20 @@ def test_noise_adds_nothing_on_average():
 
 
 def test_a_trend_that_holds_adds_nothing():
-    one = misfit([NUMBER, TREND], [0.93, 0.2], [0.0, 0.3])
+    one = misfit([NUMBER, TREND], [0.93, 0.2], [0.0, 0.0])
     assert one.total == pytest.approx(1.0) and one.stderr == 0.0
     assert one.rms(2)[0] == pytest.approx(np.sqrt(0.5))
+
+
+@pytest.mark.parametrize("z", [0.0, 0.7, 1.5, 3.0])
+def test_a_trend_that_may_fail_adds_to_the_error(z):
+    error = 0.3
+    one = misfit([NUMBER, TREND], [0.93, z * error], [0.0, error])
+    assert one.total == pytest.approx(1.0)
+    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / TREND.bar
+    fourth = np.minimum(truth, 0.0) ** 4
+    uncertainty = fourth.std() / np.sqrt(fourth.size)
+    assert one.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
 
 
 def test_bars_are_those_of_the_table():
@@ -68,22 +81,57 @@ def test_waters_stand_side_by_side():
     assert made[1, 1].imag > made[1, 0].imag > 3.0 * made[1, 2].imag
 
 
+def free(**values):
+    """Return a combination with sensitivities over waters, pairs of extremes and floors."""
+    one = Combination(Told())
+    for name, rows in values.items():
+        array = np.broadcast_to(np.array(rows, dtype=float), (len(WATERS), *np.shape(rows)))
+        one.values[name] = (array, np.full(array.shape, 1e-6))
+    return one
+
+
 def test_what_is_free_is_chosen_for_both_quantities_together():
     stated = {name: Statement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")}
-    shape = (len(WATERS), 2, 1)
-    reflectance = np.zeros(shape)
-    reflectance[:, 0], reflectance[:, 1] = 0.5, 0.45
-    transmittance = np.zeros((len(WATERS), 2, 2))
-    transmittance[:, 0], transmittance[:, 1] = [0.9, 0.8], [0.7, 0.52]
-    found = {
-        "msi_r_density": (reflectance, 0.01 * np.ones(shape)),
-        "msi_t_density": (transmittance, np.ones(transmittance.shape)),
-        "other": (np.ones(len(WATERS)), np.ones(len(WATERS))),
-    }
-    got = chosen(found, stated)
-    np.testing.assert_allclose(got["msi_r_density"][0], 0.45)
-    np.testing.assert_allclose(got["msi_t_density"][0], 0.52)
-    np.testing.assert_allclose(got["other"][0], 1.0)
+    pairs = len(pairs_of("density"))
+    reflectance, transmittance = np.zeros((pairs, 1)), np.full((pairs, len(FLOORS)), 3.0)
+    reflectance[:2, 0], transmittance[:2, 1] = [0.5, 0.45], [0.8, 0.52]
+    choice = free(msi_r_density=reflectance, msi_t_density=transmittance).choices(stated)[0]
+    assert choice.values["msi_r_density"][0] == pytest.approx(0.45)
+    assert choice.values["msi_t_density"][0] == pytest.approx(0.52)
+    assert (
+        choice.ranges
+        == dict.fromkeys(stated, pairs_of("density")[1])
+        == dict.fromkeys(stated, "100 / 400")
+    )
+
+
+def test_one_floor_holds_for_all_parameters():
+    names = ("msi_t_density", "msi_t_saturation")
+    stated = {name: Statement(name, "", 0.5, 0.1) for name in names}
+    rows = {}
+    for name, best in zip(names, ([0.5, 0.6, 0.9], [0.9, 0.6, 0.5]), strict=True):
+        rows[name] = np.broadcast_to(best, (len(pairs_of("density")), len(FLOORS)))
+    choice = free(**rows).choices(stated)[0]
+    assert choice.floor == FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
+
+
+def test_pairs_are_named_by_their_ends():
+    assert pairs_of("grain_size") == ["100-200 / 900-1000"]
+    assert pairs_of("facetness") == ["0-0.2 / 0.8-1"]
+    assert pairs_of("saturation")[:2] == ["0 / 0.1", "0 / 0.3"] and len(RANGES["saturation"]) == 4
+
+
+def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
+    angles = np.arange(-75.0, 76.0, 7.5)
+    plane = xr.Dataset(
+        {"brdf": (("wavelength", "angle"), [angles**2]),
+         "brdf_stderr": (("wavelength", "angle"), [np.full(angles.size, 0.3)])},
+        {"wavelength": [600.0], "angle": angles},
+    )  # fmt: skip
+    found = sectors(plane)
+    np.testing.assert_allclose(found.angle, np.arange(-67.5, 68.0, 22.5))
+    np.testing.assert_allclose(found.brdf[0, -1], np.mean([60.0**2, 67.5**2, 75.0**2]))
+    np.testing.assert_allclose(found.brdf_stderr, 0.3)
 
 
 def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
@@ -91,6 +139,9 @@ def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
     assert found == {
         "entry": "uniform", "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
     }  # fmt: skip
+    assert spelt_out({"entry": "uniform"}) == {"entry": "uniform"}
+    for fate in FATES:
+        assert called(Readings(**spelt_out({"boundaries": fate})), "boundaries") == fate
 
 
 def test_every_stage_states_something():
@@ -107,7 +158,7 @@ class Told:
 def combination(value, stages=10, **readings):
     """Return a combination whose values are all so far off, in bars."""
     one = Combination(Told(**readings))
-    one.added = [np.full(len(WATERS), value**2)] * stages
+    one.done, one.least = stages, value**2
     away = NUMBER.published + value * NUMBER.bar * np.array([2.0, 1.0, 3.0])
     one.values = {"table3_842": (away, np.zeros(len(WATERS)))}
     return one
@@ -133,3 +184,10 @@ def test_tables_of_a_ranking():
     without = left_out(all_, stated, names)
     assert without["first"].iloc[0] == "entry: uniform"
     assert without.margin.iloc[0] == pytest.approx(0.75)
+
+
+def test_tables_with_one_complete_combination_have_no_margin():
+    one = combination(0.5)
+    assert telling([one, combination(0.1, stages=2)]) == [next(iter(Readings().as_dict()))]
+    without = left_out([one], {"table3_842": NUMBER}, ["entry"])
+    assert without.empty and "margin" in without

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
 from splits.skies.bands import Band
 from splits.skies.irradiance import names
+from splits.skies.mixing import mixed
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
 MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
@@ -88,12 +90,36 @@ def test_bad_skies_are_refused_in_one_line(given, more, text):
         ({"wavelength_nm": [500.0]}, "at least 2"),
         ({"bands": {"red": (700, 600)}}, r"bands\.red"),
         ({"bands": {"thermal": (8000, 9000)}}, r"bands\.thermal"),
+        ({"bands": {"broadband": (400, 500)}}, r"bands\.broadband = .* left out"),
     ],
 )
 def test_what_a_sky_cannot_tell_is_refused(more, text):
     given = {"wavelength_nm": W} | more
     with pytest.raises(ValueError, match=text):
         splits.albedo(splits.Layer(optical_thickness=0.1), MINE, max_stderr=0.1, **given)
+    if "wavelength_nm" not in more:
+        with pytest.raises(ValueError, match=text):
+            splits.light_inside(splits.Snow(), MINE, [0.01], max_stderr=0.1, **given)
+
+
+def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
+    def run(incidence, number):
+        groups = [[0.003 + 0.001 * number], [0.0]]
+        return xr.Dataset(
+            {
+                "x": ("wavelength", [0.5]),
+                "x_stderr": ("wavelength", [np.hypot(groups[0][0], 0.01)]),
+                "x_groups": (("group", "wavelength"), groups),
+            },
+            {"wavelength": [500.0]},
+        )
+
+    light = splits.sky(MINE, 50.0)
+    found = mixed(light, np.array([500.0]), run, ["x"])
+    share = float(light.direct_share(np.array([500.0]))[0])
+    scatter = np.hypot(0.003 * share, 0.004 * (1.0 - share))
+    assert 0.0 < share < 1.0
+    assert float(found.x_stderr[0]) == pytest.approx(np.hypot(scatter, 0.01), rel=1e-12)
 
 
 @pytest.mark.slow

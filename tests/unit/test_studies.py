@@ -42,7 +42,9 @@ def test_shipped_studies_have_all_that_they_need(shipped):
         "tables/table3.csv", "figures/letcher2022_measured.png",
         "figures/letcher2022_measured.svg", "tables/sand_trends.csv", "tables/sand_weights.csv",
         "tables/sand_colours.csv", "tables/sand_compositions.csv", "tables/angular_trends.csv",
-        "tables/layer_trends.csv",
+        "tables/layer_trends.csv", "tables/surface_area.csv", "tables/surface_area_law.csv",
+        "figures/surface_area_spectra_found.png", "figures/surface_area_spectra_found.svg",
+        "figures/surface_area_law.png", "figures/surface_area_law.svg",
     }  # fmt: skip
 
 

@@ -149,6 +149,31 @@ for NAME in of_kind("readings"):
             "../scripts/readings.py"
 
 
+for NAME in of_kind("surface_area"):
+
+    rule:
+        name:
+            NAME
+        input:
+            **study_files(NAME),
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            roles=list(STUDIES[NAME].experiments),
+        message:
+            "Finding the surface area of measured snow"
+        script:
+            "../scripts/surface_area.py"
+
+
 for NAME in of_kind("sand_compositions"):
 
     rule:

@@ -38,6 +38,12 @@ REPORTS = {
     "sand_compositions": {"table": ("sand_compositions", "Sand")},
     "angular_trends": {"table": ("angular_trends", "Angles")},
     "layer_trends": {"table": ("layer_trends", "Layers")},
+    "surface_area": {
+        "table": ("surface_area", "Agreement"),
+        "figure": ("surface_area", "Agreement"),
+        "law": ("surface_area_law", "Agreement"),
+        "law_figure": ("surface_area_law", "Agreement"),
+    },
 }
 
 

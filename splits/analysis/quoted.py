@@ -106,7 +106,7 @@ def _ranking() -> dict[str, Number]:
 def _surface_area() -> dict[str, Number]:
     """Return surface areas of measured snow, and what 1310 nm tells of one."""
     table, law = "tables/surface_area.csv", "tables/surface_area_law.csv"
-    windows = {"all": "all", "below": "below 1340 nm", "above": "above 1440 nm"}
+    windows = {"all": "all", "below": "below 1300 nm", "above": "above 1500 nm"}
     found = {
         f"law.{name}": Number(law, cell("reflectance", "stderr", snow=snow, area=20.0))
         for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()

@@ -8,35 +8,30 @@ and the calibration of a sensor scale a spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import snowoptics
 import xarray as xr
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from splits.analysis.radiative_transfer import kz04
 from splits.checks import refuse
-from splits.media.natural_snow import SHAPE
 
 AREA = "specific_surface_area_m2_kg"
-WINDOWS = {
-    "all": ((700.0, 1340.0), (1440.0, 1790.0), (2050.0, 2400.0)),
-    "below 1340 nm": ((700.0, 1340.0),),
-    "above 1440 nm": ((1440.0, 1790.0), (2050.0, 2400.0)),
-}
-"""Wavelengths (nm) that are fitted: impurities count below, water vapour and noise in the gaps."""
+NEAR = ((700.0, 900.0), (990.0, 1090.0), (1220.0, 1300.0))
+FAR = ((1500.0, 1750.0), (2060.0, 2350.0))
+WINDOWS = {"all": (*NEAR, *FAR), "below 1300 nm": NEAR, "above 1500 nm": FAR}
+"""Wavelengths (nm) that are fitted: impurities count below, water vapour of the air in the gaps."""
 FIELD_NM = 1310.0
 """Where field instruments take the surface area from one reflectance (Gallet et al. 2009)."""
-LAWS = {
-    "asymptotic, B 1.6, g 0.845": {},
-    "asymptotic, our grains' B and g": {
-        "absorption_enhancement": SHAPE.enhancement, "asymmetry": 0.5 * (1.0 + SHAPE.asymmetry),
-    },
-}  # fmt: skip
-"""Published law beside ours (Kokhanovsky & Zege 2004), with two pairs of shape factors."""
+LAWS: dict[str, Callable[..., np.ndarray]] = {
+    "Kokhanovsky & Zege (2004)": snowoptics.albedo_direct_KZ04,
+    "Malinka et al. (2016)": snowoptics.albedo_direct_M16,
+}
+"""Published laws for a beam, with the shape factors that snowoptics takes where they have any."""
 
 
 class Fit(NamedTuple):
@@ -184,9 +179,9 @@ def field_law(dataset: xr.Dataset) -> pd.DataFrame:
     for medium in dataset.medium.values:
         one = part.sel(medium=medium)
         tables.append((str(medium), one.reflectance.values, one.reflectance_stderr.values))
-    for law, shape in LAWS.items():
-        values = [float(kz04(FIELD_NM, area, 0.0, **shape).reflectance[0]) for area in areas]
-        tables.append((law, np.array(values), np.full(len(areas), np.nan)))
+    for name, law in LAWS.items():
+        values = [float(law(np.array([1e-9 * FIELD_NM]), 0.0, area)[0]) for area in areas]
+        tables.append((name, np.array(values), np.full(len(areas), np.nan)))
     return pd.concat(
         [pd.DataFrame({"snow": name, "area": areas, "reflectance": value, "stderr": error})
          for name, value, error in tables],

@@ -28,14 +28,14 @@ def fitted_spectra(table: pd.DataFrame) -> Figure:
         top, bottom = panels
         for (spectrum, rows), colour in zip(groups, colours(len(groups)), strict=True):
             x = rows.wavelength_nm
-            top.plot(x, rows.measured, ".", ms=3, color="black")
+            top.plot(x, rows.measured, ".", ms=4, color=colour)
             top.plot(x, rows.model, color=colour, lw=1.3,
                      label=_named(spectrum, rows.area.iloc[0]))  # fmt: skip
             low, high = rows.model - BAND * rows.stderr, rows.model + BAND * rows.stderr
             top.fill_between(x, low, high, color=colour, alpha=0.3, lw=0)
             bottom.plot(x, rows.difference.where(rows.fitted), color=colour, lw=1.3)
             bottom.plot(x, rows.difference, color=colour, lw=0.7, ls=":")
-        top.plot([], [], "k.", ms=3, label="measured")
+        top.plot([], [], ".", ms=4, color="0.4", label="measured")
         top.set_ylim(bottom=0)
         top.set_ylabel("reflectance")
         top.legend(frameon=False)

@@ -65,6 +65,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/surface_crossings.py
 	$(BIN)/python benchmarks/light_inside.py
 	$(BIN)/python benchmarks/packs_against_tartes.py
+	$(BIN)/python benchmarks/snow_peers.py
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"

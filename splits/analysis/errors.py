@@ -5,12 +5,13 @@ the same paths go together, those of others do not, so neither rule serves for a
 Each dataset therefore carries how far `splits.instruments.ensemble.GROUPS` groups of its rays take
 every wavelength off (``…_groups``).  What is linear in the spectrum deviates by group alike, and
 the squares of its deviations add up to its variance.  What the standard error holds beyond that
-bounds what interpolation between refractive indices misses; how it goes together along a spectrum
-is not known, so it is added up as if all of it went the worst way.
+bounds what interpolation between refractive indices misses.  Neighbours miss alike, wavelengths far
+apart do not: bounds add up along each stretch of weights of one sign, and stretches in quadrature.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
 from splits.checks import refuse
@@ -55,9 +56,9 @@ def error_parts(
     Returns
     -------
     scatter, missed : xarray.DataArray
-        Over all other dimensions: one standard deviation between runs with other seeds, and a
-        bound on what interpolation between refractive indices misses.  NaN where an error that
-        counts is unknown.
+        Over all other dimensions: one standard deviation between runs with other seeds, and how
+        much interpolation between refractive indices may miss.  NaN where an error that counts is
+        unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
     if f"{quantity}_groups" not in dataset:
@@ -67,7 +68,22 @@ def error_parts(
     rest = stderr**2 - (groups**2).sum("group", skipna=False)
     bound = rest.where(~(rest <= _ROUNDING * stderr**2), 0.0) ** 0.5
     scatter = (_sum(weights, groups) ** 2).sum("group", skipna=False) ** 0.5
-    return scatter, _sum(abs(weights), bound)
+    weighed = (abs(weights) * bound).where(weights != 0.0, 0.0)
+    missed = xr.apply_ufunc(
+        _by_stretches, *xr.broadcast(weights, weighed), input_core_dims=[["wavelength"]] * 2
+    )
+    return scatter, missed
+
+
+def _by_stretches(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Return sums of parts over stretches of one sign along the last axis, added in quadrature."""
+    places = np.where(weights != 0.0, np.arange(weights.shape[-1]), 0)
+    signs = np.sign(np.take_along_axis(weights, np.maximum.accumulate(places, axis=-1), axis=-1))
+    stretch = np.cumsum(np.diff(signs, axis=-1, prepend=signs[..., :1]) != 0.0, axis=-1)
+    total = np.zeros(parts.shape[:-1])
+    for number in range(int(stretch.max()) + 1):
+        total += np.where(stretch == number, parts, 0.0).sum(axis=-1) ** 2
+    return np.sqrt(total)
 
 
 def _sum(weights: xr.DataArray, values: xr.DataArray) -> xr.DataArray:

@@ -51,7 +51,7 @@ def fitted_spectra(table: pd.DataFrame) -> Figure:
 def _named(column: str, area: float) -> str:
     """Return how the legend calls a spectrum, such as ``ID2081@47.66``."""
     name, _, angle = column.partition("@")
-    return f"{name}, {angle}°: {area:.3g} m²/kg"
+    return f"{name}, {angle}°: {area:.1f} m²/kg"
 
 
 def area_law(table: pd.DataFrame) -> Figure:

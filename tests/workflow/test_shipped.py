@@ -41,14 +41,21 @@ def test_everything_can_be_planned(shipped):
     experiments = load_experiments(
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
     )
-    for rule in ("simulate", "figure"):
-        assert re.search(rf"^{rule} +{len(experiments)}$", run.text, re.MULTILINE)
+    drawn = [one for one in experiments.values() if one.figure.kind != "none"]
+    for rule, count in (("simulate", len(experiments)), ("figure", len(drawn))):
+        assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends",
+        "layer_trends", "surface_area", "readings_together",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()
+
+
+def test_rules_do_not_ask_for_cores_that_a_report_is_not_given(shipped):
+    """Snakemake refuses `workflow.cores` without --cores, and with it whole reports."""
+    for path in (shipped.folder / "workflow").rglob("*.smk"):
+        assert "workflow.cores" not in path.read_text(encoding="utf-8"), path
 
 
 def test_snakemake_finds_nothing_to_complain_about(shipped):

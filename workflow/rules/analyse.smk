@@ -136,7 +136,7 @@ for NAME in of_kind("readings"):
             f"{RESULTS}/benchmarks/{NAME}.tsv"
         conda:
             "../../environment.yml"
-        threads: lambda wildcards: workflow.cores or 1
+        threads: lambda wildcards: all_cores()
         params:
             physics=physics_digest(),
             readings=STUDIES[NAME].readings,

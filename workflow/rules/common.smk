@@ -87,6 +87,11 @@ def fitted_files(name):
     return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
 
 
+def all_cores():
+    """Return the cores given, 1 where none are: a report runs nothing."""
+    return workflow.resource_settings.cores or 1
+
+
 def threads_of(name):
     """Return the threads of a simulation.
 
@@ -95,7 +100,7 @@ def threads_of(name):
     """
     asked = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
     together = min(4, len(asked or EXPERIMENTS))
-    cores = workflow.cores or 1
+    cores = all_cores()
     return cores if EXPERIMENTS[name].fit else max(1, cores // together)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,7 +11,15 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.measured import bands, letcher_bands, rmse
+from splits.analysis.errors import weighted_error
+from splits.analysis.measured import (
+    LETCHER_COLUMNS,
+    bands,
+    letcher_column,
+    letcher_snow,
+    measured_rmse,
+    rmse,
+)
 from splits.analysis.trends import ranking_rows, trend_rows
 
 Value = tuple[float, float]
@@ -129,11 +139,17 @@ def _density(dataset: xr.Dataset) -> dict[str, Value]:
     difference = (dense.reflectance - loose.reflectance).values
     error = np.hypot(loose.reflectance_stderr.values, dense.reflectance_stderr.values)
     percent = 100 * np.abs(difference) / loose.reflectance.values
+
+    def combined(weights: np.ndarray) -> float:
+        weight = xr.DataArray(weights, dims="wavelength")
+        errors = [float(weighted_error(one, "reflectance", weight)) for one in (loose, dense)]
+        return math.hypot(*errors)
+
     return {
-        "density_rmse": rmse(difference, error),
+        "density_rmse": rmse(difference, error, combined),
         "density_percent": (
             float(percent.mean()),
-            float(100 * (error / loose.reflectance.values).mean()),
+            100 * combined(np.sign(difference) / (loose.reflectance.values * difference.size)),
         ),
     }
 
@@ -142,16 +158,15 @@ def _measured_rows(
     datasets: Mapping[str, xr.Dataset], aviris: pd.DataFrame, letcher: pd.DataFrame
 ) -> list[dict[str, object]]:
     """Return the RMSE against measured spectra, which nothing was fitted to."""
-    tables: list[tuple[str, str, pd.DataFrame]] = [
-        ("AVIRIS-NG, 3 bands", "Table 3", bands(datasets["aviris"], aviris))
-    ]
-    measured = letcher_bands(datasets["letcher"], letcher)
-    for (snow, depth), table in measured.groupby(["snow", "depth_m"], sort=False):
+    found = [("AVIRIS-NG, 3 bands", "Table 3", measured_rmse(datasets["aviris"], aviris))]
+    snows = datasets["letcher"]
+    for snow, depth in itertools.product(snows.medium.values, LETCHER_COLUMNS):
+        column = letcher_column(letcher, depth)
+        off = measured_rmse(letcher_snow(snows, snow, depth), column)
         what = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
-        tables.append((what, "The Cryosphere 16, 4343", table))
+        found.append((what, "The Cryosphere 16, 4343", off))
     rows: list[dict[str, object]] = []
-    for what, place, table in tables:
-        value, error = rmse(table.difference, table.stderr)
+    for what, place, (value, error) in found:
         rows.append(
             {
                 "id": "measured",

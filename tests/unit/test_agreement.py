@@ -15,6 +15,7 @@ from splits.analysis.measured import (
     LETCHER_COLUMNS,
     bands,
     letcher_bands,
+    measured_rmse,
     read_measured,
     rmse,
 )
@@ -77,11 +78,48 @@ def test_shipped_published_numbers_have_a_bar_each_or_say_why_not():
     assert table.index[~bar].tolist() == ["dumont_rmse"]
 
 
-def test_rmse():
-    value, error = rmse([0.03, -0.04], [0.01, 0.01])
-    assert value == pytest.approx(np.sqrt(0.0025 / 2))
-    assert error == pytest.approx(0.01)
-    assert rmse([0.0, 0.0], [0.01, 0.03]) == (0.0, pytest.approx(np.sqrt(5e-4)))
+def test_rmse_of_independent_errors_scatters_as_stated():
+    random = np.random.default_rng(4)
+    exact, stderr = np.array([0.03, -0.04, 0.01]), np.array([0.002, 0.004, 0.003])
+    found = [
+        rmse(
+            exact + stderr * random.normal(size=3),
+            stderr,
+            lambda w: float(np.hypot.reduce(w * stderr)),
+        )
+        for _ in range(4000)
+    ]
+    values, errors = np.array(found).T
+    off = np.sqrt(np.mean((values - np.sqrt(np.mean(exact**2))) ** 2))
+    assert off / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_rmse_of_errors_that_go_together_is_bounded():
+    stderr = np.array([0.01, 0.01])
+    value, error = rmse([0.03, -0.03], stderr, lambda weights: float(weights @ stderr))
+    assert value == pytest.approx(0.03)
+    # Both shift alike, which changes the differences' squares in the second order alone.
+    assert error == pytest.approx(0.5 * 1e-4 / 0.03)
+    assert rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (0.0, pytest.approx(np.sqrt(5e-4)))
+    assert rmse([0.01, 0.0], stderr, lambda _: 9.0)[1] == pytest.approx(0.01)
+
+
+def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
+    groups = np.array([[0.003, 0.003], [0.004, 0.004]])
+    dataset = xr.Dataset(
+        {
+            "reflectance": ("wavelength", [0.9, 0.5]),
+            "reflectance_stderr": ("wavelength", [0.005, 0.005]),
+            "reflectance_groups": (("group", "wavelength"), groups),
+        },
+        {"wavelength": [500.0, 1000.0]},
+    )
+    measured = pd.DataFrame({"wavelength_nm": [500.0, 1000.0], "reflectance": [0.8, 0.4]})
+    value, error = measured_rmse(dataset, measured)
+    assert value == pytest.approx(0.1)
+    assert error == pytest.approx(0.005, rel=0.01)
+    _, apart = measured_rmse(dataset, measured.assign(reflectance=[0.8, 0.6]))
+    assert apart < 0.001
 
 
 def test_bands_hold_model_against_measurement():
@@ -105,7 +143,11 @@ def test_letcher_mixes_beam_and_diffuse_light():
     values = np.zeros((1, 2, 2, 1))
     values[0, :, 0, 0], values[0, :, 1, 0] = 0.4, 0.8
     dataset = xr.Dataset(
-        {"reflectance": (dims, values), "reflectance_stderr": (dims, np.full_like(values, 0.01))},
+        {
+            "reflectance": (dims, values),
+            "reflectance_stderr": (dims, np.full_like(values, 0.01)),
+            "reflectance_groups": (("group", *dims), np.full((1, *values.shape), 0.01)),
+        },
         {
             "medium": ["natural snow"],
             "depth_m": list(LETCHER_COLUMNS),

@@ -8,12 +8,14 @@ import pytest
 import xarray as xr
 
 from splits.analysis.misfit import Statement, misfit, numbers_stated
+from splits.experiments import rank_readings
 from splits.experiments.published_snow import FLOORS, NUMBERS, RANGES, STAGES, TRENDS, pairs_of
 from splits.experiments.rank_readings import FATES, TAKEN, Combination, called, spelt_out
 from splits.experiments.ranking_tables import left_out, ranking, statements, telling
-from splits.experiments.trial import WATERS, beside, sectors
+from splits.experiments.trial import WATERS, beside, same, sectors
 from splits.materials import refractive_index
 from splits.media import Readings
+from splits.media.readings import SETS
 
 NUMBER = Statement("table3_842", "Table 3", 0.9, 0.03)
 TREND = Statement("fig19_peak_60", "Fig 19", 0.0, 0.1, trend=True)
@@ -146,6 +148,29 @@ def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
 
 def test_every_stage_states_something():
     assert set(NUMBERS) | set(TRENDS) == set(STAGES) and set(TAKEN) <= set(STAGES)
+
+
+def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
+    """Whatever they come to, and though a set differs in a reading that is not tried."""
+
+    def stage(trial):
+        far = 1.0 if trial.readings.entry == "uniform" else 99.0
+        return {"a": same(far, 0.0)}
+
+    monkeypatch.setattr(rank_readings, "STAGES", {"first": stage, "second": stage})
+    monkeypatch.setattr(rank_readings, "NUMBERS", {"first": ("a",)})
+    monkeypatch.setattr(rank_readings, "TAKEN", {"second": (1, 1)})
+    table = pd.DataFrame(
+        {"id": ["a"], "place": ["x"], "published": [1.0], "bar": ["1"], "low": [np.nan],
+         "high": [np.nan]}
+    ).set_index("id")  # fmt: skip
+    choices = {"entry": ["uniform", "projected"], "facets": ["projected", "any"]}
+    found, stated = rank_readings.rank_readings(table, choices, {"entry": "uniform"})
+    # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
+    assert len(found) == 4 + len(SETS) - 1 and set(stated) == {"a"}
+    complete = [one for one in found if one.done == 2]
+    assert {one.set_name() for one in complete} == {"", *SETS}
+    assert found[0].least == 0.0 and found[-1].done == 1
 
 
 class Told:

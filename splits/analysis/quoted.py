@@ -112,7 +112,7 @@ def _surface_area() -> dict[str, Number]:
         for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()
     }
     for spectrum in ("ID2081@47.66", "ID462@66.04", "ID1746@58.98"):
-        name, _, _ = spectrum.partition("@")
+        name = spectrum.partition("@")[0].lower()
         for short, window in windows.items():
             select = cell("area", "area_stderr", spectrum=spectrum, window=window)
             found[f"area.{name}.{short}"] = Number(table, select, ".1f")

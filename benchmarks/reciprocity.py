@@ -27,6 +27,7 @@ READINGS = {
     "skipped at boundaries": {"grain_across_boundary": "skip"},
     "all skipped, entry projected": {**SKIP, "entry": "projected"},
     "the set geometric": {"set": "geometric"},
+    "the set geometric, lobe": {"set": "geometric", "wrong_side": "lobe"},
 }
 MEDIA = {
     "snow of Table 1, dry, 1300 nm": (splits.Snow, {"saturation": 0.0}, 1300.0),

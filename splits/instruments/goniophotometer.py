@@ -148,11 +148,7 @@ def goniophotometer(
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     grounded = ground_of(medium) is not None
     side = _side_of(target, grounded)
-    one_of("estimator", estimator, ESTIMATORS)
-    if isinstance(incidence, str) and estimator != "expansion":
-        raise refuse(
-            "incidence_deg", incidence, "an angle for this estimator", "expansion takes it"
-        )
+    _check_estimator(estimator, incidence)
     one_of("kernel", kernel, KERNELS)
     seed, max_rays = check_whole("seed", seed, 0), check_whole("max_rays", max_rays, 1)
     if rays is not None:
@@ -188,6 +184,14 @@ def goniophotometer(
     unseen = OF_LIGHT_BELOW if grounded else found.unseen
     dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
     return under_sky(dataset) if incidence == "diffuse" else dataset
+
+
+def _check_estimator(estimator: str, incidence: float | str) -> None:
+    """Refuse an estimator that there is not, or that does not know diffuse light."""
+    one_of("estimator", estimator, ESTIMATORS)
+    if isinstance(incidence, str) and estimator != "expansion":
+        allowed = "an angle for this estimator"
+        raise refuse("incidence_deg", incidence, allowed, "expansion takes it")
 
 
 def _side_of(target: str, grounded: bool) -> int:

@@ -287,9 +287,8 @@ ALIASES = {
     "lwc": "liquid_water_content",
     "wetness": "liquid_water_content",
     "water": "liquid_water_content",
-    "soot": "impurities_ng_g",
+    "impurities": "impurities_ng_g",
     "black_carbon": "impurities_ng_g",
-    "dust": "impurities_ng_g",
     "algae": "algae_cells_ml",
     "thickness": "depth_m",
     "temperature": "temperature_c",
@@ -297,11 +296,19 @@ ALIASES = {
     "solar_zenith": "incidence_deg",
 }
 """What others call some keywords."""
+ALIASES_OF_KINDS = {
+    "soot": ("black_carbon", "impurities_ng_g"),
+    "bc": ("black_carbon", "impurities_ng_g"),
+    "dust": ("dust_sahara", "impurities_ng_g"),
+}
+"""What others call some kinds of impurities, which may stand for the keyword, too."""
 
 
 def suggestion(name: object, names: Iterable[str]) -> str:
     """Return "did you mean …?" for a misspelt name or one that others use, or nothing."""
     known = list(names)
-    alias = ALIASES.get(str(name).lower())
-    near = [alias] if alias in known else get_close_matches(str(name)[:90], known, n=1)
+    lower = str(name).lower()
+    others = (lower, *ALIASES_OF_KINDS.get(lower, ()), ALIASES.get(lower))
+    near = [one for one in others if one in known]
+    near = near or get_close_matches(str(name)[:90], known, n=1)
     return f"did you mean {near[0]}?" if near else ""

@@ -103,7 +103,9 @@ def band(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
     if not inside.any():
         ends = " to ".join(f"{end:g}" for end in dataset.wavelength.values[[0, -1]])
         raise refuse("wavelength", f"{ends} nm", f"some in {low:g} to {high:g} nm")
-    return inside / inside.sum()
+    weights = inside / inside.sum()
+    weights.attrs.clear()  # those of wavelengths are not those of errors
+    return weights
 
 
 def band_error(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:

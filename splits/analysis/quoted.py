@@ -111,6 +111,8 @@ def _surface_area() -> dict[str, Number]:
         f"law.{name}": Number(law, cell("reflectance", "stderr", snow=snow, area=20.0))
         for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()
     }
+    for name, snow in {"law.sixty": "natural snow", "law.spheres.sixty": "smooth spheres"}.items():
+        found[name] = Number(law, cell("reflectance", "stderr", snow=snow, area=60.0))
     for spectrum in ("ID2081@47.66", "ID462@66.04", "ID1746@58.98"):
         name = spectrum.partition("@")[0].lower()
         for short, window in windows.items():

@@ -126,7 +126,12 @@ def _with_base(medium: Any, place: str, folder: Path) -> Any:
         return medium
     base = one_of(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
     own = {key: value for key, value in medium.items() if key != "base"}
-    return on_top(read_yaml(folder / f"{base}.yaml"), own)
+    content = read_yaml(folder / f"{base}.yaml")
+    kind = content.get("kind", "snow")
+    if own.get("kind", kind) != kind:
+        hint = "without a base it has values of its own"
+        raise refuse(f"{place}.kind", own["kind"], f"{kind}, as its base {base}", hint)
+    return on_top(content, own)
 
 
 def _whole(medium: Any, place: str, folder: Path) -> Any:

@@ -72,7 +72,7 @@ class Snow:
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
-        Thickness of the sample (m), above 0 to 1e4, or infinite for the spectrophotometer.  A
+        Thickness of the sample (m), above 0 to 1e4, or infinite for spectra and albedos.  A
         sample, which may have several layers, must be thicker than its largest grain.
     refractive_index : mapping, optional
         Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
@@ -131,7 +131,7 @@ class Snow:
         density_kg_m3 : float
             300 by default.
         depth_m : float
-            Infinite by default, which only the spectrophotometer takes.
+            Infinite by default, which spectra and albedos take alone; give it for the others.
         **settings
             Whatever `Snow` takes.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -124,7 +125,8 @@ class Sky:
             if not self.weights(wavelength_nm, band).any():
                 first, last = wavelength_nm[[0, -1]]
                 allowed = f"bands with light between {first:g} and {last:g} nm"
-                raise refuse(f"bands.{name}", band.ends, allowed)
+                hint = "ask for more wavelengths, or for some bands of a sensor alone"
+                raise refuse(f"bands.{name}", band.ends, allowed, hint)
 
     def weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
         """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.
@@ -239,7 +241,8 @@ def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:
             raise refuse(f"sky.{key}", float(values.min()), "at least 0")
     if not (direct + diffuse).any():
         raise refuse("sky", "0 everywhere", "light at some wavelength")
-    return Sky(name, "given by the user", zenith, w, direct, diffuse, sha256)
+    digest = sha256 or hashlib.sha256(np.stack([w, direct, diffuse]).tobytes()).hexdigest()
+    return Sky(name, "given by the user", zenith, w, direct, diffuse, digest)
 
 
 def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
@@ -273,7 +276,8 @@ def _clear(zenith: float, air: Mapping[str, float]) -> Sky:
     )
     direct, diffuse = (np.ravel(found[key]) for key in ("dni", "dhi"))
     direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
-    source = "Bird & Riordan (1986), by pvlib"
+    given = ", ".join(f"{name} {value:g}" for name, value in air.items())
+    source = f"Bird & Riordan (1986), by pvlib: {given}"
     w = np.ravel(found["wavelength"])
     return Sky(CLEAR, source, zenith, w, direct, np.maximum(diffuse, 0.0))
 

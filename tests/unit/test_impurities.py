@@ -87,7 +87,8 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
     ("given", "text"),
     [
         ({"impurities_ng_g": {"black_carbn": 5}}, "did you mean black_carbon"),
-        ({"impurities_ng_g": {"soot": 5}}, "one of black_carbon, brown_carbon"),
+        ({"impurities_ng_g": {"soot": 5}}, r"one of black_carbon, .*did you mean black_carbon"),
+        ({"impurities_ng_g": {"dust": 5}}, "did you mean dust_sahara"),
         ({"impurities_ng_g": {"black_carbon": -5}}, r"impurities_ng_g\.black_carbon = -5"),
         ({"impurities_ng_g": {"black_carbon": float("nan")}}, "black_carbon"),
         ({"impurities_ng_g": {"snow_algae": 5}}, "stands under algae_cells_ml"),

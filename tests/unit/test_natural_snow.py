@@ -122,6 +122,10 @@ def test_in_files(tmp_path):
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):
         loaded(tmp_path, "medium: {kind: natural_snow, ssa: 20}\n")
+    with pytest.raises(
+        ConfigError, match=r"medium.kind = 'natural_snow': must be snow, as its base"
+    ):
+        loaded(tmp_path, "medium: {base: splitsnow_table1, kind: natural_snow, ssa: 20}\n")
     pack = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
     (stack,) = loaded(tmp_path, pack + "instrument: {wavelength_nm: [500]}\n")
     assert stack.layers[0].optical_radius_um == pytest.approx(90.0)

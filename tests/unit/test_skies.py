@@ -102,6 +102,14 @@ def test_what_a_sky_cannot_tell_is_refused(more, text):
             splits.light_inside(splits.Snow(), MINE, [0.01], max_stderr=0.1, **given)
 
 
+def test_inputs_of_a_sky_are_known_afterwards():
+    pytest.importorskip("pvlib")
+    clear = splits.sky("clear", zenith_deg=30, turbidity_500nm=0.9)
+    assert "turbidity_500nm 0.9" in clear.source and "ground_albedo 0.8" in clear.source
+    other = MINE | {"direct": [1.0, 3.0, 0.1]}
+    assert len({splits.sky(one).sha256 for one in (MINE, other)} - {""}) == 2
+
+
 def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
     def run(incidence, number):
         groups = [[0.003 + 0.001 * number], [0.0]]

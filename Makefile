@@ -9,6 +9,7 @@
 PYTHON ?= python3
 CORES ?= 2
 ACCURACY ?= standard
+LOCKED = --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate
 REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
@@ -67,18 +68,23 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/packs_against_tartes.py
 	$(BIN)/python benchmarks/snow_peers.py
 
-$(VENV)/ready: pyproject.toml requirements.txt
+# uv does in seconds what takes pip a minute; pip steps in where uv finds no packages, such as behind
+# a mirror that only pip's own settings name.
+$(VENV)/ready: pyproject.toml requirements.txt requirements-uv.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-uv.txt
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.txt || \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 		--config-settings editable_mode=compat -e .
 	touch $@
 
-# Needs uv (https://docs.astral.sh/uv/): pins every dependency, with hashes.
-lock:
-	printf 'setuptools>=77\n' | uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
-		--no-header --no-annotate --extra tests --output-file requirements.txt pyproject.toml -
+# Pins every dependency, with hashes.
+lock: $(VENV)/ready
+	printf 'setuptools>=77\n' | $(BIN)/uv pip compile $(LOCKED) --extra tests --extra docs \
+		--output-file requirements.txt pyproject.toml -
+	printf 'uv\n' | $(BIN)/uv pip compile $(LOCKED) --output-file requirements-uv.txt -
 
 clean:
 	rm -rf $(VENV) .snakemake

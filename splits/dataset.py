@@ -33,7 +33,7 @@ VALUE = "_value"
 def package_version() -> str:
     """Return the installed version of this package."""
     try:
-        return version("splits")
+        return version("splits-optics")
     except PackageNotFoundError:
         return "unknown"
 

@@ -131,7 +131,7 @@ def _solver() -> Callable[..., Any]:
         from PythonicDISORT import pydisort
     except ImportError:
         raise ImportError(
-            "discrete ordinates need PythonicDISORT: pip install 'splits[theory]'"
+            "discrete ordinates need PythonicDISORT: pip install 'splits-optics[theory]'"
         ) from None
     solver: Callable[..., Any] = pydisort
     return solver

@@ -22,6 +22,16 @@ def bounds(requirements):
     return {name.lower(): bound for name, bound in parts}
 
 
+def needed(*extras):
+    """Return the lower bounds of what the package needs with these extras, by lower-case name."""
+    wanted = list(PROJECT["dependencies"])
+    for extra in extras:
+        for text in PROJECT["optional-dependencies"][extra]:
+            own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
+            wanted += [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+    return bounds(wanted)
+
+
 def number(version):
     return tuple(int(part) for part in re.findall(r"\d+", version))
 
@@ -43,7 +53,7 @@ def test_the_conda_environment_is_in_step_with_the_package():
     conda = bounds(entry for entry in listed if isinstance(entry, str))
     assert conda.pop("python") == PROJECT["requires-python"].removeprefix(">=")
     conda.pop("pip")
-    wanted = bounds(PROJECT["dependencies"])
+    wanted = needed("workflow")
     pip_only = bounds(by_pip)
     assert set(pip_only) <= set(wanted)
     assert conda == {
@@ -54,7 +64,7 @@ def test_the_conda_environment_is_in_step_with_the_package():
 
 def test_every_dependency_is_pinned_within_its_bound():
     pinned = pins()
-    wanted = bounds(PROJECT["dependencies"]) | bounds(PROJECT["optional-dependencies"]["tests"])
+    wanted = needed(*PROJECT["optional-dependencies"])
     for name, bound in wanted.items():
         assert name in pinned
         assert number(pinned[name][0]) >= number(bound)

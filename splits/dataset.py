@@ -17,6 +17,7 @@ import xarray as xr
 
 from splits.checks import listed, number, one_of, refuse
 from splits.checksum import CHECKSUM, LOCK, check, seal
+from splits.extras import DISTRIBUTION
 from splits.files import whole
 
 CONVENTIONS = "CF-1.11"
@@ -33,7 +34,7 @@ VALUE = "_value"
 def package_version() -> str:
     """Return the installed version of this package."""
     try:
-        return version("splits-optics")
+        return version(DISTRIBUTION)
     except PackageNotFoundError:
         return "unknown"
 

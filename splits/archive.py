@@ -11,11 +11,11 @@ from importlib.metadata import distributions
 from pathlib import Path, PurePosixPath
 
 from splits.checks import refuse
-from splits.dataset import commit, package_version
 from splits.experiments.settings import Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
+from splits.versions import commit, package_version
 
 LOCK = "requirements.txt"
 README = """# Results of splits {version}

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import platform
-import subprocess
 import warnings
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +14,9 @@ import xarray as xr
 
 from splits.checks import listed, number, one_of, refuse
 from splits.checksum import CHECKSUM, LOCK, check, seal
-from splits.extras import DISTRIBUTION
 from splits.files import whole
+from splits.schema import SCHEMA, VERSION, upgraded
+from splits.versions import commit, package_version
 
 CONVENTIONS = "CF-1.11"
 VOLATILE = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
@@ -28,33 +26,6 @@ SUFFIXES = (".nc", ".nc4", ".netcdf")
 LABEL = "_label"
 VALUE = "_value"
 """What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
-
-
-@cache
-def package_version() -> str:
-    """Return the installed version of this package."""
-    try:
-        return version(DISTRIBUTION)
-    except PackageNotFoundError:
-        return "unknown"
-
-
-@cache
-def commit() -> str:
-    """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
-
-    def git(*arguments: str) -> str:
-        folder = Path(__file__).parent
-        result = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
-        )
-        return result.stdout.strip()
-
-    try:
-        head = git("rev-parse", "HEAD")
-        return head + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 def provenance(what: str = "dataset made") -> dict[str, Any]:
@@ -69,6 +40,7 @@ def provenance(what: str = "dataset made") -> dict[str, Any]:
     return {
         "Conventions": CONVENTIONS,
         "source": f"splits {package_version()}",
+        SCHEMA: VERSION,
         "splits_version": package_version(),
         "splits_commit": commit(),
         "python_version": platform.python_version(),
@@ -140,20 +112,22 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory and check that this package wrote it and that it is undamaged.
 
-    A dataset without checksum, as older versions of this package wrote it, is read with a warning.
+    A dataset of an older version is brought to the present schema (see `splits.schema`).  One
+    without checksum is read with a warning.
 
     Raises
     ------
     splits.checksum.DamagedError
         A ValueError: if the file cannot be read, or holds something else than was written.
     ValueError
-        If the file has no provenance of this package.
+        If the file has no provenance of this package, or a newer version wrote it.
     OSError
         If the file cannot be opened.
     """
     dataset = _read(path)
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
+    dataset = upgraded(dataset, path)
     if CHECKSUM not in dataset.attrs:
         older = "an older version or another program wrote it"
         warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)

@@ -14,7 +14,8 @@ import numpy as np
 from splits.checks import refuse
 from splits.instruments import streams
 from splits.instruments.angular import Estimate, largest_error
-from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.progress import Progress
+from splits.instruments.runner import BATCH, Runner
 from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport.grains.scene import UNLIMITED

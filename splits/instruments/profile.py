@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,8 @@ from splits.instruments.inside_errors import (
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.planes import Planes
-from splits.instruments.runner import Progress, Runner
+from splits.instruments.progress import Report, shows_progress
+from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
@@ -46,6 +46,7 @@ _BIAS_SHARE = 0.4
 
 
 @known_arguments
+@shows_progress
 def profile(
     medium: GranularMedium | LayeredMedium,
     wavelength_nm: Any,
@@ -57,7 +58,7 @@ def profile(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Return irradiances inside a medium of grains, and where its light is absorbed.
 

@@ -14,7 +14,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign resume draft package lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -44,6 +44,10 @@ test-long: $(VENV)/ready
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \
 		$(BIN)/python -m pytest -s tests/campaigns tests/workflow/test_kills.py
+
+# Builds wheel and sdist, installs them into clean environments, computes one spectrum.
+package: $(VENV)/ready
+	$(BIN)/python benchmarks/installation.py
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

@@ -64,6 +64,19 @@ def test_the_conda_environment_is_in_step_with_the_package():
     assert pip_only == {name: wanted[name] for name in pip_only}
 
 
+def test_the_conda_recipe_is_in_step_with_the_package():
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    context = recipe["context"]
+    assert (context["name"], context["version"]) == (PROJECT["name"], PROJECT["version"])
+    assert PROJECT["requires-python"] == f">={context['python_min']}"
+    python, *others = recipe["requirements"]["run"]
+    assert python == "python>=${{ python_min }}"
+    assert bounds(others) == needed()
+    assert recipe["build"]["python"]["entry_points"] == [
+        f"{name} = {place}" for name, place in PROJECT["scripts"].items()
+    ]
+
+
 def test_every_dependency_is_pinned_within_its_bound():
     pinned = pins()
     wanted = needed(*PROJECT["optional-dependencies"])

@@ -42,9 +42,8 @@ myst_links_external_new_tab = False
 # Examples run while the site is built, each page in a folder of its own, and again only when it or
 # the package has changed.
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(
-    HERE / "_build" / "cache" / files_digest(PACKAGE, ["**/*.py", "**/*.csv"])[:16]
-)
+SOURCES = sorted(p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.[pc]*[yv]"))
+nb_execution_cache_path = str(HERE / "_build" / "cache" / files_digest(PACKAGE, SOURCES))
 nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True

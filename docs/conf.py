@@ -18,7 +18,15 @@ author = "The authors of splits-optics"
 version = release = version_of("splits-optics")
 project_copyright = author
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "mathml", "marked_numbers"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "numpydoc",
+    "mathml",
+    "marked_numbers",
+    "gallery",
+    "configuration",
+]
 exclude_patterns = ["_build", "_ext", "_templates"]
 templates_path = ["_templates"]
 default_role = "code"

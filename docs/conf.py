@@ -19,14 +19,9 @@ version = release = version_of("splits-optics")
 project_copyright = author
 
 extensions = [
-    "myst_nb",
-    "sphinx.ext.autodoc",
-    "numpydoc",
-    "mathml",
-    "marked_numbers",
-    "gallery",
-    "configuration",
-]
+    "myst_nb", "sphinx.ext.autodoc", "numpydoc",
+    "mathml", "marked_numbers", "gallery", "configuration", "command_help",
+]  # fmt: skip
 exclude_patterns = ["_build", "_ext", "_templates"]
 templates_path = ["_templates"]
 default_role = "code"
@@ -42,7 +37,10 @@ html_math_renderer = "mathml"
 pygments_style = "friendly"
 pygments_dark_style = "monokai"
 
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = [
+    "myst_nb", "sphinx.ext.autodoc", "numpydoc",
+    "mathml", "marked_numbers", "gallery", "configuration", "command_help",
+]  # fmt: skip
 myst_heading_anchors = 3
 myst_update_mathjax = False
 myst_links_external_new_tab = False

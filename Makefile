@@ -4,6 +4,7 @@
 # make campaign  10 000 generated experiment files, 300 of them run, 60 kills, 30 damages of each sort
 #                (an hour or two)
 # make setup   set up .venv and nothing else
+# make docs    set up .venv and build the documentation in docs/_build/html; its examples run
 # make draft   what make run does, quickly and roughly, into results/draft
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
@@ -14,7 +15,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign resume draft package lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign resume draft docs package lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -55,6 +56,10 @@ lint: $(VENV)/ready
 	$(BIN)/snakefmt --check Snakefile workflow
 	$(BIN)/snakemake --lint
 	$(BIN)/mypy
+
+# A warning is an error: links that lead nowhere, formulas that are not understood, examples that fail.
+docs: $(VENV)/ready
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
 
 benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks

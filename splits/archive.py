@@ -7,6 +7,7 @@ import json
 import os
 import stat
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import distributions
@@ -19,7 +20,7 @@ from splits.experiments.settings import DEFAULT_LICENCE, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
-from splits.unpacking import colliding, verify, wrong_name
+from splits.unpacking import MOST_RATIO, SMALL, colliding, verify, wrong_name
 
 LOCK = "requirements.txt"
 DATE = "SOURCE_DATE_EPOCH"
@@ -111,14 +112,21 @@ def pack(
         with zipfile.ZipFile(aside, "w") as file:
             for name, content in sorted(members.items()):
                 member = zipfile.ZipInfo(name, now.timetuple()[:6])
-                member.compress_type = zipfile.ZIP_DEFLATED
+                member.compress_type = _method(content)
                 member.create_system = 3  # Unix, wherever it is written
                 member.external_attr = (stat.S_IFREG | 0o644) << 16
                 file.writestr(member, content)
         try:
             verify(aside)
         except ArchiveError as error:
-            raise OSError(f"{target} was not written correctly ({error})") from None
+            raise OSError(f"{target} could not be unpacked ({error})") from None
+
+
+def _method(content: bytes) -> int:
+    """Return how a member is packed: as it is, where packed it would be refused as a bomb."""
+    if len(content) <= SMALL or len(content) <= MOST_RATIO / 2 * len(zlib.compress(content, 1)):
+        return zipfile.ZIP_DEFLATED
+    return zipfile.ZIP_STORED
 
 
 def _now() -> datetime:

@@ -178,6 +178,11 @@ def test_the_same_results_give_the_same_archive(made, monkeypatch):
             made("wrong")
 
 
+def test_results_that_look_like_a_bomb_are_packed(made, tmp_path):
+    (tmp_path / "out" / "data" / "a.nc").write_bytes(bytes(2**22))
+    assert contents(made())["data/a.nc"] == bytes(2**22)
+
+
 def test_an_installed_package_has_licence_and_authors(made, tmp_path):
     """Without a repository, as an installed wheel is."""
     members = contents(made(repository=tmp_path))

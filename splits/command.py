@@ -66,6 +66,14 @@ def _parser() -> argparse.ArgumentParser:
     cache = commands.add_parser("cache", help="say where compiled kernels are kept")
     cache.add_argument("--clear", action="store_true", help="delete them")
     cache.set_defaults(action=_cache)
+
+    unpack = commands.add_parser(
+        "unpack", help="verify an archive of results, byte by byte, and unpack it"
+    )
+    unpack.add_argument("archive", type=Path, help="what `snakemake archive` packed, a zip file")
+    unpack.add_argument("folder", type=Path, nargs="?",
+                        help="where to; it must not exist, or be empty (default: only verify)")  # fmt: skip
+    unpack.set_defaults(action=_unpack)
     return parser
 
 
@@ -145,6 +153,13 @@ def _cache(given: argparse.Namespace) -> None:
             for path in kept:
                 folder.drop(path.name)
             print(f"deleted {len(kept)}")
+
+
+def _unpack(given: argparse.Namespace) -> None:
+    """Verify an archive and, where a folder is given, unpack it."""
+    from splits.unpacking import unpack, verify
+
+    print(unpack(given.archive, given.folder) if given.folder else verify(given.archive))
 
 
 if __name__ == "__main__":

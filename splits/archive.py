@@ -21,7 +21,6 @@ from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
 from splits.unpacking import MOST_RATIO, SMALL, colliding, verify, wrong_name
-from splits.versions import commit, package_version
 
 LOCK = "requirements.txt"
 DATE = "SOURCE_DATE_EPOCH"

@@ -70,9 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     unpack = commands.add_parser(
         "unpack", help="verify an archive of results, byte by byte, and unpack it"
     )
-    unpack.add_argument("archive", type=Path, help="what `snakemake archive` packed, a zip file")
+    unpack.add_argument("archive", type=Path, help="a zip file that `snakemake archive` made")
     unpack.add_argument("folder", type=Path, nargs="?",
-                        help="where to; it must not exist, or be empty (default: only verify)")  # fmt: skip
+                        help="where to; new or empty (default: only verify)")  # fmt: skip
     unpack.set_defaults(action=_unpack)
     return parser
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -73,7 +74,8 @@ def small(path: str | Path) -> bytes:
     if image.width > WIDTH:
         height = round(image.height * WIDTH / image.width)
         image = image.resize((WIDTH, height), Image.Resampling.LANCZOS)
-    for settings in ({"lossless": True}, *({"quality": q} for q in QUALITIES)):
+    every: list[dict[str, Any]] = [{"lossless": True}, *({"quality": q} for q in QUALITIES)]
+    for settings in every:
         made = io.BytesIO()
         image.save(made, "webp", method=6, **settings)
         if made.tell() <= BYTES:

@@ -5,6 +5,7 @@
 #                (an hour or two)
 # make setup   set up .venv and nothing else
 # make draft   what make run does, quickly and roughly, into results/draft
+# make compliance  whether the datasets of make run follow the CF conventions (ACCURACY=draft: of make draft)
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
 CORES ?= 2
@@ -14,7 +15,8 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign compliance resume draft lint \
+	benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -44,6 +46,9 @@ test-long: $(VENV)/ready
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \
 		$(BIN)/python -m pytest -s tests/campaigns tests/workflow/test_kills.py
+
+compliance: $(VENV)/ready
+	$(BIN)/python tests/compliance.py $(dir $(REPORT))data
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

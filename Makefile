@@ -6,6 +6,7 @@
 # make setup   set up .venv and nothing else
 # make docs    set up .venv and build the documentation in docs/_build/html; its examples run
 # make draft   what make run does, quickly and roughly, into results/draft
+# make compliance  whether the datasets of make run follow the CF conventions (ACCURACY=draft: of make draft)
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
 CORES ?= 2
@@ -15,7 +16,8 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign resume draft docs package lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign compliance resume draft docs package \
+	lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -49,6 +51,9 @@ campaign: $(VENV)/ready
 # Builds wheel and sdist, installs them into clean environments, computes one spectrum.
 package: $(VENV)/ready
 	$(BIN)/python benchmarks/installation.py
+
+compliance: $(VENV)/ready
+	$(BIN)/python tests/compliance.py $(dir $(REPORT))data
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

@@ -26,6 +26,8 @@ SUFFIXES = (".nc", ".nc4", ".netcdf")
 LABEL = "_label"
 VALUE = "_value"
 """What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
+DOTTED = "names_with_dots"
+"""Attribute of a file: which names have dots, in whose place it has underscores."""
 
 
 def provenance(what: str = "dataset made") -> dict[str, Any]:
@@ -79,7 +81,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
     order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
-    coordinates of their dimension again.
+    coordinates of their dimension again.  Names have no dots in the file (section 2.3):
+    ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own name again.
 
     Raises
     ------
@@ -141,6 +144,9 @@ def _read(path: str | Path) -> xr.Dataset:
         check(path)
         with xr.open_dataset(path, engine="netcdf4") as file:
             dataset = file.load()
+    dotted = {_without_dots(name): name for name in str(dataset.attrs.pop(DOTTED, "")).split()}
+    there = {*dataset.variables, *dataset.dims}
+    dataset = dataset.rename({name: own for name, own in dotted.items() if name in there})
     for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
         for name in (dimension + LABEL, dimension + VALUE):
             if name in dataset.coords and dataset[name].dims == (dimension,):
@@ -150,7 +156,10 @@ def _read(path: str | Path) -> xr.Dataset:
 
 
 def _for_file(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset with coordinates as CF has them: numbers, strictly up or down."""
+    """Return a dataset with coordinates and names as CF has them.
+
+    Coordinates are numbers, strictly up or down; names have letters, digits and underscores.
+    """
     for dimension in map(str, dataset.dims):
         if dimension not in dataset.coords:
             continue
@@ -162,9 +171,17 @@ def _for_file(dataset: xr.Dataset) -> xr.Dataset:
             name = dimension + (LABEL if text else VALUE)
             auxiliary = (dimension, axis.values, axis.attrs)
             dataset = dataset.drop_vars(dimension).assign_coords({name: auxiliary})
-    stored = dataset.copy()
+    names = sorted(map(str, {*dataset.variables, *dataset.dims}))
+    dotted = [name for name in names if "." in name]
+    stored = dataset.rename({name: _without_dots(name) for name in dotted})
     stored.attrs.pop(CHECKSUM, None)
+    if dotted:
+        stored.attrs[DOTTED] = " ".join(dotted)
     return stored
+
+
+def _without_dots(name: str) -> str:
+    return name.replace(".", "_")
 
 
 def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:

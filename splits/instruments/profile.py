@@ -223,9 +223,10 @@ def _dataset(
     error = share_missed(steps, shared.mean(axis=0), whole, unheard)
     by_material = (*by_interval, "material")
     put("absorptance_of_material", by_material, shared, "absorptance of a material", error)
+    depth = {"long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth"}
     coordinates = {
         "wavelength": wavelength_axis(wavelengths),
-        "depth": ("depth", planes, {"long_name": "depth", "units": "m", "positive": "down"}),
+        "depth": ("depth", planes, depth),
         "interval_top": ("interval", planes[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", planes[1:], {"long_name": "bottom", "units": "m"}),
         "material": ("material", np.array(materials), {"long_name": "material"}),

@@ -37,10 +37,7 @@ html_math_renderer = "mathml"
 pygments_style = "friendly"
 pygments_dark_style = "monokai"
 
-myst_enable_extensions = [
-    "myst_nb", "sphinx.ext.autodoc", "numpydoc",
-    "mathml", "marked_numbers", "gallery", "configuration", "command_help",
-]  # fmt: skip
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 myst_update_mathjax = False
 myst_links_external_new_tab = False

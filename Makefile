@@ -16,7 +16,15 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign compliance resume draft docs package \
+# Each file to whichever process is free, so that tests of a file share what they make.  Kernels that
+# physics has compiled serve the workflow, and short files come last, so that no core stands idle.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile \
+	--no-loadscope-reorder
+TESTS = $(addprefix tests/,physics workflow campaigns kernels statistics unit)
+# Every job is a process: libraries are not to be translated to bytecode again each time.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: run setup test test-long campaign compliance resume draft docs package \
 	lint benchmarks lock clean
 
 run: $(VENV)/ready
@@ -33,16 +41,10 @@ resume: $(VENV)/ready
 	$(MAKE) run
 
 test: $(VENV)/ready
-	$(MAKE) -j2 test-physics test-others
-
-test-physics: $(VENV)/ready
-	$(BIN)/python -m pytest -m "not long" tests/physics tests/statistics tests/kernels
-
-test-others: $(VENV)/ready
-	$(BIN)/python -m pytest -m "not long" tests/unit tests/workflow tests/campaigns
+	$(PYTEST) -m "not long" $(TESTS)
 
 test-long: $(VENV)/ready
-	$(BIN)/python -m pytest -m long
+	$(PYTEST) -m long $(TESTS)
 
 campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \

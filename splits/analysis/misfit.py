@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.special import ndtr
 
 TREND_BAR = 0.1
 """Failure of a trend that counts as one bar, as a part of what is compared (a nadir's brightness,
@@ -121,5 +121,7 @@ def _unresolved(z: float) -> float:
     """Return the mean fourth power of what lies below -z in a standard normal distribution."""
     if z > MOST_ERRORS:
         return 0.0
-    polynomial = (z**4 + 6.0 * z**2 + 3.0) * norm.sf(z) - (z**3 + 5.0 * z) * norm.pdf(z)
+    beyond = ndtr(-z)
+    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    polynomial = (z**4 + 6.0 * z**2 + 3.0) * beyond - (z**3 + 5.0 * z) * density
     return max(float(polynomial), 0.0)

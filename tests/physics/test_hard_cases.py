@@ -188,8 +188,14 @@ def away_under(reading, kernel, error):
 
 
 @pytest.mark.parametrize("kernel", KERNELS[1:])
-@pytest.mark.parametrize("error", [0.002, pytest.param(0.001, marks=pytest.mark.long)])
+@pytest.mark.parametrize("error", [0.003, pytest.param(0.001, marks=pytest.mark.long)])
 def test_kernels_agree_under_every_reading(kernel, error):
+    """At 0.003 a share that is off by 0.025 under one reading is seen in 99 of 100 cases.
+
+    A pair errs by 0.0042, one of eight comparisons of a reading may be off by 3.2 of these, and a
+    share is found below its mean by more than 2.3 in one case of 100.  Off by 0.0035 under every
+    reading it brings the rms of all to its upper limit.
+    """
     found = []
     for reading in READINGS:
         z = away_under(reading, kernel, error)
@@ -245,8 +251,9 @@ def test_water_reflects_its_fresnel_share_near_90_degrees(incidence, kernel):
 def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
     # Smooth spheres, and water's surface, let less through than at 89.99 degrees.  Beams so near
     # the horizon go to the scalar kernel.
+    # With an error of 0.007 twice as much is seen in 98 of 100 cases.
     medium = splits.Snow(**MIRRORS, saturation=saturation)
-    value, error = passed_at(medium, 89.9999, stderr=0.004, kernel=kernel)
+    value, error = passed_at(medium, 89.9999, stderr=0.007, kernel=kernel)
     assert value < GRAZING[0] + largest_z(1) * math.hypot(error, GRAZING[1])
 
 

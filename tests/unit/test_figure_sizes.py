@@ -54,10 +54,10 @@ def test_a_panel_for_all_or_panels_for_the_others():
 @pytest.mark.parametrize(
     ("text", "count"),
     [
-        (grid_of(20, 80), "1600"),
+        (grid_of(20, 40), "800"),
         ("figure: {quantity: [reflectance, transmittance]}\n" + grid_of(20, 16), "320"),
         ("figure: {kind: points}\ninstrument: {wavelength_nm: [500]}\n" + grid_of(20, 16), "320"),
-        ("instrument: {wavelength_nm: [500]}\n" + grid_of(20, 80), "1600"),
+        ("instrument: {wavelength_nm: [500]}\n" + grid_of(20, 40), "800"),
         ("figure: {kind: swatches}\n" + grid_of(4, 100), "100"),
         ("figure: {kind: swatches}\n" + grid_of(100, 4), "100"),
         ("figure: {kind: lobes}\ninstrument: {kind: goniophotometer, wavelength_nm: [500]}\n"

@@ -1,8 +1,9 @@
 # make run     set up .venv, run every experiment of config/ and write the report
 # make test    set up .venv and run the tests, but for comparisons that take minutes each
 # make test-long  those
-# make campaign  10 000 generated experiment files, 300 of them run, 60 kills, 30 damages of each sort
-#                (an hour or two)
+# make campaign  10 000 generated experiment files, 300 of them run, 200 kills, 30 damages of each
+#                sort, seeds against stated errors of every instrument (an hour or two)
+# make calibration  the last of these alone: docs/calibration.csv, docs/images/calibration.png
 # make setup   set up .venv and nothing else
 # make draft   what make run does, quickly and roughly, into results/draft
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
@@ -14,7 +15,7 @@ REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run setup test test-physics test-others test-long campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-physics test-others test-long campaign calibration resume draft lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -42,8 +43,10 @@ test-long: $(VENV)/ready
 	$(BIN)/python -m pytest -m long
 
 campaign: $(VENV)/ready
-	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \
-		$(BIN)/python -m pytest -s tests/campaigns tests/workflow/test_kills.py
+	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns
+
+calibration: $(VENV)/ready
+	$(BIN)/python tests/campaigns/calibration.py docs
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

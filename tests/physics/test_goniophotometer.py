@@ -41,17 +41,18 @@ CASES = [
 
 
 def test_integrals_are_the_spectrophotometers_reflectance_and_transmittance():
+    """A reflectance that is off by 0.01 is seen in 99 of 100 cases: 5.5 errors of 0.0018."""
     polar, weights = quadrature()
     azimuth = np.arange(0.0, 360.0, 10.0)
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES):
         # Seeds of their own: both instruments name their random streams alike.
         ds = splits.goniophotometer(
-            medium, [wavelength], incidence, 400_000, seed=100 + number,
+            medium, [wavelength], incidence, 200_000, seed=100 + number,
             polar_deg=polar, azimuth_deg=azimuth,
         )  # fmt: skip
         total = splits.spectrophotometer(
-            medium, [wavelength], incidence, max_stderr=0.001, seed=number
+            medium, [wavelength], incidence, max_stderr=0.0015, seed=number
         )
         for name, function, straight in (
             ("reflectance", "brdf", "specular_reflectance"),

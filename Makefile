@@ -4,7 +4,9 @@
 # make campaign  10 000 generated experiment files, 300 of them run, 60 kills, 30 damages of each sort
 #                (an hour or two)
 # make setup   set up .venv and nothing else
+# make docs    set up .venv and build the documentation in docs/_build/html; its examples run
 # make draft   what make run does, quickly and roughly, into results/draft
+# make compliance  whether the datasets of make run follow the CF conventions (ACCURACY=draft: of make draft)
 # make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
 PYTHON ?= python3
 CORES ?= 2
@@ -22,7 +24,8 @@ TESTS = $(addprefix tests/,physics workflow campaigns kernels statistics unit)
 # Every job is a process: libraries are not to be translated to bytecode again each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-long campaign resume draft lint benchmarks lock clean
+.PHONY: run setup test test-long campaign compliance resume draft docs package \
+	lint benchmarks lock clean
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
@@ -47,12 +50,23 @@ campaign: $(VENV)/ready
 	CAMPAIGN=10000,300 DAMAGES=30 KILLS=60 \
 		$(BIN)/python -m pytest -s tests/campaigns tests/workflow/test_kills.py
 
+# Builds wheel and sdist, installs them into clean environments, computes one spectrum.
+package: $(VENV)/ready
+	$(BIN)/python benchmarks/installation.py
+
+compliance: $(VENV)/ready
+	$(BIN)/python tests/compliance.py $(dir $(REPORT))data
+
 lint: $(VENV)/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow
 	$(BIN)/snakemake --lint
 	$(BIN)/mypy
+
+# A warning is an error: links that lead nowhere, formulas that are not understood, examples that fail.
+docs: $(VENV)/ready
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
 
 benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks

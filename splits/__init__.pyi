@@ -1,5 +1,7 @@
 from .dataset import load as load
 from .dataset import save as save
+from .instruments import Progress as Progress
+from .instruments import ProgressBar as ProgressBar
 from .instruments import bssrdf as bssrdf
 from .instruments import deep_transmittance as deep_transmittance
 from .instruments import goniophotometer as goniophotometer
@@ -22,3 +24,4 @@ from .skies import hdrf as hdrf
 from .skies import light_inside as light_inside
 from .skies import sensor as sensor
 from .skies import sky as sky
+from .versions import __version__ as __version__

@@ -1,26 +1,33 @@
-"""Packing results for deposit: data, figures, the configuration in force, versions, checksums."""
+"""Packing results for deposit: an RO-Crate of data, figures and the configuration in force."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
+import stat
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import distributions
 from pathlib import Path, PurePosixPath
 
 from splits.checks import refuse
-from splits.dataset import commit, package_version
-from splits.experiments.settings import Settings
+from splits.crate import METADATA, VERSION, About, ArchiveError, Author, metadata
+from splits.credits import software, software_files
+from splits.experiments.settings import DEFAULT_LICENCE, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
+from splits.unpacking import MOST_RATIO, SMALL, colliding, verify, wrong_name
 
 LOCK = "requirements.txt"
+DATE = "SOURCE_DATE_EPOCH"
+"""Environment variable: seconds since 1970 that count as now, so that archives can be the same."""
 README = """# Results of splits {version}
 
-Packed on {date} from commit {commit}.
+Packed on {date} from commit {commit}. Licence of the results: {licence}. Authors: {authors}.
 
 | file or folder | what |
 |---|---|
@@ -29,13 +36,23 @@ Packed on {date} from commit {commit}.
 | `tables/` | tables, CSV |
 | `config/` | what made them: settings in force (those of the command line, too), experiments, \
 media, measured and published tables, refractive indices of one's own |
+| `ro-crate-metadata.json` | the list of all files with sizes, types and SHA-256; what made them, \
+authors and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
 | `requirements.txt` | the lock: packages with hashes that the repository pins (if it had one) |
+| `LICENSE`, `CITATION.cff` | licence of the software, and how to cite it |
 | `SHA256SUMS` | checksums; `sha256sum -c SHA256SUMS` verifies them |
 
-To repeat: install splits {version} (commit {commit}), unpack this into an empty folder and run
-`snakemake --snakefile REPOSITORY/Snakefile --cores 2` there. It writes into `results/`. The same
-seed gives the same numbers bit for bit on the same versions.
+To repeat: install splits {version} (commit {commit}) and run
+
+```
+splits unpack {archive} again
+snakemake --snakefile REPOSITORY/Snakefile --directory again --cores 2
+```
+
+The first command verifies every file and unpacks into the new folder `again`, or refuses. The
+second writes into `again/results/`. The same seed gives the same numbers bit for bit on the same
+versions.
 """
 
 
@@ -43,9 +60,13 @@ def pack(
     results: Iterable[str | Path],
     configuration: Mapping[str, bytes],
     target: str | Path,
-    lock: str | Path | None = None,
+    repository: str | Path | None = None,
+    licence: str = DEFAULT_LICENCE,
+    authors: Iterable[Author] = (),
 ) -> None:
-    """Write a zip file of results that appears whole or not at all.
+    """Write a zip file of results, an RO-Crate that appears whole or not at all.
+
+    The same arguments give the same bytes at the same time, for which `DATE` can stand.
 
     Parameters
     ----------
@@ -55,43 +76,90 @@ def pack(
         Contents of further members by name, see `configuration_members`.
     target : path
         The zip file, RESULTS/FOLDER/NAME.zip.
-    lock : path, optional
-        File that pins the versions of packages, left out if it does not exist.
+    repository : path, optional
+        Folder with LICENSE, CITATION.cff and the lock, a file that pins the versions of packages.
+        The first two are made from the installed package if they are not there.
+    licence : str
+        Of the results: an SPDX identifier or a URL.
+    authors : iterable of Author
+        Of the results; those of the software if there are none.
 
     Raises
     ------
     ValueError
-        For a member that would be unpacked outside of the folder.
+        For a member that `splits.unpacking` would refuse, or a `DATE` that is none.
     OSError
         If a result cannot be read, or the archive does not hold what was packed.
     """
-    target = Path(target)
+    target, place = Path(target), Path(repository) if repository else None
     root = target.parent.parent
     members = {_below(root, Path(f)): Path(f).read_bytes() for f in results} | dict(configuration)
-    facts = {
-        "version": package_version(),
-        "commit": commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-    }
-    members["README.md"] = README.format(**facts).encode()
+    members |= software_files(place)
+    if place and (place / LOCK).is_file():
+        members[LOCK] = (place / LOCK).read_bytes()
     versions = {d.metadata["Name"]: d.version for d in distributions()}
     members["versions.json"] = json.dumps(versions, indent=2, sort_keys=True).encode()
-    if lock and Path(lock).is_file():
-        members[LOCK] = Path(lock).read_bytes()
-    for name in members:
-        if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
-            raise refuse("archive", name, "of members with relative names without ..")
+
+    now, program = _now(), software(place)
+    about = About(now.date().isoformat(), licence, tuple(authors) or program.authors, program)
+    members["README.md"] = _readme(about, target.name).encode()
+    _check_names(members)
     sums = [f"{hashlib.sha256(c).hexdigest()}  {n}" for n, c in sorted(members.items())]
     members["SHA256SUMS"] = ("\n".join(sums) + "\n").encode()
+    members[METADATA] = metadata(members, about)
 
     with whole(target) as aside:
-        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as file:
+        with zipfile.ZipFile(aside, "w") as file:
             for name, content in sorted(members.items()):
-                file.writestr(name, content)
-        with zipfile.ZipFile(aside) as file:
-            broken = file.testzip()
-        if broken:
-            raise OSError(f"{target}: {broken} was not written correctly")
+                member = zipfile.ZipInfo(name, now.timetuple()[:6])
+                member.compress_type = _method(content)
+                member.create_system = 3  # Unix, wherever it is written
+                member.external_attr = (stat.S_IFREG | 0o644) << 16
+                file.writestr(member, content)
+        try:
+            verify(aside)
+        except ArchiveError as error:
+            raise OSError(f"{target} could not be unpacked ({error})") from None
+
+
+def _method(content: bytes) -> int:
+    """Return how a member is packed: as it is, where packed it would be refused as a bomb."""
+    if len(content) <= SMALL or len(content) <= MOST_RATIO / 2 * len(zlib.compress(content, 1)):
+        return zipfile.ZIP_DEFLATED
+    return zipfile.ZIP_STORED
+
+
+def _now() -> datetime:
+    """Return the time that counts as now."""
+    given = os.environ.get(DATE)
+    if given is None:
+        return datetime.now(UTC)
+    allowed = "seconds from 1980 to 2107, as zip files have them"
+    if not (given.isascii() and given.isdigit() and 315532800 <= int(given[:20]) < 4354819200):
+        raise refuse(DATE, given, allowed)
+    return datetime.fromtimestamp(int(given), UTC)
+
+
+def _readme(about: About, archive: str) -> str:
+    """Return README.md."""
+    return README.format(
+        version=about.software.version, commit=about.software.commit, date=about.date,
+        licence=about.licence, authors=", ".join(author.name for author in about.authors),
+        crate=VERSION, archive=archive,
+    )  # fmt: skip
+
+
+def _check_names(members: Iterable[str]) -> None:
+    """Refuse names of members that would not be unpacked."""
+    for name in members:
+        wrong = wrong_name(name)
+        if wrong:
+            allowed = "of members that can be unpacked everywhere"
+            raise refuse("archive", name, allowed, f"this is {wrong}")
+    twice = colliding(members)
+    if twice:
+        hint = "another one differs in case only"
+        raise refuse("archive", twice, "of members that differ on all systems", hint)
 
 
 def configuration_files(settings: Settings) -> dict[str, Path]:

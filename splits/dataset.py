@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import platform
-import subprocess
 import warnings
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,8 @@ import xarray as xr
 from splits.checks import listed, number, one_of, refuse
 from splits.checksum import CHECKSUM, LOCK, check, seal
 from splits.files import whole
+from splits.schema import SCHEMA, VERSION, upgraded
+from splits.versions import commit, package_version
 
 CONVENTIONS = "CF-1.11"
 VOLATILE = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
@@ -27,33 +26,8 @@ SUFFIXES = (".nc", ".nc4", ".netcdf")
 LABEL = "_label"
 VALUE = "_value"
 """What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
-
-
-@cache
-def package_version() -> str:
-    """Return the installed version of this package."""
-    try:
-        return version("splits-optics")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-@cache
-def commit() -> str:
-    """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
-
-    def git(*arguments: str) -> str:
-        folder = Path(__file__).parent
-        result = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
-        )
-        return result.stdout.strip()
-
-    try:
-        head = git("rev-parse", "HEAD")
-        return head + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
+DOTTED = "names_with_dots"
+"""Attribute of a file: which names have dots, in whose place it has underscores."""
 
 
 def provenance(what: str = "dataset made") -> dict[str, Any]:
@@ -68,6 +42,7 @@ def provenance(what: str = "dataset made") -> dict[str, Any]:
     return {
         "Conventions": CONVENTIONS,
         "source": f"splits {package_version()}",
+        SCHEMA: VERSION,
         "splits_version": package_version(),
         "splits_commit": commit(),
         "python_version": platform.python_version(),
@@ -106,7 +81,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
     order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
-    coordinates of their dimension again.
+    coordinates of their dimension again.  Names have no dots in the file (section 2.3):
+    ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own name again.
 
     Raises
     ------
@@ -139,20 +115,22 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory and check that this package wrote it and that it is undamaged.
 
-    A dataset without checksum, as older versions of this package wrote it, is read with a warning.
+    A dataset of an older version is brought to the present schema (see `splits.schema`).  One
+    without checksum is read with a warning.
 
     Raises
     ------
     splits.checksum.DamagedError
         A ValueError: if the file cannot be read, or holds something else than was written.
     ValueError
-        If the file has no provenance of this package.
+        If the file has no provenance of this package, or a newer version wrote it.
     OSError
         If the file cannot be opened.
     """
     dataset = _read(path)
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
+    dataset = upgraded(dataset, path)
     if CHECKSUM not in dataset.attrs:
         older = "an older version or another program wrote it"
         warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)
@@ -166,6 +144,9 @@ def _read(path: str | Path) -> xr.Dataset:
         check(path)
         with xr.open_dataset(path, engine="netcdf4") as file:
             dataset = file.load()
+    dotted = {_without_dots(name): name for name in str(dataset.attrs.pop(DOTTED, "")).split()}
+    there = {*dataset.variables, *dataset.dims}
+    dataset = dataset.rename({name: own for name, own in dotted.items() if name in there})
     for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
         for name in (dimension + LABEL, dimension + VALUE):
             if name in dataset.coords and dataset[name].dims == (dimension,):
@@ -175,7 +156,10 @@ def _read(path: str | Path) -> xr.Dataset:
 
 
 def _for_file(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset with coordinates as CF has them: numbers, strictly up or down."""
+    """Return a dataset with coordinates and names as CF has them.
+
+    Coordinates are numbers, strictly up or down; names have letters, digits and underscores.
+    """
     for dimension in map(str, dataset.dims):
         if dimension not in dataset.coords:
             continue
@@ -187,9 +171,17 @@ def _for_file(dataset: xr.Dataset) -> xr.Dataset:
             name = dimension + (LABEL if text else VALUE)
             auxiliary = (dimension, axis.values, axis.attrs)
             dataset = dataset.drop_vars(dimension).assign_coords({name: auxiliary})
-    stored = dataset.copy()
+    names = sorted(map(str, {*dataset.variables, *dataset.dims}))
+    dotted = [name for name in names if "." in name]
+    stored = dataset.rename({name: _without_dots(name) for name in dotted})
     stored.attrs.pop(CHECKSUM, None)
+    if dotted:
+        stored.attrs[DOTTED] = " ".join(dotted)
     return stored
+
+
+def _without_dots(name: str) -> str:
+    return name.replace(".", "_")
 
 
 def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:

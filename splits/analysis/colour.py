@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import itertools
 from functools import cache
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from splits.analysis.errors import error_parts
+from splits.extras import optional
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 ILLUMINANT = "D65"
 VISIBLE_NM = (400.0, 780.0)
 """Range a spectrum must cover; beyond it, 360 to 830 nm, its end values are taken, which weigh less
 than 1e-3 of Y."""
+
+
+def _colour() -> ModuleType:
+    return optional("colour", "figures", "colours need")
 
 
 def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
@@ -37,7 +43,7 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
     -----
     Integration as of CIE 15 in steps of 1 nm by colour-science, under D65 for the 2° observer.
     """
-    import colour
+    colour = _colour()
 
     wavelength = np.asarray(wavelength_nm, dtype=float)
     low, high = VISIBLE_NM
@@ -58,7 +64,7 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
 
 def lab(xyz: np.ndarray) -> np.ndarray:
     """Return CIELAB L*, a*, b* of tristimulus values under D65."""
-    import colour
+    colour = _colour()
 
     white = colour.CCS_ILLUMINANTS[OBSERVER][ILLUMINANT]
     return np.asarray(colour.XYZ_to_Lab(xyz, white))
@@ -66,7 +72,7 @@ def lab(xyz: np.ndarray) -> np.ndarray:
 
 def srgb(xyz: np.ndarray) -> np.ndarray:
     """Return sRGB in [0, 1]; a colour outside its gamut is moved to the nearest side of it."""
-    import colour
+    colour = _colour()
 
     return np.clip(np.asarray(colour.XYZ_to_sRGB(xyz)), 0.0, 1.0)
 

@@ -27,6 +27,13 @@ MARKED = re.compile(
 COMMENT = "<!--"
 
 
+def documents(root: str | Path = ".") -> list[Path]:
+    """Return the documents of a clone that may hold marks: README and the pages of docs/."""
+    root = Path(root)
+    pages = sorted((root / "docs").rglob("*.md"))
+    return [root / "README.md", *(p for p in pages if "_build" not in p.parts)]
+
+
 def marked(document: str) -> list[tuple[str, str]]:
     """Return key and text of every marked number of a document, in their order.
 

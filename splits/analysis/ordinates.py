@@ -13,6 +13,7 @@ import xarray as xr
 from splits.analysis.propagation import response
 from splits.analysis.radiative_transfer import cosine_of
 from splits.checks import refuse
+from splits.extras import optional
 from splits.media.ground import Ground, ground_facts
 from splits.uncertainty import Variable, quantity
 
@@ -127,13 +128,8 @@ def _used(optics: xr.Dataset) -> xr.Dataset:
 
 
 def _solver() -> Callable[..., Any]:
-    try:
-        from PythonicDISORT import pydisort
-    except ImportError:
-        raise ImportError(
-            "discrete ordinates need PythonicDISORT: pip install 'splits-optics[theory]'"
-        ) from None
-    solver: Callable[..., Any] = pydisort
+    found = optional("PythonicDISORT", "theory", "discrete ordinates need")
+    solver: Callable[..., Any] = found.pydisort
     return solver
 
 

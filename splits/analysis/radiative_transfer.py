@@ -16,6 +16,7 @@ import xarray as xr
 from splits.analysis.propagation import LEFT_OUT, MISSED, left_out, missed, response
 from splits.checks import in_range, one_of
 from splits.diffusion import scattering_mean_step
+from splits.extras import optional
 from splits.uncertainty import quantity
 
 EXTRAPOLATION = 1.072
@@ -108,8 +109,7 @@ def kz04(
     layer Kokhanovsky & Nauss (2006), Atmospheric Chemistry and Physics 6, 5537; B and g from
     Libois et al. (2013), The Cryosphere 7, 1803.
     """
-    import snowoptics
-
+    snowoptics = optional("snowoptics", "theory", "analytical theories need")
     cosine = cosine_of(incidence_deg)
     ssa = in_range("ssa_m2_kg", ssa_m2_kg, 0.0, np.inf, "m2/kg", open_low=True)
     if depth_m != np.inf:

@@ -22,6 +22,7 @@ from splits.instruments import (
     spectrophotometer,
     surface_map,
 )
+from splits.instruments.labels import wavelength_axis
 from splits.media.turbid import Medium
 from splits.sources import physics_digest
 
@@ -199,7 +200,7 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
     for _, _, variable_attributes in variables.values():
         variable_attributes["units"] = "1"
     coordinates = {
-        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "wavelength": wavelength_axis(wavelength),
         "material": ("material", list(medium.materials()), {"long_name": "material"}),
     }
     facts = {

@@ -19,6 +19,7 @@ from splits.experiments.parameters import Cube
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
+from splits.instruments.labels import wavelength_axis
 from splits.instruments.threads import Threads, cpus
 from splits.sources import physics_digest
 from splits.uncertainty import Variable, quantity
@@ -143,7 +144,7 @@ def _coordinates(
     """Return the coordinates of a dataset of fits like this one."""
     names = list(fit.names)
     return {
-        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "wavelength": wavelength_axis(wavelength),
         "sample": ("sample", samples, {"long_name": "sample measured"}),
         "parameter": ("parameter", list(fit.parameters), {"long_name": "parameter of the sand"}),
         **{

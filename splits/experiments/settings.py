@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import one_of, suggestion
+from splits.checks import one_of, refuse, suggestion
+from splits.crate import ORCID, Author
 from splits.experiments.model import Experiment
 from splits.experiments.sections import Section
 from splits.experiments.studies import Study, check_studies
+from splits.experiments.texts import LONGEST_TITLE, check_text
 from splits.experiments.yaml_files import ConfigError
+
+DEFAULT_LICENCE = "MIT"
+"""Of results, unless the configuration says another: that of the software."""
+_LICENCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[!-~]{1,300}")
 
 
 class Accuracy(Section):
@@ -21,6 +28,38 @@ class Accuracy(Section):
     max_stderr: float = Field(ge=1e-6, le=0.5)
     relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
     max_rays: int | None = Field(default=None, ge=1, lt=2**63)
+
+
+class ArchiveAuthor(Section):
+    """An author of the results in an archive."""
+
+    name: str
+    orcid: str = ""
+    affiliation: str = ""
+
+    @field_validator("name", "affiliation")
+    @classmethod
+    def _text(cls, value: str) -> str:
+        return check_text("archive_authors", value, LONGEST_TITLE)
+
+    @field_validator("orcid")
+    @classmethod
+    def _orcid(cls, value: str) -> str:
+        digits = value.removeprefix(ORCID)
+        if not value or _is_orcid(digits):
+            return digits
+        allowed = "an ORCID such as 0000-0002-1825-0097, whose last digit follows from the others"
+        raise refuse("archive_authors.orcid", value, allowed)
+
+
+def _is_orcid(digits: str) -> bool:
+    """Tell whether that is an ORCID by its check digit (ISO 7064, MOD 11-2)."""
+    if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
+        return False
+    total = 0
+    for digit in digits.replace("-", "")[:-1]:
+        total = 2 * (total + int(digit))
+    return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
 class Settings(Section):
@@ -36,6 +75,8 @@ class Settings(Section):
     published_folder: str = "config/published"
     results: str = "results"
     archive: tuple[str, ...] | Literal["all"] = "all"
+    archive_license: str = DEFAULT_LICENCE
+    archive_authors: tuple[ArchiveAuthor, ...] = ()
     studies: dict[str, Study] = Field(default_factory=dict)
 
     @field_validator("experiments", mode="before")
@@ -44,6 +85,14 @@ class Settings(Section):
         # On the command line a list is written with commas.
         if isinstance(value, str) and value != "all":
             return tuple(value.split(","))
+        return value
+
+    @field_validator("archive_license")
+    @classmethod
+    def _licence(cls, value: str) -> str:
+        if not _LICENCE.fullmatch(value):
+            allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
+            raise refuse("archive_license", value, allowed)
         return value
 
     @model_validator(mode="after")
@@ -60,6 +109,10 @@ class Settings(Section):
     def tables(self) -> dict[str, Path]:
         """Where tables of measured and of published numbers are."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
+
+    def authors(self) -> tuple[Author, ...]:
+        """Return the authors of results that an archive names, if any are given."""
+        return tuple(Author(**author.model_dump()) for author in self.archive_authors)
 
     def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,8 @@ from splits.instruments.directional import GROUPS, ROUND
 from splits.instruments.ensemble import Level
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
-from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.progress import Report, shows_progress
+from splits.instruments.runner import BATCH, Runner
 from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.turbid import Medium
@@ -58,6 +59,7 @@ Sums = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 
 @known_arguments
+@shows_progress
 def bssrdf(
     medium: Medium,
     wavelength_nm: Any,
@@ -68,7 +70,7 @@ def bssrdf(
     half_width_m: float | None = None,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure how far from its point of entry the light of an infinitely thin beam leaves.
 
@@ -91,8 +93,8 @@ def bssrdf(
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
         See `splits.spectrophotometer`.
-    progress : callable, optional
-        Called now and then with a `Progress`.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`.
 
     Returns
     -------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from splits.instruments.arguments import (
     check_whole,
 )
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.runner import Progress
+from splits.instruments.progress import Progress, Report, shows_progress
 from splits.instruments.scenes import constants_of, granular_scene, ground_of
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.threads import Threads
@@ -47,6 +46,7 @@ PROPERTY_RAYS = 20_000
 
 
 @known_arguments
+@shows_progress
 def deep_transmittance(
     medium: GranularMedium,
     wavelength_nm: Any,
@@ -56,7 +56,7 @@ def deep_transmittance(
     *,
     max_rays: int = 10_000_000,
     threads: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure hemispherical transmittance to a relative error, however small it is.
 
@@ -79,8 +79,9 @@ def deep_transmittance(
         Rays per wavelength, not counting those they are split into, after which a run stops.
     threads : int, optional
         Default: every CPU this process may use.
-    progress : callable, optional
-        Called after every round with a `Progress`, errors being relative.
+    progress : callable or bool, optional
+        True shows a bar; a function is called after every round with a `Progress`, errors being
+        relative.
 
     Returns
     -------
@@ -150,7 +151,7 @@ class _Goal(NamedTuple):
     relative_stderr: float
     max_rays: int
     begun: float
-    progress: Callable[[Progress], None] | None
+    progress: Report
 
 
 def _reached(goal: _Goal, source: _Source, number: int, rate: float) -> _Sum:
@@ -161,7 +162,7 @@ def _reached(goal: _Goal, source: _Source, number: int, rate: float) -> _Sum:
         run.add(source, number, wanted, rate)
         mean, stderr, share = run.estimate()
         error = stderr / mean if mean > 0.0 else np.inf
-        if goal.progress:
+        if callable(goal.progress):
             seconds = time.perf_counter() - goal.begun
             left = seconds * max((error / goal.relative_stderr) ** 2 - 1.0, 0.0)
             goal.progress(Progress(run.rays, error, goal.relative_stderr, seconds, left))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,8 @@ from splits.instruments.expansion import counted, expand
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.local import Goal, listen
 from splits.instruments.nodes import choose_nodes
-from splits.instruments.runner import Progress, Runner
+from splits.instruments.progress import Report, shows_progress
+from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of, ground_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.instruments.views import Found, collected, facts_of, heard_by, traced, under_sky
@@ -50,6 +51,7 @@ the relative error asked for."""
 
 
 @known_arguments
+@shows_progress
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Any,
@@ -66,7 +68,7 @@ def goniophotometer(
     max_rays: int = 1_000_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
 
@@ -112,8 +114,8 @@ def goniophotometer(
         Default: every CPU this process may use.
     kernel : {"auto", "lanes", "scalar"}
         See `splits.spectrophotometer`.
-    progress : callable, optional
-        Called now and then with a `Progress`; errors are relative.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`; errors are relative.
 
     Returns
     -------

@@ -14,7 +14,8 @@ import numpy as np
 from splits.checks import refuse
 from splits.instruments import streams
 from splits.instruments.angular import Estimate, largest_error
-from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.progress import Progress
+from splits.instruments.runner import BATCH, Runner
 from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport.grains.scene import UNLIMITED
@@ -50,6 +51,9 @@ class Listened:
     ----------
     mean, stderr : float, shape (2, directions, 4)
         I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
+    steering : float, shape (2, directions)
+        Errors of I by which runs are steered: larger, so that none stops on batches that happen
+        to agree.
     totals, totals_stderr : float, shape (2, 2)
         [reflected, transmitted][all light, light that met nothing but smooth faces].
     rays : int
@@ -62,6 +66,7 @@ class Listened:
 
     mean: np.ndarray
     stderr: np.ndarray
+    steering: np.ndarray
     totals: np.ndarray
     totals_stderr: np.ndarray
     rays: int
@@ -70,19 +75,20 @@ class Listened:
     below: bool
 
     def error(self, side: int) -> float:
-        """Return the largest error of one side relative to `angular.reference`."""
-        return largest_error(self.estimate(1), side)
+        """Return the largest error that steers, of one side, relative to `angular.reference`."""
+        return largest_error(self.estimate(1), side, steering=True)
 
     def estimate(self, wavelengths: int) -> Estimate:
         """Return BRDF and BTDF, the same at so many wavelengths."""
         sums = np.empty((4, 2, wavelengths))
         sums[0::2] = self.totals.T[:, :, np.newaxis]
         sums[1::2] = self.totals_stderr.T[:, :, np.newaxis]
-        mean, stderr = (
-            np.repeat(x[:, np.newaxis, :, 0], wavelengths, axis=1) for x in (self.mean, self.stderr)
+        mean, stderr, steering = (
+            np.repeat(x[:, np.newaxis], wavelengths, axis=1)
+            for x in (self.mean[..., 0], self.stderr[..., 0], self.steering)
         )
         degree = np.zeros((2, wavelengths), dtype=int)
-        return Estimate(mean, stderr, stderr, sums, degree, np.zeros_like(mean))
+        return Estimate(mean, stderr, steering, sums, degree, np.zeros_like(mean))
 
     def stokes(self, wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
@@ -208,21 +214,21 @@ class _Sums:
     Attributes
     ----------
     batches : int
-    total, square, largest : float, shape (numbers,)
-        Sums, sums of squares, and largest magnitude of what a batch heard.
+    total, square, loudest : float, shape (numbers,)
+        Sums, sums of squares, and what the batch heard that heard most, of either sign.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape = shape
         self.batches = 0
-        self.total, self.square, self.largest = np.zeros((3, int(np.prod(shape)) + 4))
+        self.total, self.square, self.loudest = np.zeros((3, int(np.prod(shape)) + 4))
 
     def add(self, one: np.ndarray) -> None:
         """Add what one batch heard."""
         self.batches += 1
         self.total += one
         self.square += one**2
-        np.maximum(self.largest, np.abs(one), out=self.largest)
+        self.loudest = np.where(np.abs(one) > np.abs(self.loudest), one, self.loudest)
 
     def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Listened:
         """Return means and standard errors.
@@ -233,16 +239,19 @@ class _Sums:
         """
         n, rays = self.batches, self.batches * BATCH
         mean = self.total / n
-        variance = np.maximum((self.square + self.largest**2) / (n + 1) - mean**2, 0.0) / n
+        square = (self.square + self.loudest**2) / (n + 1)
+        # The batch that is added belongs to the mean that scatter is about, but not to the answer.
+        about = (self.total + self.loudest) / (n + 1)
         count = int(np.prod(self.shape))
-        (heard, totals), (stderr, of_totals) = (
+        (heard, totals), (stderr, of_totals), (steering, _) = (
             (x[:count].reshape(self.shape), x[count:].reshape(2, 2))
-            for x in (mean, np.sqrt(variance))
+            for x in (mean, *(np.sqrt(np.maximum(square - m**2, 0.0) / n) for m in (about, mean)))
         )
-        if not silent:
-            stderr[0, :, 0][heard[0, :, 0] == 0.0] = 1.0 / (np.pi * rays)
-            if below:
-                stderr[1, :, 0][heard[1, :, 0] == 0.0] = 1.0 / (np.pi * rays)
+        for side in range(1 + below) if not silent else ():
+            unheard = heard[side, :, 0] == 0.0
+            stderr[side, unheard, 0] = steering[side, unheard, 0] = 1.0 / (np.pi * rays)
         if not certain:
             of_totals = np.maximum(of_totals, 1.0 / rays)
-        return Listened(heard, stderr, totals, of_totals, rays, "", polarized, below)
+        return Listened(
+            heard, stderr, steering[..., 0], totals, of_totals, rays, "", polarized, below
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,8 @@ from splits.instruments.inside_errors import (
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.planes import Planes
-from splits.instruments.runner import Progress, Runner
+from splits.instruments.progress import Report, shows_progress
+from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of
 from splits.instruments.tracers import KERNELS, Heard
 from splits.media.granular import GranularMedium, LayeredMedium
@@ -46,6 +46,7 @@ _BIAS_SHARE = 0.4
 
 
 @known_arguments
+@shows_progress
 def profile(
     medium: GranularMedium | LayeredMedium,
     wavelength_nm: Any,
@@ -57,7 +58,7 @@ def profile(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Return irradiances inside a medium of grains, and where its light is absorbed.
 
@@ -222,9 +223,10 @@ def _dataset(
     error = share_missed(steps, shared.mean(axis=0), whole, unheard)
     by_material = (*by_interval, "material")
     put("absorptance_of_material", by_material, shared, "absorptance of a material", error)
+    depth = {"long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth"}
     coordinates = {
         "wavelength": wavelength_axis(wavelengths),
-        "depth": ("depth", planes, {"long_name": "depth", "units": "m", "positive": "down"}),
+        "depth": ("depth", planes, depth),
         "interval_top": ("interval", planes[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", planes[1:], {"long_name": "bottom", "units": "m"}),
         "material": ("material", np.array(materials), {"long_name": "material"}),

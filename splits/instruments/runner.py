@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from splits.instruments.ensemble import BATCH, Level, Paths
+from splits.instruments.progress import Progress, Report
 from splits.instruments.threads import Threads, cpus
 from splits.instruments.tracers import NOTHING_MORE, Heard, tracer_of
 from splits.media.turbid import Medium
@@ -24,17 +24,6 @@ better: lanes stand idle while the last rays of a job end."""
 
 Piece = tuple[Paths, Level, int, int]
 """Some batches of a level: ensemble, level, first ray, number of batches."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a running simulation has reached."""
-
-    rays: int
-    stderr: float
-    target: float
-    seconds: float
-    seconds_left: float
 
 
 class Runner:
@@ -64,14 +53,14 @@ class Runner:
         threads: int | None,
         analog: bool,
         kernel: str = "auto",
-        report: Callable[[Progress], None] | None = None,
+        report: Report = None,
         *,
         heard: Heard = NOTHING_MORE,
     ) -> None:
         self.seed = seed
         self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, heard)
         self.threads = threads or cpus()
-        self.report = report
+        self.report = report if callable(report) else None
         self.started = time.perf_counter()
         self._reported = 0.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,14 @@ import xarray as xr
 from splits.checks import known_arguments, refuse
 from splits.instruments.arguments import check_medium
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.runner import Progress
+from splits.instruments.progress import Report, shows_progress
 from splits.instruments.shared_paths import check_shared
 from splits.instruments.spectral_run import TITLE, Run
 from splits.media.turbid import Medium
 
 
 @known_arguments
+@shows_progress
 def spectra(
     media: Mapping[str, Medium],
     wavelength_nm: Any,
@@ -29,7 +30,7 @@ def spectra(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure spectra of media that differ only in what they absorb, from the same paths.
 

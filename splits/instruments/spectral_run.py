@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,8 @@ from splits.instruments.cut import Cut
 from splits.instruments.deep_packs import cut_of
 from splits.instruments.estimators import ESTIMATORS, Estimate
 from splits.instruments.jacobian import Moves
-from splits.instruments.runner import Progress, Runner
+from splits.instruments.progress import Report
+from splits.instruments.runner import Runner
 from splits.instruments.shared_paths import Rows
 from splits.instruments.tracers import KERNELS
 from splits.media.turbid import Medium
@@ -80,7 +81,7 @@ class Run(NamedTuple):
         media: Sequence[Medium],
         moves: Moves = NO_MOVES,
         estimator: str = "spectral",
-        progress: Callable[[Progress], None] | None = None,
+        progress: Report = None,
     ) -> Found:
         """Return estimates for media that share paths, or for one, and its derivatives."""
         analog = estimator == "analog"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import xarray as xr
@@ -13,12 +13,13 @@ from splits.instruments.arguments import check_medium
 from splits.instruments.estimators import ESTIMATORS
 from splits.instruments.jacobian import Moves, parameter_axis, slope_variables
 from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.runner import Progress
+from splits.instruments.progress import Report, shows_progress
 from splits.instruments.spectral_run import SIDES, TITLE, Run
 from splits.media.turbid import Medium
 
 
 @known_arguments
+@shows_progress
 def spectrophotometer(
     medium: Medium,
     wavelength_nm: Any,
@@ -31,7 +32,7 @@ def spectrophotometer(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure hemispherical reflectance, transmittance and absorptance of a medium.
 
@@ -63,8 +64,8 @@ def spectrophotometer(
     kernel : {"auto", "lanes", "scalar"}
         Many rays side by side in single precision where that serves the sample, or the plain
         reference kernel in double precision.
-    progress : callable, optional
-        Called now and then with a `Progress`.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`.
 
     Returns
     -------

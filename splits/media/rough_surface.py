@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from numbers import Integral
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
+from splits.extras import optional
 from splits.transport.numerics.rng import start_stream, table_probabilities
 from splits.transport.rough import waves as kernels
 
@@ -46,8 +47,13 @@ class Law(NamedTuple):
     correlation: Callable[[np.ndarray], np.ndarray]
 
 
+def _special() -> ModuleType:
+    return optional("scipy.special", "retrieval", "correlations of heights need")
+
+
 def _printed_correlation(r: np.ndarray) -> np.ndarray:
     """Return ∫ J0(λr) (1 + λ²)^(−3/2) dλ = x (I0(x) K1(x) − I1(x) K0(x)) with x = r/2."""
+    special = _special()
     x = np.where(r > 0.0, 0.5 * r, 1.0)
     products = special.i0e(x) * special.k1e(x) - special.i1e(x) * special.k0e(x)
     return np.where(r > 0.0, x * products, 1.0)
@@ -379,7 +385,8 @@ def _mean_of_cells(
 def _sum_of_cells(table: np.ndarray, r: float) -> float:
     """Return the mean of J0(λ r), in pieces of less than a period."""
     widest = float(np.diff(table).max())
-    return _mean_of_cells(table, lambda k: special.j0(k * r), 1 + int(widest * r / math.pi))
+    j0 = _special().j0
+    return _mean_of_cells(table, lambda k: j0(k * r), 1 + int(widest * r / math.pi))
 
 
 def _integral(density: Callable[[np.ndarray], np.ndarray], limit: float, r: float) -> float:
@@ -389,4 +396,4 @@ def _integral(density: Callable[[np.ndarray], np.ndarray], limit: float, r: floa
     edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
     half = 0.5 * np.diff(edge)[:, None]
     k = edge[:-1, None] + half * (1.0 + _NODES)
-    return float((half * _WEIGHTS * special.j0(k * r) * density(k)).sum())
+    return float((half * _WEIGHTS * _special().j0(k * r) * density(k)).sum())

@@ -14,6 +14,7 @@ from splits.checks import in_range, known_arguments
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_threads, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.progress import Report
 from splits.media.turbid import Medium
 from splits.skies.bands import Band
 from splits.skies.irradiance import Sky
@@ -31,6 +32,7 @@ def albedo(
     *,
     bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure the albedo of a medium under a sky (blue-sky albedo).
 
@@ -53,6 +55,8 @@ def albedo(
         columns; or the name of a sensor, see `splits.sensor`.
     threads : int, optional
         Default: every CPU this process may use.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`.
 
     Returns
     -------
@@ -77,7 +81,9 @@ def albedo(
     light.check_bands(named, w)
 
     def run(incidence: float | str, number: int) -> xr.Dataset:
-        return spectrophotometer(medium, w, incidence, max_stderr, seed + number, threads=threads)
+        return spectrophotometer(
+            medium, w, incidence, max_stderr, seed + number, threads=threads, progress=progress
+        )
 
     found = mixed(light, w, run, ["reflectance"])
     label = "albedo under this sky"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
+from splits.extras import optional
 from splits.materials.tables import user_table
 
 COLUMNS = ("wavelength_nm", "response")
@@ -131,9 +132,8 @@ def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     560
     """
     one_of("sensor", name, SENSORS)
-    from pyrsr import RSR
-
-    found = RSR(*SENSORS[name], no_thermal=True)
+    rsr = optional("pyrsr", "sky", "bands of sensors need").RSR
+    found = rsr(*SENSORS[name], no_thermal=True)
     w = np.asarray(found.rsrs_wvl, dtype=float)
     bands = {}
     for label, response in found.rsrs_norm01.items():

@@ -13,6 +13,7 @@ from splits.instruments import goniophotometer
 from splits.instruments.arguments import check_threads, check_whole
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.progress import Report
 from splits.media.turbid import Medium
 from splits.skies.irradiance import Sky
 from splits.skies.mixing import asked, light_of, mixed, sky_facts
@@ -29,6 +30,7 @@ def hdrf(
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
     threads: int | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure the hemispherical-directional reflectance factor of a medium under a sky.
 
@@ -48,6 +50,8 @@ def hdrf(
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
     threads : int, optional
         Default: every CPU this process may use.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def hdrf(
     def run(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
             medium, w, incidence, seed=seed + number, relative_stderr=relative_stderr,
-            polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads,
+            polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads, progress=progress,
         )  # fmt: skip
 
     name = "reflectance_factor"

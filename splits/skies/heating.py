@@ -14,6 +14,7 @@ from splits.checks import in_range, known_arguments
 from splits.instruments import profile
 from splits.instruments.arguments import check_threads, check_whole
 from splits.instruments.labels import run_facts
+from splits.instruments.progress import Report
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.skies.irradiance import Sky
 from splits.skies.mixing import asked, light_of, mixed, sky_facts
@@ -39,6 +40,7 @@ def light_inside(
     total_w_m2: float | None = None,
     bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
+    progress: Report = None,
 ) -> xr.Dataset:
     """Measure the light of a sky inside a medium of grains, and the power that is absorbed there.
 
@@ -66,6 +68,8 @@ def light_inside(
         As for `splits.albedo`: ``{"photosynthetic": (400, 700)}``.
     threads : int, optional
         Default: every CPU this process may use.
+    progress : callable or bool, optional
+        True shows a bar; a function is called now and then with a `Progress`.
 
     Returns
     -------
@@ -99,7 +103,16 @@ def light_inside(
     axes: dict[str, Any] = {}
 
     def run(incidence: float | str, number: int) -> xr.Dataset:
-        found = profile(medium, w, depth_m, incidence, max_stderr, seed + number, threads=threads)
+        found = profile(
+            medium,
+            w,
+            depth_m,
+            incidence,
+            max_stderr,
+            seed + number,
+            threads=threads,
+            progress=progress,
+        )
         axes.update({name: found[name] for name in ("depth", "interval_top", "interval_bottom")})
         return found
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.extras import optional
 from splits.materials.tables import user_table
 from splits.skies.bands import Band, bands_of
 
@@ -259,16 +260,14 @@ def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
 
 def _clear(zenith: float, air: Mapping[str, float]) -> Sky:
     """Return a clear sky after Bird & Riordan (1986), as pvlib has it."""
-    from pvlib.atmosphere import get_relative_airmass
-    from pvlib.spectrum import spectrl2
-
-    found = spectrl2(
+    air_mass = optional("pvlib.atmosphere", "sky", "clear skies need").get_relative_airmass
+    found = optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
         apparent_zenith=zenith,
         aoi=zenith,
         surface_tilt=0.0,
         ground_albedo=air["ground_albedo"],
         surface_pressure=air["pressure_pa"],
-        relative_airmass=get_relative_airmass(zenith, model="kasten1966"),
+        relative_airmass=air_mass(zenith, model="kasten1966"),
         precipitable_water=air["precipitable_water_cm"],
         ozone=air["ozone_atm_cm"],
         aerosol_turbidity_500nm=air["turbidity_500nm"],
@@ -288,9 +287,8 @@ def _astm() -> Sky:
     The standard gives the beam, and the light on a surface that leans towards the sun; what that
     gets besides the beam is taken as diffuse.
     """
-    from pvlib.spectrum import get_reference_spectra
-
-    table = get_reference_spectra(standard="ASTM G173-03")
+    spectrum = optional("pvlib.spectrum", "sky", "the standard sky needs")
+    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
     beam, leaning = table["direct"].to_numpy(), table["global"].to_numpy()
     facing = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
     diffuse = np.maximum(leaning - beam * facing, 0.0)

@@ -135,7 +135,7 @@ def test_grains_far_apart_are_reciprocal(entry, facetness):
 @pytest.mark.long
 @pytest.mark.parametrize(("kind", "wavelength"), [(splits.Snow, 1300.0), (splits.Sand, 600.0)])
 def test_packed_grains_are_reciprocal_where_those_that_do_not_fit_are_skipped(kind, wavelength):
-    # Drawn again instead, they break it by up to 40 % (docs/angles.md).
+    # Drawn again instead, they break it by up to 40 % (docs/theory/angles.md).
     skipped = {"grain_across_boundary": "skip", "grain_on_last_leg": "skip"}
     medium = kind(saturation=0.0, readings={**skipped, "entry": "projected"})
     what = f"reciprocity of packed grains, {kind.__name__}"

@@ -1,6 +1,7 @@
 """Hard cases through the public interface: each finite, sound, and equal to its limit.
 
-docs/hard-cases.md lists them.  `tests/physics/test_hard_paths.py` has those below the interface.
+docs/theory/hard-cases.md lists them.  `tests/physics/test_hard_paths.py` has those below the
+interface.
 """
 
 from __future__ import annotations

@@ -265,7 +265,7 @@ def test_an_interface_towards_grazing_incidence(indices):
         assert 0.0 <= cos_t <= 1.0 and ratio >= 0.0
 
 
-@pytest.mark.xfail(strict=True, reason="transport: 2e-16 below 1; docs/hard-cases.md")
+@pytest.mark.xfail(strict=True, reason="transport: 2e-16 below 1; docs/theory/hard-cases.md")
 @pytest.mark.parametrize("cos_i", [0.0, 5e-324, 1e-200])
 def test_an_interface_at_exactly_grazing_incidence(cos_i):
     assert interface(1.0, 1.31, 0.0, cos_i)[0] == 1.0

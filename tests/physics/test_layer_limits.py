@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, largest_z
+from chi2 import NEEDS_JIT, judge_scatter, judge_z, largest_z
 
 import splits
 from splits.transport.optics.fresnel import interface
@@ -155,6 +155,19 @@ def test_local_estimation_collectors_and_polynomials_agree():
         (a, s), (b, t) = share(heard, name), share(expanded, name)
         z.append(np.array([(a - b) / math.hypot(s, t)]))
     judge_z(np.concatenate(z), "local estimation against expansion", independent=1)
+
+
+def test_local_estimation_scatters_as_it_states_from_few_batches():
+    layer = splits.Layer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
+    runs = [
+        splits.goniophotometer(
+            layer, NM, 40.0, 4000, seed, estimator="local", polar_deg=[0.0, 60.0],
+            azimuth_deg=[0.0, 180.0],
+        )
+        for seed in range(60)
+    ]  # fmt: skip
+    for name in ("brdf", "btdf", "reflectance", "transmittance"):
+        judge_scatter(*([ds[name + end] for ds in runs] for end in ("", "_stderr")), name)
 
 
 @NEEDS_JIT

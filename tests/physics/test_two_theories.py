@@ -28,7 +28,7 @@ SMOOTH = {"facetness": (0.0, 0.0, 0.0, 0.0)}
 SEEDS = range(1, 5)
 PACKED = 0.004
 """What discrete ordinates with the way through grains may miss of dry packed snow, whose grains are
-not points: measured at standard errors of 0.0015 (docs/theories.md)."""
+not points: measured at standard errors of 0.0015 (docs/theory/radiative-transfer.md)."""
 
 
 def sample(thickness, density, **settings):

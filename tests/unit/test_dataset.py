@@ -95,6 +95,26 @@ def test_values_that_are_not_finite_are_refused_by_name(tmp_path, bad):
     assert names(tmp_path) == []
 
 
+def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
+    axes = {
+        "layers.0.depth_m": ("layers.0.depth_m", [0.1, 0.2], {"units": "m", "long_name": "depth"}),
+        "layers.1.surface": ("layers.1.surface", ["flat", "wavy"], {"long_name": "surface"}),
+        "layers.2.ground": ("layers.2.ground", [0.3, 0.1], {"units": "1", "long_name": "ground"}),
+        "layers.1.surface_mean": ("layers.1.surface", [0.0, 0.5], {"units": "1"}),
+    }
+    dims = ("layers.0.depth_m", "layers.1.surface", "layers.2.ground")
+    about = {"units": "1", "long_name": "reflectance"}
+    dataset = xr.Dataset({"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, provenance())
+    path = tmp_path / "pack.nc"
+    splits.save(dataset, path)
+    with xr.open_dataset(path) as file:
+        assert not any("." in str(name) for name in {*file.variables, *file.dims})
+        assert {"layers_0_depth_m", "layers_1_surface_label"} <= set(file.coords)
+    xr.testing.assert_identical(splits.load(path), dataset)
+    splits.save(splits.load(path), path)
+    xr.testing.assert_identical(splits.load(path), dataset)
+
+
 @pytest.mark.parametrize("name", ["made.csv", "made", "made.nc.gz", "made.NC"])
 def test_other_suffixes_are_refused_with_a_hint(tmp_path, name):
     with pytest.raises(ValueError, match=r"^path = .*: must be a name that ends in \.nc, .*to_csv"):

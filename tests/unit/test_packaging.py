@@ -28,7 +28,9 @@ def needed(*extras):
     for extra in extras:
         for text in PROJECT["optional-dependencies"][extra]:
             own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
-            wanted += [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+            wanted += (
+                [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+            )
     return bounds(wanted)
 
 
@@ -60,6 +62,19 @@ def test_the_conda_environment_is_in_step_with_the_package():
         CONDA_NAMES.get(name, name): bound for name, bound in wanted.items() if name not in pip_only
     }
     assert pip_only == {name: wanted[name] for name in pip_only}
+
+
+def test_the_conda_recipe_is_in_step_with_the_package():
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    context = recipe["context"]
+    assert (context["name"], context["version"]) == (PROJECT["name"], PROJECT["version"])
+    assert PROJECT["requires-python"] == f">={context['python_min']}"
+    python, *others = recipe["requirements"]["run"]
+    assert python == "python>=${{ python_min }}"
+    assert bounds(others) == needed()
+    assert recipe["build"]["python"]["entry_points"] == [
+        f"{name} = {place}" for name, place in PROJECT["scripts"].items()
+    ]
 
 
 def test_every_dependency_is_pinned_within_its_bound():

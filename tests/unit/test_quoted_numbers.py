@@ -12,18 +12,18 @@ import xarray as xr
 
 import splits
 from splits.analysis import quoted as room
-from splits.analysis.marks import COMMENT, MARKED, marked, rewritten, write_marked
+from splits.analysis.marks import COMMENT, MARKED, documents, marked, rewritten, write_marked
 from splits.analysis.quoted import CODE, NUMBERS, quoted
 from splits.analysis.quoting import Number, cell, extreme, point, size
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = documents(ROOT)
 RECORD = ROOT / "docs" / "numbers.json"
 
 # Rows of tables in which every number but the paper's own comes from a run: how their lines begin,
 # and how many cells of theirs, from the last, the run makes.
 MADE = {
-    "README.md": [
+    "docs/theory/agreement.md": [
         ("| mean grain distance at 450", 1),
         ("| reflectance at 842 / 1074 / 1238 nm", 2),
         ("| measured there by AVIRIS-NG", 2),
@@ -32,13 +32,13 @@ MADE = {
         ("| MSI of reflectance:", 1),
         ("| MSI of transmittance, same order", 1),
     ],
-    "docs/accuracy.md": [
+    "docs/theory/accuracy.md": [
         ("| grain size", 2),
         ("| saturation", 2),
         ("| facetness", 2),
         ("| density", 2),
     ],
-    "docs/sand.md": [("| goethite k ", 3), ("| `wrong_side: mirrored`", 5)],
+    "docs/theory/sand.md": [("| goethite k ", 3), ("| `wrong_side: mirrored`", 5)],
 }
 
 
@@ -49,7 +49,7 @@ def record():
 def marks():
     """Return document, key and text of all marks."""
     return [
-        (path.name, *mark)
+        (str(path), *mark)
         for path in DOCUMENTS
         for mark in marked(path.read_text(encoding="utf-8"))
     ]

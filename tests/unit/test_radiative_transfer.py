@@ -111,7 +111,7 @@ def test_layers_have_the_same_wavelengths():
 
 def test_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PythonicDISORT", None)
-    with pytest.raises(ImportError, match=r"splits\[theory\]"):
+    with pytest.raises(ImportError, match=r"splits-optics\[theory\]"):
         discrete_ordinates(layer([0.9], 1.0))
 
 

@@ -1,24 +1,31 @@
-"""The archive: data, figures, configuration and versions, with checksums that verify."""
+"""The archive: an RO-Crate of data, figures and configuration, with checksums that verify."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import zipfile
+from pathlib import Path
 
 import pytest
 import xarray as xr
 import yaml
+from rocrate.rocrate import ROCrate
 
 import splits
 from splits.archive import configuration_members, pack
-from splits.dataset import without_volatile
+from splits.crate import METADATA, Author
+from splits.credits import software
+from splits.dataset import commit, package_version, without_volatile
 from splits.experiments import ConfigError, load_experiment, load_settings
 from splits.experiments.settings import Settings
+from splits.unpacking import unpack
 
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
 TABLES = "refractive_index: {ice: %s, water: my_water.csv}"
-ALWAYS = {"README.md", "SHA256SUMS", "versions.json"}
+ALWAYS = {"CITATION.cff", "LICENSE", "README.md", "SHA256SUMS", METADATA, "versions.json"}
+ROOT = Path(__file__).parents[2]
+ADA = {"name": "Ada Example", "orcid": "0000-0002-1825-0097", "affiliation": "A University"}
 
 
 def contents(path):
@@ -27,11 +34,11 @@ def contents(path):
         return {name: file.read(name) for name in file.namelist()}
 
 
-def verify(members):
-    """Check that SHA256SUMS lists every other member, and rightly so."""
+def check_sums(members):
+    """Check that SHA256SUMS lists every other member but the metadata, and rightly so."""
     lines = members["SHA256SUMS"].decode().splitlines()
     sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
-    assert set(sums) == set(members) - {"SHA256SUMS"}
+    assert set(sums) == set(members) - {"SHA256SUMS", METADATA}
     for name, digest in sums.items():
         assert hashlib.sha256(members[name]).hexdigest() == digest
 
@@ -49,10 +56,11 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     media = tmp_path_factory.mktemp("far") / "media"
     (tmp_path / "config" / "media").rename(media)
     chosen = f"accuracy=tiny experiments=single seed=7 media_folder={media}"
+    chosen += " archive_license=CC-BY-4.0"
     run = project.snakemake("archive", "--cores", 2, config=chosen)
     assert run.code == 0, run.text
     members = contents(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip")
-    verify(members)
+    check_sums(members)
     assert set(members) >= ALWAYS | {"requirements.txt", "config/config.yaml"}
     assert {"data/single.nc", "figures/single.png", "figures/single.svg"} <= set(members)
     assert {"config/experiments/deep/alone.yaml", "config/media/splits_base.yaml"} <= set(members)
@@ -63,8 +71,9 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert {"numpy", "numba", "snakemake", "xarray"} <= {name.lower() for name in versions}
 
     empty = tmp_path_factory.mktemp("empty")
-    with zipfile.ZipFile(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip") as file:
-        file.extractall(empty)
+    report = unpack(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip", empty)
+    assert report.license == "https://spdx.org/licenses/CC-BY-4.0"
+    assert (empty / "CITATION.cff").read_bytes() == (ROOT / "CITATION.cff").read_bytes()
     own.unlink()
     near.unlink()
     run = type(project)(empty, environment).snakemake("--cores", 2, config="")
@@ -99,7 +108,127 @@ def test_packing_keeps_relative_places(tmp_path, monkeypatch):
     members = contents("out/archive/made.zip")
     assert set(members) - ALWAYS == {"data/a.nc", "tables/b.csv", *configuration}
     assert members["config/deep/d.yaml"] == b"d"
-    verify(members)
+    check_sums(members)
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """Return a function that packs two files at a certain time, and what reads that archive."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for name in ("data/a.nc", "tables/of all.csv"):
+        path = tmp_path / "out" / name
+        path.parent.mkdir(parents=True)
+        path.write_text(name)
+    results = [tmp_path / "out" / "tables" / "of all.csv", tmp_path / "out" / "data" / "a.nc"]
+
+    def make(name="made", **more):
+        target = tmp_path / "out" / "archive" / f"{name}.zip"
+        pack(results, {"config/config.yaml": b"seed: 1\n"}, target, **more)
+        return target
+
+    return make
+
+
+def test_an_archive_is_an_ro_crate(made, tmp_path):
+    authors = Settings(
+        accuracies={"standard": {"max_stderr": 0.1}}, archive_authors=[ADA]
+    ).authors()
+    path = made(repository=ROOT, licence="https://example.org/licence", authors=authors)
+    unpack(path, tmp_path / "crate")
+    crate = ROCrate(tmp_path / "crate")
+    root, program, run = crate.root_dataset, crate.get("#splits"), crate.get("#run")
+    assert root["datePublished"] == "2023-11-14"
+    assert root["license"].id == "https://example.org/licence"
+    assert [author.id for author in root["author"]] == ["https://orcid.org/0000-0002-1825-0097"]
+    assert root["author"][0].type == "Person"
+    assert root["author"][0]["affiliation"]["name"] == "A University"
+    assert root["mentions"] == run and run.type == "CreateAction"
+    assert run["instrument"] == program and program.type == "SoftwareApplication"
+    assert program["version"] == package_version()
+    assert program["identifier"]["value"] == commit()
+    assert program["license"].id == "https://spdx.org/licenses/MIT"
+    assert program["author"][0]["name"] == "The SPLITS developers"
+    assert [entity.id for entity in run["result"]] == ["data/a.nc", "tables/of%20all.csv"]
+    assert [entity.id for entity in run["object"]] == ["config/config.yaml", "requirements.txt"]
+    members = contents(path)
+    files = {Path(entity.source).relative_to(tmp_path / "crate").as_posix(): entity
+             for entity in crate.get_by_type("File")}  # fmt: skip
+    assert set(files) == set(members) - {METADATA}
+    for name, entity in files.items():
+        assert entity["sha256"] == hashlib.sha256(members[name]).hexdigest()
+        assert entity["contentSize"] == str(len(members[name]))
+    kinds = {
+        "data/a.nc": "application/netcdf",
+        "LICENSE": "text/plain",
+        "README.md": "text/markdown",
+    }
+    assert {name: files[name]["encodingFormat"] for name in kinds} == kinds
+    readme = members["README.md"].decode()
+    assert "Ada Example" in readme and "splits unpack made.zip" in readme
+
+
+def test_the_same_results_give_the_same_archive(made, monkeypatch):
+    first = made(repository=ROOT).read_bytes()
+    assert made(repository=ROOT).read_bytes() == first
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
+    assert made(repository=ROOT).read_bytes() != first
+    for wrong in ("yesterday", "", "-1", "0", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
+        with pytest.raises(ValueError, match=r"^SOURCE_DATE_EPOCH = .*must be seconds from 1980"):
+            made("wrong")
+
+
+def test_results_that_look_like_a_bomb_are_packed(made, tmp_path):
+    (tmp_path / "out" / "data" / "a.nc").write_bytes(bytes(2**22))
+    assert contents(made())["data/a.nc"] == bytes(2**22)
+
+
+def test_an_installed_package_has_licence_and_authors(made, tmp_path):
+    """Without a repository, as an installed wheel is."""
+    members = contents(made(repository=tmp_path))
+    assert members["LICENSE"] == (ROOT / "LICENSE").read_bytes()
+    written = yaml.safe_load(members["CITATION.cff"])
+    shipped = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    same = ("cff-version", "message", "type", "authors", "version", "license")
+    assert {key: written[key] for key in same} == {key: shipped[key] for key in same}
+    assert "requirements.txt" not in members
+
+
+def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
+    ada = {"family-names": "Example", "given-names": "Ada", "affiliation": "A University"}
+    ada["orcid"] = "https://orcid.org/0000-0002-1825-0097"
+    citation = {"authors": [ada, {"name": "A group"}], "license": "MIT"}
+    (tmp_path / "CITATION.cff").write_text(yaml.safe_dump(citation))
+    authors = software(tmp_path).authors
+    assert authors == (Author(**ADA), Author("A group", person=False))
+    crate = json.loads(contents(made(repository=tmp_path))[METADATA])
+    root = next(entity for entity in crate["@graph"] if entity["@id"] == "./")
+    assert root["author"] == [{"@id": "https://orcid.org/0000-0002-1825-0097"}, {"@id": "#A-group"}]
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ({"archive_license": "CC BY 4.0"}, "archive_license = 'CC BY 4.0': must be an SPDX"),
+        ({"archive_license": "javascript:x"}, "archive_license = 'javascript:x': must be an SPDX"),
+        ({"archive_authors": [{"orcid": "x"}]}, "archive_authors"),
+        ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "whose last digit follows"),
+        ({"archive_authors": [ADA | {"orcid": "12"}]}, r"archive_authors\.orcid = '12': must be"),
+        ({"archive_authors": [ADA | {"name": "A\nB"}]}, "without control characters"),
+        ({"archive_authors": "Ada"}, "archive_authors = 'Ada': must be"),
+    ],
+)
+def test_authors_and_licences_that_are_none_are_refused(given, line):
+    with pytest.raises(ConfigError, match=f"^config/config.yaml: .*{line}") as caught:
+        load_settings({"accuracies": {"standard": {"max_stderr": 0.1}}} | given)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("names", [("config/A.yaml", "config/a.yaml"), ("config/aux.yaml",)])
+def test_what_could_not_be_unpacked_everywhere_is_not_packed(tmp_path, names):
+    with pytest.raises(ValueError, match=r"^archive = 'config/a.*\.yaml': must be of members that"):
+        pack([], dict.fromkeys(names, b"x"), tmp_path / "out" / "archive" / "made.zip")
+    assert not list(tmp_path.rglob("*.zip"))
 
 
 @pytest.mark.parametrize("name", ["/etc/config.yaml", "../config.yaml", "config/../../x.yaml"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from compliance import remarks
 
 import splits
 from splits.experiments import Experiment, Simulation, load_experiment
@@ -125,6 +126,13 @@ def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
     assert dataset.attrs["experiment"] == name
     for variable in dataset.data_vars.values():
         assert np.isfinite(variable).all()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_dataset_follows_the_cf_conventions(finished, name):
+    project, _ = finished
+    path = project.folder / "results" / "tiny" / "data" / f"{name}.nc"
+    assert remarks([path]) == {path: []}
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -24,7 +24,7 @@ rule archive:
     threads: 1
     params:
         settings=SETTINGS.model_dump(mode="json"),
-        lock=str(Path(workflow.basedir) / "requirements.txt"),
+        repository=str(workflow.basedir),
     message:
         "Packing results for deposit"
     script:

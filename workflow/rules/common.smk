@@ -75,6 +75,11 @@ def study_products():
     ]
 
 
+def study_figures():
+    """Return the names of the figures of the studies whose experiments are all selected."""
+    return [Path(path).stem for path in study_products() if path.endswith(".png")]
+
+
 def measured_files(name):
     """Return the measured table that an experiment's figure shows, if any."""
     measured = EXPERIMENTS[name].figure.measured

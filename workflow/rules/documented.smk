@@ -14,7 +14,9 @@ rule documented:
     conda:
         "../../environment.yml"
     threads: 1
+    params:
+        figures=DRAWN + study_figures(),
     message:
-        "Writing numbers of this run into README.md and docs"
+        "Writing numbers and figures of this run into README.md and docs"
     script:
         "../scripts/documented.py"

@@ -3,5 +3,12 @@
 from splits.archive import configuration_members, pack
 from splits.experiments.settings import Settings
 
-configuration = configuration_members(Settings.model_validate(snakemake.params.settings))
-pack(snakemake.input.results, configuration, snakemake.output[0], snakemake.params.lock)
+settings = Settings.model_validate(snakemake.params.settings)
+pack(
+    snakemake.input.results,
+    configuration_members(settings),
+    snakemake.output[0],
+    snakemake.params.repository,
+    settings.archive_license,
+    settings.authors(),
+)

@@ -1,0 +1,1 @@
+"""What datasets say: sensitivity, agreement with measurements and published numbers."""

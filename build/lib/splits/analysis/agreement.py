@@ -1,0 +1,181 @@
+"""Published numbers and trends of SPLITSnow held against runs: one table of verdicts."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.analysis.errors import weighted_error
+from splits.analysis.measured import (
+    LETCHER_COLUMNS,
+    bands,
+    letcher_column,
+    letcher_snow,
+    measured_rmse,
+    rmse,
+)
+from splits.analysis.trends import ranking_rows, trend_rows
+
+Value = tuple[float, float]
+"""A number and its standard error."""
+
+AVIRIS_BANDS = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
+
+
+def read_published(path: str | Path) -> pd.DataFrame:
+    """Read the table of published numbers, indexed by id."""
+    return pd.read_csv(path, comment="#", dtype={"bar": str}).set_index("id")
+
+
+def agreement_table(
+    datasets: Mapping[str, xr.Dataset],
+    published: pd.DataFrame,
+    sensitivities: xr.Dataset,
+    aviris: pd.DataFrame,
+    letcher: pd.DataFrame,
+) -> pd.DataFrame:
+    """Return one row per published number, trend and measured spectrum.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, see `splits.analysis.roles.SNOW`.
+    published : pandas.DataFrame
+        See `read_published`.
+    sensitivities : xarray.Dataset
+        See `splits.analysis.sensitivity_tables.chosen_sensitivities`.
+    aviris, letcher : pandas.DataFrame
+        Measured values.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns id, quantity, place, published, ours, stderr, difference, bar, verdict.
+    """
+    values = _values(datasets, sensitivities, aviris)
+    rows = [_judge(name, row, values.get(str(name))) for name, row in published.iterrows()]
+    rows += trend_rows(datasets)
+    rows += ranking_rows(sensitivities)
+    rows += _measured_rows(datasets, aviris, letcher)
+    return pd.DataFrame(rows)
+
+
+def _judge(name: object, row: pd.Series, value: Value | None) -> dict[str, object]:
+    """Return the verdict on one published number."""
+    fixed = {"id": name, "quantity": row.quantity, "place": row.place, "published": row.published}
+    if value is None:
+        verdict = "not reproducible: the measured curve is not published as numbers"
+        return {**fixed, "verdict": verdict}
+    ours, stderr = value
+    difference = ours - row.published
+    if isinstance(row.bar, str):
+        relative = row.bar.endswith("%")
+        allowed = float(row.bar.rstrip("%")) * (abs(row.published) / 100 if relative else 1.0)
+        within = abs(difference) <= allowed
+        bar = f"±{row.bar}".replace("%", " %")
+    else:
+        low = -np.inf if pd.isna(row.low) else row.low
+        high = np.inf if pd.isna(row.high) else row.high
+        within = low <= ours <= high
+        bar = f"{low:g} to {high:g}" if np.isfinite(low) else f"at most {high:g}"
+    return {
+        **fixed,
+        "ours": ours,
+        "stderr": stderr,
+        "difference": difference,
+        "bar": bar,
+        "verdict": "agrees" if within else "outside",
+    }
+
+
+def _values(
+    datasets: Mapping[str, xr.Dataset], sensitivities: xr.Dataset, aviris: pd.DataFrame
+) -> dict[str, Value]:
+    values: dict[str, Value] = {}
+    sample = datasets["sample"].mean_grain_distance.sel(density_kg_m3=450)
+    values["grain_distance"] = float(sample), 0.0
+    scene = datasets["aviris"]
+    for label, wavelength in AVIRIS_BANDS.items():
+        value = _at(scene, "reflectance", wavelength)
+        values[f"table3_{label}"] = values[f"aviris_{label}"] = value
+    extremes = aviris[["reflectance_min", "reflectance_max"]].to_numpy()
+    model = bands(scene, aviris)
+    ours = model.model.to_numpy()[:, np.newaxis]
+    percent = 100 * np.abs(ours - extremes) / extremes
+    error = 100 * (model.stderr.to_numpy()[:, np.newaxis] / extremes).mean()
+    values["aviris_extremes"] = float(percent.mean()), float(error)
+    thick = datasets["thick_transmittance"]
+    values["transmittance_max"] = _largest(thick, "transmittance", 400, 500)
+    values["transmittance_950"] = _largest(thick, "transmittance", 960, 1000)
+    thin = datasets["density_transmittance"].isel(density_kg_m3=0)
+    values["transmittance_1420"] = _at(thin, "transmittance", 1420)
+    values |= _density(datasets["density"])
+    for quantity in sensitivities.quantity.values:
+        for parameter in sensitivities.parameter.values:
+            one = sensitivities.sel(quantity=quantity, parameter=parameter)
+            values[f"msi_{quantity[0]}_{parameter}"] = float(one.msi), float(one.msi_stderr)
+    return values
+
+
+def _at(dataset: xr.Dataset, quantity: str, wavelength: float) -> Value:
+    part = dataset.sel(wavelength=wavelength)
+    return float(part[quantity]), float(part[f"{quantity}_stderr"])
+
+
+def _largest(dataset: xr.Dataset, quantity: str, low: float, high: float) -> Value:
+    part = dataset.sel(wavelength=slice(low, high))
+    i = int(np.argmax(part[quantity].values))
+    return float(part[quantity][i]), float(part[f"{quantity}_stderr"][i])
+
+
+def _density(dataset: xr.Dataset) -> dict[str, Value]:
+    loose, dense = (dataset.sel(density_kg_m3=d) for d in (300, 450))
+    difference = (dense.reflectance - loose.reflectance).values
+    error = np.hypot(loose.reflectance_stderr.values, dense.reflectance_stderr.values)
+    percent = 100 * np.abs(difference) / loose.reflectance.values
+
+    def combined(weights: np.ndarray) -> float:
+        weight = xr.DataArray(weights, dims="wavelength")
+        errors = [float(weighted_error(one, "reflectance", weight)) for one in (loose, dense)]
+        return math.hypot(*errors)
+
+    return {
+        "density_rmse": rmse(difference, error, combined),
+        "density_percent": (
+            float(percent.mean()),
+            100 * combined(np.sign(difference) / (loose.reflectance.values * difference.size)),
+        ),
+    }
+
+
+def _measured_rows(
+    datasets: Mapping[str, xr.Dataset], aviris: pd.DataFrame, letcher: pd.DataFrame
+) -> list[dict[str, object]]:
+    """Return the RMSE against measured spectra, which nothing was fitted to."""
+    found = [("AVIRIS-NG, 3 bands", "Table 3", measured_rmse(datasets["aviris"], aviris))]
+    snows = datasets["letcher"]
+    for snow, depth in itertools.product(snows.medium.values, LETCHER_COLUMNS):
+        column = letcher_column(letcher, depth)
+        off = measured_rmse(letcher_snow(snows, snow, depth), column)
+        what = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
+        found.append((what, "The Cryosphere 16, 4343", off))
+    rows: list[dict[str, object]] = []
+    for what, place, (value, error) in found:
+        rows.append(
+            {
+                "id": "measured",
+                "quantity": f"RMSE to measured reflectance: {what}",
+                "place": place,
+                "ours": value,
+                "stderr": error,
+                "bar": "at most 0.03",
+                "verdict": "agrees" if value <= 0.03 else "outside",
+            }
+        )
+    return rows

@@ -1,0 +1,113 @@
+"""Errors of what combines several wavelengths of one spectrum.
+
+A spectrophotometer traces paths at a few refractive indices.  Errors of wavelengths that draw on
+the same paths go together, those of others do not, so neither rule serves for a whole spectrum.
+Each dataset therefore carries how far `splits.instruments.ensemble.GROUPS` groups of its rays take
+every wavelength off (``…_groups``).  What is linear in the spectrum deviates by group alike, and
+the squares of its deviations add up to its variance.  What the standard error holds beyond that
+bounds what interpolation between refractive indices misses.  Neighbours miss alike, wavelengths far
+apart do not: bounds add up along each stretch of weights of one sign, and stretches in quadrature.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import refuse
+
+_ROUNDING = 1e-6
+"""Part of a variance that deviations in single precision may miss."""
+
+
+def weighted_error(dataset: xr.Dataset, quantity: str, weights: xr.DataArray) -> xr.DataArray:
+    """Return the standard error of a weighted sum of a spectrum.
+
+    Parameters
+    ----------
+    dataset, quantity, weights
+        As for `error_parts`.
+
+    Returns
+    -------
+    xarray.DataArray
+        Over all other dimensions: both parts, added in quadrature.
+    """
+    scatter, missed = error_parts(dataset, quantity, weights)
+    return (scatter**2 + missed**2) ** 0.5
+
+
+def error_parts(
+    dataset: xr.Dataset, quantity: str, weights: xr.DataArray
+) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return how a weighted sum of a spectrum scatters, and a bound on what it misses besides.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        The quantity's ``_stderr`` over ``wavelength`` and any other dimensions, and its
+        ``_groups`` over ``group`` besides.  Without those, as in datasets of earlier versions,
+        the scatter is an upper bound: the sum of errors times sizes of weights.
+    quantity : str
+        Such as ``reflectance``.
+    weights : xarray.DataArray
+        Over ``wavelength`` and any other dimensions; of any sign.
+
+    Returns
+    -------
+    scatter, missed : xarray.DataArray
+        Over all other dimensions: one standard deviation between runs with other seeds, and how
+        much interpolation between refractive indices may miss.  NaN where an error that counts is
+        unknown.
+    """
+    stderr = dataset[f"{quantity}_stderr"]
+    if f"{quantity}_groups" not in dataset:
+        most = _sum(abs(weights), stderr)
+        return most, xr.zeros_like(most)
+    groups = dataset[f"{quantity}_groups"].astype(float)
+    rest = stderr**2 - (groups**2).sum("group", skipna=False)
+    bound = rest.where(~(rest <= _ROUNDING * stderr**2), 0.0) ** 0.5
+    scatter = (_sum(weights, groups) ** 2).sum("group", skipna=False) ** 0.5
+    weighed = (abs(weights) * bound).where(weights != 0.0, 0.0)
+    missed = xr.apply_ufunc(
+        _by_stretches, *xr.broadcast(weights, weighed), input_core_dims=[["wavelength"]] * 2
+    )
+    return scatter, missed
+
+
+def _by_stretches(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Return sums of parts over stretches of one sign along the last axis, added in quadrature."""
+    places = np.where(weights != 0.0, np.arange(weights.shape[-1]), 0)
+    signs = np.sign(np.take_along_axis(weights, np.maximum.accumulate(places, axis=-1), axis=-1))
+    stretch = np.cumsum(np.diff(signs, axis=-1, prepend=signs[..., :1]) != 0.0, axis=-1)
+    total = np.zeros(parts.shape[:-1])
+    for number in range(int(stretch.max()) + 1):
+        total += np.where(stretch == number, parts, 0.0).sum(axis=-1) ** 2
+    return np.sqrt(total)
+
+
+def _sum(weights: xr.DataArray, values: xr.DataArray) -> xr.DataArray:
+    """Return a weighted sum over wavelength, unknown if a value is that counts."""
+    return (weights * values).where(weights != 0.0, 0.0).sum("wavelength", skipna=False)
+
+
+def band(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
+    """Return the weights over wavelength that make a sum the mean over a band (nm).
+
+    Raises
+    ------
+    ValueError
+        If the dataset has no wavelength there.
+    """
+    inside = (dataset.wavelength >= low) & (dataset.wavelength <= high)
+    if not inside.any():
+        ends = " to ".join(f"{end:g}" for end in dataset.wavelength.values[[0, -1]])
+        raise refuse("wavelength", f"{ends} nm", f"some in {low:g} to {high:g} nm")
+    weights = inside / inside.sum()
+    weights.attrs.clear()  # those of wavelengths are not those of errors
+    return weights
+
+
+def band_error(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
+    """Return the standard error of the mean of a quantity over a band (nm)."""
+    return weighted_error(dataset, quantity, band(dataset, low, high))

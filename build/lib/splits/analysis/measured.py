@@ -1,0 +1,126 @@
+"""Agreement with measured spectra: root mean square error and error per band."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.analysis.errors import weighted_error
+
+DIFFUSE_SHARE = 0.85
+"""Share of diffuse light under which Letcher et al. (2022) measured."""
+
+LETCHER_COLUMNS = {0.34: "albedo_340mm", 0.045: "albedo_45mm_black"}
+"""Measured column for each depth (m) of the experiment."""
+
+
+def read_measured(path: str | Path) -> pd.DataFrame:
+    """Read a table of measured values; lines that begin with # hold its citation."""
+    return pd.read_csv(path, comment="#")
+
+
+def rmse(
+    difference: np.ndarray, stderr: np.ndarray, combined: Callable[[np.ndarray], float]
+) -> tuple[float, float]:
+    """Return the root mean square of differences and its standard error.
+
+    Parameters
+    ----------
+    difference, stderr : float, shape (wavelengths,)
+        And its standard errors.
+    combined : callable
+        From weights, shape (wavelengths,), to the standard error of a weighted sum of differences,
+        which knows how errors go together along the spectrum.
+
+    Notes
+    -----
+    δ rmse = Σ d δd / (n rmse).  Noise besides makes it larger by half its mean square over rmse.
+    No error is larger than the root mean square of the errors, which bounds it however they go.
+    """
+    difference, stderr = (np.asarray(x, dtype=float) for x in (difference, stderr))
+    value = float(np.sqrt(np.mean(difference**2)))
+    bound = float(np.sqrt(np.mean(stderr**2)))
+    if value == 0.0:
+        return value, bound
+    first = combined(difference / (difference.size * value))
+    return value, float(min(np.hypot(first, 0.5 * bound**2 / value), bound))
+
+
+def measured_rmse(dataset: xr.Dataset, measured: pd.DataFrame) -> tuple[float, float]:
+    """Return the root-mean-square difference of reflectance to a measured spectrum, and its error.
+
+    Parameters
+    ----------
+    dataset, measured
+        As for `bands`.
+    """
+    table = bands(dataset, measured)
+    part = dataset.sel(wavelength=measured.wavelength_nm.values)
+
+    def combined(weights: np.ndarray) -> float:
+        return float(weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength")))
+
+    return rmse(table.difference, table.stderr, combined)
+
+
+def bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+    """Return model and measurement at the measured wavelengths of a table.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        ``reflectance`` and its error over ``wavelength`` alone, holding every measured one.
+    measured : pandas.DataFrame
+        Columns ``wavelength_nm`` and ``reflectance``.
+    """
+    part = dataset.sel(wavelength=measured.wavelength_nm.values)
+    return pd.DataFrame(
+        {
+            "wavelength_nm": measured.wavelength_nm,
+            "measured": measured.reflectance,
+            "model": part.reflectance.values,
+            "stderr": part.reflectance_stderr.values,
+            "difference": part.reflectance.values - measured.reflectance,
+        }
+    )
+
+
+def letcher_snow(dataset: xr.Dataset, snow: str, depth: float) -> xr.Dataset:
+    """Return the reflectance of a snow under the light of the measurement, with its errors.
+
+    `DIFFUSE_SHARE` of the light comes from the whole hemisphere and the rest in a beam.
+    """
+    part = dataset.sel(medium=snow).sel(depth_m=depth, method="nearest")
+    ways = [(1.0 - DIFFUSE_SHARE, "beam"), (DIFFUSE_SHARE, "diffuse")]
+    runs = [(share, part.sel(incidence_deg=incidence)) for share, incidence in ways]
+    squares = [(share * run.reflectance_stderr) ** 2 for share, run in runs]
+    groups = [share * run.reflectance_groups for share, run in runs]
+    kept = ("medium", "incidence_deg", "depth_m")
+    return xr.Dataset(
+        {
+            "reflectance": sum(share * run.reflectance.drop_vars(kept) for share, run in runs),
+            "reflectance_stderr": sum(square.drop_vars(kept) for square in squares) ** 0.5,
+            "reflectance_groups": xr.concat([g.drop_vars(kept) for g in groups], "group"),
+        }
+    )
+
+
+def letcher_bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+    """Return model and measured albedo for every snow and depth of the experiment."""
+    tables = []
+    for snow, depth in itertools.product(dataset.medium.values, LETCHER_COLUMNS):
+        table = bands(letcher_snow(dataset, snow, depth), letcher_column(measured, depth))
+        table.insert(0, "snow", str(snow))
+        table.insert(1, "depth_m", depth)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def letcher_column(measured: pd.DataFrame, depth: float) -> pd.DataFrame:
+    """Return what was measured on snow of a depth (m), as `bands` takes it."""
+    return measured.rename(columns={LETCHER_COLUMNS[depth]: "reflectance"})

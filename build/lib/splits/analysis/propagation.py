@@ -1,0 +1,83 @@
+"""What errors of single-scattering properties make of a theory's results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import xarray as xr
+
+from splits.uncertainty import jackknife
+
+LEFT_OUT, MISSED = "_left_out", "_missed"
+"""How names end of what `splits.instruments.single_scattering` tells of errors."""
+
+Theory = Callable[[xr.Dataset], np.ndarray]
+"""From optics to numbers, the wavelengths along the last axis."""
+
+
+def response(theory: Theory, optics: xr.Dataset) -> np.ndarray:
+    """Return the standard error that a theory's results have from their optics.
+
+    The theory is applied to the optics without one part of the rays after the other: the jackknife,
+    which knows how the errors of albedo, moments and displacements go together.  What interpolation
+    between refractive indices may miss of each of them is added as it comes through.
+
+    Parameters
+    ----------
+    theory : callable
+        From a dataset like `optics` to float[…, wavelengths].
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`; without ``…_left_out`` and ``…_missed``, it is
+        taken for exact.
+
+    References
+    ----------
+    Efron (1982), The Jackknife, the Bootstrap and Other Resampling Plans, chapter 3.
+    """
+    parts = left_out(theory, optics)
+    statistical = 0.0 if parts is None else jackknife(parts)
+    return np.hypot(statistical, missed(theory, optics))
+
+
+def left_out(theory: Theory, optics: xr.Dataset) -> np.ndarray | None:
+    """Return a theory's results without one part of the rays each, None without such parts."""
+    values = [theory(one) for one in _without_parts(optics)]
+    return np.stack(values) if values else None
+
+
+def missed(theory: Theory, optics: xr.Dataset) -> np.ndarray:
+    """Return the bound on what interpolation of the optics may miss of a theory's results.
+
+    Every number of the optics may be off by itself, either way: what each does to the results is
+    added up in size, which is a bound as far as results respond in proportion.
+    """
+    whole = theory(optics)
+    bound = np.zeros_like(whole)
+    for name in _with(optics, MISSED):
+        if name in optics:
+            for off in _one_by_one(optics[name + MISSED]):
+                bound += np.abs(theory(optics.assign({name: optics[name] - off})) - whole)
+    return bound
+
+
+def _one_by_one(missed: xr.DataArray) -> Iterator[xr.DataArray]:
+    """Yield it with one order after the other, all others 0; results know one wavelength each."""
+    along = [dim for dim in missed.dims if dim != "wavelength"]
+    for place in np.ndindex(*(missed.sizes[dim] for dim in along)):
+        one = dict(zip(along, place, strict=True))
+        if missed[one].values.any():
+            off = xr.zeros_like(missed)
+            off[one] = missed[one]
+            yield off
+
+
+def _without_parts(optics: xr.Dataset) -> Iterator[xr.Dataset]:
+    """Yield the optics as they are without one part of the rays after the other."""
+    names = _with(optics, LEFT_OUT)
+    for part in range(optics.sizes["part"] if names else 0):
+        yield optics.assign({n: optics[n + LEFT_OUT].isel(part=part) for n in names})
+
+
+def _with(optics: xr.Dataset, end: str) -> list[str]:
+    return [str(name).removesuffix(end) for name in optics.data_vars if str(name).endswith(end)]

@@ -1,0 +1,314 @@
+"""One way to refuse a bad value: name the key, the value, the allowed range and a hint."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from difflib import get_close_matches
+from functools import wraps
+from inspect import signature
+from numbers import Real
+from reprlib import Repr
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+MOST_NAMES = 24
+"""A message lists so many names at most."""
+MOST_NUMBERS = 20_000
+"""A row of numbers, such as wavelengths, is so long at most."""
+
+
+class _Short(Repr):
+    """Bounded representations; mappings keep their order."""
+
+    def repr_dict(self, x: dict[Any, Any], level: int) -> str:
+        """Return a mapping with as many keys as `maxdict` allows."""
+        if level <= 0:
+            return "{...}"
+        pairs = [f"{self.repr1(k, level - 1)}: {self.repr1(v, level - 1)}" for k, v in
+                 itertools.islice(x.items(), self.maxdict)]  # fmt: skip
+        return "{" + ", ".join(pairs + ["..."] * (len(x) > self.maxdict)) + "}"
+
+
+_SHORT = _Short()
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxset = _SHORT.maxdict = 8
+_SHORT.maxstring = _SHORT.maxother = 90
+_SHORT.maxlevel = 4
+
+Class = TypeVar("Class", bound=type)
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def shown(value: object) -> str:
+    """Return a value as messages show it: on one line, and shortened where it is long."""
+    text = _SHORT.repr(scalar(value))
+    return text if "\n" not in text else " ".join(text.split())
+
+
+def named(key: object) -> str:
+    """Return a key that a user gave as messages show it: as it is, if that is short and plain."""
+    text = str(key)
+    return text if text.isprintable() and len(text) <= 90 else shown(text)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names with commas between them, of many the first."""
+    known = [str(name) for name in names]
+    more = f", … ({len(known)} in all)" if len(known) > MOST_NAMES else ""
+    return ", ".join(known[:MOST_NAMES]) + more
+
+
+class Refusal(ValueError):
+    """A value that cannot be taken.
+
+    Attributes
+    ----------
+    key : str
+        What the user knows it by, with the sections that it stands in.
+    value : object
+    allowed : str
+        What it must be.
+    hint : str
+        What to do instead, or nothing.
+    """
+
+    def __init__(self, key: str, value: object, allowed: str, hint: str = "") -> None:
+        super().__init__(key, value, allowed, hint)
+        self.key, self.value, self.allowed, self.hint = key, value, allowed, hint
+
+    def __str__(self) -> str:
+        """Return the message, one line."""
+        return self.text() + (f" ({self.hint})" if self.hint else "")
+
+    def text(self) -> str:
+        """Return the message without the hint."""
+        return f"{self.key} = {shown(self.value)}: must be {self.allowed}"
+
+    def within(self, place: str, more: str = "") -> Refusal:
+        """Return the refusal of the same value in a section, with one more hint."""
+        hint = ") (".join(part for part in (self.hint, more) if part)
+        return type(self)(f"{place}.{self.key}", self.value, self.allowed, hint)
+
+
+class UnknownKey(Refusal):
+    """A key that there is not; `value` is None, `allowed` names those that there are."""
+
+    def text(self) -> str:
+        """Return the message without the hint."""
+        return f"{named(self.key)}: unknown key, must be {self.allowed}"
+
+
+def refuse(key: str, value: object, allowed: str, hint: str = "") -> Refusal:
+    """Return the error that says why `value` cannot be taken for `key`."""
+    return Refusal(key, value, allowed, hint)
+
+
+def unknown_key(key: str, known: Iterable[str]) -> UnknownKey:
+    """Return the error that says that there is no such key, and suggests the nearest."""
+    names = list(known)
+    hint = suggestion(key.rsplit(".", 1)[-1], names)
+    return UnknownKey(key, None, f"one of {listed(names)}", hint)
+
+
+def keywords_taken(kind: Any) -> list[str]:
+    """Return the keywords of a dataclass: its fields, and others that it says it takes."""
+    return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
+
+
+def known_keywords(kind: Class) -> Class:
+    """Let a dataclass refuse keywords that it does not have by the list of those it has."""
+    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
+
+    @wraps(construct)
+    def checked(self: Any, *values: Any, **keywords: Any) -> None:
+        names = keywords_taken(kind)
+        for key in keywords:
+            if key not in names:
+                raise TypeError(str(unknown_key(key, names)))
+        construct(self, *values, **keywords)
+
+    kind.__init__ = checked  # type: ignore[misc]
+    return kind
+
+
+def known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Let a function refuse keywords that it does not have as `known_keywords` does."""
+    names = list(signature(function).parameters)
+
+    @wraps(function)
+    def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
+        for key in keywords:
+            if key not in names:
+                raise TypeError(str(unknown_key(key, names)))
+        return function(*values, **keywords)
+
+    return checked
+
+
+@contextmanager
+def under(place: str) -> Iterator[None]:
+    """Put the place of a section before the key of a refusal within."""
+    try:
+        yield
+    except Refusal as error:
+        raise error.within(place) from None
+
+
+def scalar(value: object) -> Any:
+    """Return the number that a NumPy scalar or an array without dimensions holds, or the value."""
+    return value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
+
+
+def number(key: str, value: object, allowed: str = "a finite number") -> float:
+    """Return `value` as a float, or refuse it; an array without dimensions is a number."""
+    value = scalar(value)
+    if isinstance(value, str):
+        raise refuse(key, value, allowed, "this is text, not a number")
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise refuse(key, value, allowed)
+    try:
+        x = float(value)
+    except OverflowError:
+        raise refuse(key, value, allowed) from None
+    if not math.isfinite(x):
+        raise refuse(key, value, allowed)
+    return x
+
+
+def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
+    """Return one number or a row of numbers as an array of floats, or refuse them.
+
+    Parameters
+    ----------
+    key : str
+    values : array_like
+        At least one, and `MOST_NUMBERS` at most; each is finite.
+    allowed : str
+        What they must be, such as "numbers in nanometres".
+    """
+    if isinstance(values, (str, bytes)):
+        raise refuse(key, values, allowed, "this is text, not a number")
+    if isinstance(values, Mapping):
+        raise refuse(key, values, allowed)
+    values = scalar(values)
+    dense = np.asarray(values) if hasattr(values, "__array__") else None
+    if dense is not None and dense.ndim > 1:
+        raise refuse(key, dense.tolist(), f"one row of {allowed}")
+    members = list(
+        itertools.islice(values, MOST_NUMBERS + 1) if isinstance(values, Iterable) else [values]
+    )
+    if not members:
+        raise refuse(key, [], f"{allowed}, at least one")
+    if len(members) > MOST_NUMBERS:
+        raise refuse(key, f"more than {MOST_NUMBERS} numbers", f"at most {MOST_NUMBERS} numbers")
+    if any(isinstance(member, (list, tuple, np.ndarray)) and np.ndim(member) for member in members):
+        raise refuse(key, members, f"one row of {allowed}")
+    return np.array([number(key, member, allowed) for member in members])
+
+
+def increasing(key: str, values: np.ndarray) -> np.ndarray:
+    """Return numbers that rise strictly, or refuse the first two that do not."""
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if falls.size:
+        pair = values[falls[0] : falls[0] + 2].tolist()
+        where = f"numbers {falls[0] + 1} and {falls[0] + 2} of {values.size}"
+        raise refuse(key, pair, "strictly increasing", where)
+    return values
+
+
+def in_range(
+    key: str,
+    value: object,
+    low: float,
+    high: float,
+    unit: str = "",
+    *,
+    open_low: bool = False,
+    open_high: bool = False,
+    hint: str = "",
+) -> float:
+    """Return `value` as a float if it lies between `low` and `high`, or refuse it.
+
+    Parameters
+    ----------
+    key : str
+        Name the user knows the value by.
+    value : object
+    low, high : float
+        Limits, belonging to the range unless `open_low` or `open_high`; may be infinite.
+    unit : str
+        Shown with the range.
+    hint : str
+        What to do instead.
+    """
+    if math.isinf(high):
+        allowed = f"{'above' if open_low else 'at least'} {low:g}"
+    else:
+        left, right = "(" if open_low else "[", ")" if open_high else "]"
+        allowed = f"in {left}{low:g}, {high:g}{right}"
+    allowed += f" {unit}" if unit else ""
+    x = number(key, value, allowed)
+    if x < low or x > high or (open_low and x == low) or (open_high and x == high):
+        raise refuse(key, value, allowed, hint)
+    return x
+
+
+def numbers(key: str, value: object, names: tuple[str, ...]) -> tuple[float, ...]:
+    """Return a sequence of ``len(names)`` floats, or refuse it."""
+    allowed = f"{len(names)} numbers ({', '.join(names)})"
+    value = scalar(value)
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+        raise refuse(key, value, allowed)
+    values = tuple(itertools.islice(value, len(names) + 1))
+    if len(values) != len(names):
+        raise refuse(key, value, allowed)
+    return tuple(number(f"{key} ({n})", v) for n, v in zip(names, values, strict=True))
+
+
+def one_of(key: str, value: object, choices: Iterable[str]) -> str:
+    """Return `value` if it is one of `choices`, or refuse it and suggest the nearest."""
+    names = sorted(choices)
+    if isinstance(value, str) and value in names:
+        return value
+    raise refuse(key, value, "one of " + listed(names), suggestion(value, names))
+
+
+ALIASES = {
+    "ssa": "specific_surface_area_m2_kg",
+    "surface_area": "specific_surface_area_m2_kg",
+    "grain_radius": "optical_radius_um",
+    "effective_radius": "optical_radius_um",
+    "radius": "optical_radius_um",
+    "lwc": "liquid_water_content",
+    "wetness": "liquid_water_content",
+    "water": "liquid_water_content",
+    "impurities": "impurities_ng_g",
+    "black_carbon": "impurities_ng_g",
+    "algae": "algae_cells_ml",
+    "thickness": "depth_m",
+    "temperature": "temperature_c",
+    "sza": "incidence_deg",
+    "solar_zenith": "incidence_deg",
+}
+"""What others call some keywords."""
+ALIASES_OF_KINDS = {
+    "soot": ("black_carbon", "impurities_ng_g"),
+    "bc": ("black_carbon", "impurities_ng_g"),
+    "dust": ("dust_sahara", "impurities_ng_g"),
+}
+"""What others call some kinds of impurities, which may stand for the keyword, too."""
+
+
+def suggestion(name: object, names: Iterable[str]) -> str:
+    """Return "did you mean …?" for a misspelt name or one that others use, or nothing."""
+    known = list(names)
+    lower = str(name).lower()
+    others = (lower, *ALIASES_OF_KINDS.get(lower, ()), ALIASES.get(lower))
+    near = [one for one in others if one in known]
+    near = near or get_close_matches(str(name)[:90], known, n=1)
+    return f"did you mean {near[0]}?" if near else ""

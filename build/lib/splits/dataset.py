@@ -1,0 +1,223 @@
+"""Labelled results: CF attributes, provenance, netCDF in and out."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import warnings
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import listed, number, one_of, refuse
+from splits.checksum import CHECKSUM, LOCK, check, seal
+from splits.extras import DISTRIBUTION
+from splits.files import whole
+
+CONVENTIONS = "CF-1.11"
+VOLATILE = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
+"""Attributes that differ between runs of one and the same simulation."""
+SUFFIXES = (".nc", ".nc4", ".netcdf")
+"""What names of datasets end in."""
+LABEL = "_label"
+VALUE = "_value"
+"""What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
+
+
+@cache
+def package_version() -> str:
+    """Return the installed version of this package."""
+    try:
+        return version(DISTRIBUTION)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@cache
+def commit() -> str:
+    """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
+
+    def git(*arguments: str) -> str:
+        folder = Path(__file__).parent
+        result = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
+        )
+        return result.stdout.strip()
+
+    try:
+        head = git("rev-parse", "HEAD")
+        return head + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def provenance(what: str = "dataset made") -> dict[str, Any]:
+    """Return the attributes that say which program made a dataset, when and where.
+
+    Parameters
+    ----------
+    what : str
+        What the program did, for the attribute ``history``: "experiment fig08_grain_size".
+    """
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return {
+        "Conventions": CONVENTIONS,
+        "source": f"splits {package_version()}",
+        "splits_version": package_version(),
+        "splits_commit": commit(),
+        "python_version": platform.python_version(),
+        "numpy_version": np.__version__,
+        "date_created": now,
+        "history": f"{now} splits {package_version()}: {what}",
+    }
+
+
+def attributes(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` as netCDF attributes: numbers, strings and flat lists of numbers."""
+
+    def plain(value: Any) -> Any:
+        if value is None:
+            return "none"
+        if isinstance(value, (bool, np.bool_)):
+            return "true" if value else "false"
+        if isinstance(value, (tuple, list, np.ndarray)):
+            return np.asarray(value)
+        return value
+
+    return {key: plain(value) for key, value in values.items()}
+
+
+def without_volatile(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a copy without the attributes that name the occasion of a run (see `VOLATILE`)."""
+    copy = dataset.copy()
+    copy.attrs = {k: v for k, v in dataset.attrs.items() if k not in VOLATILE}
+    return copy
+
+
+def save(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a dataset to netCDF so that the file appears whole or not at all.
+
+    Every array has checksums of its own (fletcher32), and the whole file has those of
+    `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
+    order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
+    ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
+    coordinates of their dimension again.
+
+    Raises
+    ------
+    ValueError
+        If a data variable holds a value that is not finite, or the path's suffix is not one of
+        `SUFFIXES`.
+    OSError
+        If the file cannot be written, or does not hold the dataset afterwards.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        hint = "this writes netCDF; tables come from dataset.to_dataframe().to_csv(…)"
+        raise refuse("path", str(path), "a name that ends in " + ", ".join(SUFFIXES), hint)
+    for name, variable in dataset.data_vars.items():
+        if np.issubdtype(variable.dtype, np.number) and not np.isfinite(variable).all():
+            raise ValueError(f"{path.name}: {name} holds values that are not finite")
+    stored = _for_file(dataset)
+    encoding = {
+        # HDF5 has checksums for arrays of numbers only.
+        name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
+        for name, v in stored.variables.items()
+    }
+    with LOCK, whole(path) as aside:
+        stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
+        seal(aside)
+        if not _read(aside).equals(dataset):
+            raise OSError(f"{path}: the file written does not hold the dataset")
+
+
+def load(path: str | Path) -> xr.Dataset:
+    """Read a dataset into memory and check that this package wrote it and that it is undamaged.
+
+    A dataset without checksum, as older versions of this package wrote it, is read with a warning.
+
+    Raises
+    ------
+    splits.checksum.DamagedError
+        A ValueError: if the file cannot be read, or holds something else than was written.
+    ValueError
+        If the file has no provenance of this package.
+    OSError
+        If the file cannot be opened.
+    """
+    dataset = _read(path)
+    if "splits_version" not in dataset.attrs:
+        raise ValueError(f"{path}: not a dataset written by splits")
+    if CHECKSUM not in dataset.attrs:
+        older = "an older version or another program wrote it"
+        warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)
+    dataset.attrs.pop(CHECKSUM, None)
+    return dataset
+
+
+def _read(path: str | Path) -> xr.Dataset:
+    """Return what a file holds, its checksum included, with coordinates that label dimensions."""
+    with LOCK:
+        check(path)
+        with xr.open_dataset(path, engine="netcdf4") as file:
+            dataset = file.load()
+    for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
+        for name in (dimension + LABEL, dimension + VALUE):
+            if name in dataset.coords and dataset[name].dims == (dimension,):
+                axis = (dimension, dataset[name].values, dataset[name].attrs)
+                dataset = dataset.drop_vars(name).assign_coords({dimension: axis})
+    return dataset
+
+
+def _for_file(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset with coordinates as CF has them: numbers, strictly up or down."""
+    for dimension in map(str, dataset.dims):
+        if dimension not in dataset.coords:
+            continue
+        axis = dataset[dimension]
+        index = axis.to_index()
+        text = axis.dtype.kind in "OUS"
+        ordered = index.is_monotonic_increasing or index.is_monotonic_decreasing
+        if text or not (ordered and index.is_unique):
+            name = dimension + (LABEL if text else VALUE)
+            auxiliary = (dimension, axis.values, axis.attrs)
+            dataset = dataset.drop_vars(dimension).assign_coords({name: auxiliary})
+    stored = dataset.copy()
+    stored.attrs.pop(CHECKSUM, None)
+    return stored
+
+
+def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
+    """Return the part of a dataset at coordinates of its grid.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    at : mapping
+        From dimensions to coordinates: numbers, up to rounding, or labels.
+
+    Raises
+    ------
+    ValueError
+        For a dimension or a coordinate that the dataset does not have.
+    """
+    for dimension, given in at.items():
+        one_of("at", dimension, map(str, dataset.dims))
+        values = dataset[dimension].values
+        if np.issubdtype(values.dtype, np.number):
+            wanted = number(f"at.{dimension}", given)
+            place = int(np.abs(values - wanted).argmin())
+            found = bool(np.isclose(values[place], wanted, rtol=1e-12, atol=0.0))
+        else:
+            place = int((values == str(given)).argmax())
+            found = bool(values[place] == str(given))
+        if not found:
+            raise refuse(f"at.{dimension}", given, "one of " + listed(values.tolist()))
+        dataset = dataset.isel({dimension: place}, drop=True)
+    return dataset

@@ -1,0 +1,189 @@
+"""Reading configuration files: one clear message for anything that cannot be run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pandas as pd
+from pydantic import BaseModel, ValidationError
+
+from splits.checks import named, one_of, refuse
+from splits.experiments.figure_sizes import check_size
+from splits.experiments.messages import line_of
+from splits.experiments.model import Experiment
+from splits.experiments.run_fit import check_fit
+from splits.experiments.settings import Settings
+from splits.experiments.simulation import SAMPLE
+from splits.experiments.stacks import LAYERS, with_bases
+from splits.experiments.unused import keywords_given, refuse_unused
+from splits.experiments.yaml_files import ConfigError, read_yaml
+from splits.media.measured_inputs import on_top
+
+Model = TypeVar("Model", bound=BaseModel)
+
+LONGEST = 450
+"""Characters of a message, the name of its file left out."""
+
+
+def load_experiment(
+    path: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
+) -> Experiment:
+    """Read and check one experiment file; its name is the file's unless it gives another.
+
+    Parameters
+    ----------
+    path : path
+    media_folder : path
+        Where ``medium: {base: NAME}`` finds ``NAME.yaml``.
+    measured_folder : path, optional
+        Where measured tables are; by default ``measured`` beside the media.
+
+    Raises
+    ------
+    ConfigError
+        One line that names the file, the key, the value and what is allowed.
+    """
+    path = Path(path)
+    try:
+        media = Path(media_folder)
+        return _experiment(path, media, Path(measured_folder or media.parent / "measured"))
+    except ConfigError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {_line(str(error))}") from None
+
+
+def _line(text: str) -> str:
+    """Return a message on one line of bounded length, whatever a user's words in it are."""
+    plain = "".join(c if c.isprintable() else " " for c in text)
+    return plain if len(plain) <= LONGEST else f"{plain[: LONGEST - 2]} …"
+
+
+def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
+    """Return what an experiment file describes; errors need not name the file."""
+    content = {"name": path.stem, **read_yaml(path)}
+    given = keywords_given(content)
+    medium, grid = content.get("medium", {}), content.get("grid")
+    if not isinstance(medium, dict):
+        raise refuse("medium", medium, "a mapping of keys to values")
+    if medium:
+        content["medium"] = _whole(medium, "medium", media)
+    if isinstance(grid, dict) and isinstance(grid.get(SAMPLE), (list, dict)):
+        grid = content["grid"] = grid | {SAMPLE: _samples(grid[SAMPLE], media)}
+    if isinstance(grid, dict) and isinstance(grid.get(LAYERS), dict):
+        whole = {
+            label: _whole({LAYERS: layers}, f"grid.{LAYERS}.{label}", media)[LAYERS]
+            for label, layers in grid[LAYERS].items()
+        }
+        content["grid"] = grid | {LAYERS: whole}
+    experiment = _checked(Experiment, content)
+    refuse_unused(experiment, given)
+    check_size(experiment)
+    if experiment.figure.measured:
+        table = _measured("figure.measured", measured, experiment.figure.measured)
+        quantity = experiment.figure.quantity
+        if "wavelength_nm" not in table or not set(quantity) & set(table):
+            columns = "wavelength_nm and " + " or ".join(quantity)
+            name = experiment.figure.measured
+            raise refuse("figure.measured", name, f"a table with columns {columns}")
+    if experiment.fit:
+        if experiment.figure.kind not in ("fit", "none"):
+            raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
+        check_fit(experiment, _measured("fit.measured", measured, experiment.fit.measured))
+    return experiment
+
+
+def _measured(key: str, folder: Path, name: str) -> pd.DataFrame:
+    """Return a measured table, or refuse its name or what the file holds."""
+    if not (folder / name).is_file():
+        one_of(key, name, [p.name for p in folder.glob("*.csv")])
+    try:
+        return pd.read_csv(folder / name, comment="#")
+    except ValueError as error:
+        raise refuse(key, name, "a table, by commas", named(str(error))) from None
+
+
+def _samples(given: Any, folder: Path) -> dict[str, Any]:
+    """Return the media of a grid by label, those given by a file's name read from that file."""
+    if isinstance(given, list) and not all(isinstance(name, str) for name in given):
+        allowed = "names of files, or a mapping from labels to media"
+        raise refuse(f"grid.{SAMPLE}", given, allowed)
+    named = {name: name for name in given} if isinstance(given, list) else given
+    return {
+        label: _whole(
+            {"base": value} if isinstance(value, str) else value, f"grid.{SAMPLE}.{label}", folder
+        )
+        for label, value in named.items()
+    }
+
+
+def _with_base(medium: Any, place: str, folder: Path) -> Any:
+    """Return a medium's settings on top of those of the file that its ``base`` names."""
+    if not isinstance(medium, dict) or "base" not in medium:
+        return medium
+    base = one_of(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
+    own = {key: value for key, value in medium.items() if key != "base"}
+    content = read_yaml(folder / f"{base}.yaml")
+    kind = content.get("kind", "snow")
+    if own.get("kind", kind) != kind:
+        hint = "without a base it has values of its own"
+        raise refuse(f"{place}.kind", own["kind"], f"{kind}, as its base {base}", hint)
+    return on_top(content, own)
+
+
+def _whole(medium: Any, place: str, folder: Path) -> Any:
+    """Return a medium, or a stack and all of its layers, on top of the bases they name."""
+    medium = _with_base(medium, place, folder)
+    return with_bases(place, medium, lambda layer, here: _with_base(layer, here, folder))
+
+
+def load_experiments(
+    folder: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
+) -> dict[str, Experiment]:
+    """Read and check all experiment files below a folder, by name; see `load_experiment`.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each file that cannot be run or has the name of another, or if there
+        is no file.
+    """
+    experiments: dict[str, Experiment] = {}
+    files: dict[str, Path] = {}
+    refused: list[str] = []
+    for path in sorted(Path(folder).rglob("*.y*ml")):
+        try:
+            experiment = load_experiment(path, media_folder, measured_folder)
+        except ConfigError as error:
+            refused.append(str(error))
+            continue
+        name = experiment.name
+        if name in experiments:
+            refused.append(f"{path}: name = {name!r}: already taken by {files[name]}")
+        experiments[name], files[name] = experiment, path
+    if refused:
+        raise ConfigError("\n".join(refused))
+    if not experiments:
+        raise ConfigError(f"{folder}: no experiment file (*.yaml)")
+    return experiments
+
+
+def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
+    """Check the main configuration, given as a mapping."""
+    try:
+        return _checked(Settings, content)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: {_line(str(error))}") from None
+
+
+def _checked(model: type[Model], content: dict[str, Any]) -> Model:
+    """Return a model of the content, or refuse it in one line."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ValueError(line_of(model, error)) from None

@@ -1,0 +1,161 @@
+"""What an experiment file may say: what decides its numbers, and how it is shown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from splits.checks import one_of, refuse
+from splits.experiments.coordinates import coordinate_values
+from splits.experiments.grids import label_at
+from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
+from splits.experiments.simulation import Simulation
+from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
+from splits.instruments.scenes import ground_of
+from splits.media.granular import LayeredMedium
+from splits.media.turbid import Medium, TurbidMedium
+
+RULES = (
+    "all", "archive", "benchmark_kernels", "benchmarks", "documented", "figure",
+    "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error",
+)  # fmt: skip
+"""Names that the workflow's own rules have taken."""
+
+
+class Experiment(Simulation):
+    """A simulation with the words and the figure that show it."""
+
+    title: str = ""
+    caption: str = ""
+    figure: FigureSection = Field(default_factory=FigureSection)
+
+    @field_validator("name")
+    @classmethod
+    def _not_taken(cls, value: str) -> str:
+        if value in RULES:
+            raise refuse("name", value, "none of the workflow's rules " + ", ".join(RULES))
+        return value
+
+    @field_validator("figure", mode="before")
+    @classmethod
+    def _no_figure(cls, value: Any) -> Any:
+        return {"kind": "none"} if value == "none" else value
+
+    @field_validator("title")
+    @classmethod
+    def _title(cls, value: str) -> str:
+        return check_text("title", value, LONGEST_TITLE)
+
+    @field_validator("caption")
+    @classmethod
+    def _caption(cls, value: str) -> str:
+        return check_text("caption", value, LONGEST_CAPTION, lines=True)
+
+    @model_validator(mode="after")
+    def _drawable(self) -> Experiment:
+        if self.figure.kind == "fit" and not self.fit:
+            raise refuse("figure.kind", "fit", "another one for an experiment without section fit")
+        self._check_figure()
+        for dimension, given in self.figure.at.items():
+            if not self.grid:
+                raise refuse("figure.at", dimension, "left out where there is no grid")
+            one_of("figure.at", dimension, self.grid)
+            label_at(dimension, self.grid[dimension], given)
+        self._check_points()
+        self._check_swatches()
+        for _, medium, _ in self.points():
+            self._check_quantity(medium)
+        return self
+
+    def _check_figure(self) -> None:
+        """Refuse a figure that does not show what the instrument measures."""
+        instrument = self.instrument
+        known = FIGURES[instrument.kind]
+        drawn = self.figure.kind != "none"
+        if drawn and self.figure.kind is not None and self.figure.kind not in known:
+            raise refuse(
+                "figure.kind",
+                self.figure.kind,
+                f"one of {', '.join(known)} for instrument.kind = {instrument.kind!r}",
+            )
+        if "quantity" in self.figure.model_fields_set:
+            for quantity in self.figure.quantity:
+                one_of("figure.quantity", quantity, QUANTITIES.get(instrument.kind, ()))
+        turned = instrument.azimuth_deg
+        if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
+            raise refuse(
+                "instrument.azimuth_deg", turned, "with 0 and 180",
+                "figures show the principal plane",
+            )  # fmt: skip
+        if drawn and instrument.cells is not None and instrument.cells[1] % 2:
+            raise refuse(
+                "instrument.cells", instrument.cells, "an even number around",
+                "figures show the principal plane",
+            )  # fmt: skip
+        if self.figure.kind == "cells" and instrument.estimator != "cells":
+            raise refuse(
+                "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
+            )
+
+    def _check_points(self) -> None:
+        """Refuse figures of one point of a grid that do not say which."""
+        free = [parameter for parameter in self.grid if parameter not in self.figure.at]
+        kind = self.figure.kind or FIGURES[self.instrument.kind][0]
+        if kind in OF_ONE_POINT and len(free) > (kind == "lobes"):
+            raise refuse(
+                "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
+                f"kind {kind}", "it shows one point of the grid; the dataset holds all",
+            )  # fmt: skip
+
+    def _check_swatches(self) -> None:
+        """Refuse colours of spectra that are not of daylight, or of too many parameters."""
+        if self.figure.kind != "swatches":
+            return
+        x = self.instrument.wavelengths()
+        if x[0] > 400.0 or x[-1] < 780.0 or np.diff(x).max(initial=0.0) > 10.0:
+            raise refuse(
+                "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
+                "400 to 780 nm in steps of at most 10 nm for figure.kind = 'swatches'",
+            )  # fmt: skip
+        if not 1 <= len(self.grid) - len(self.figure.at) <= 2:
+            raise refuse(
+                "grid", list(self.grid), "one or two parameters for figure.kind = 'swatches'"
+            )
+
+    def _check_quantity(self, medium: Medium) -> None:
+        """Refuse a figure of what a medium does not have."""
+        without = isinstance(medium, TurbidMedium | LayeredMedium)
+        heard = self.instrument.estimator == "local" and "btdf" in self.figure.quantity
+        if heard and getattr(medium, "bottom_albedo", None) is not None:
+            raise refuse("figure.quantity", "btdf", "brdf over a bottom with local estimation")
+        if "btdf" in self.figure.quantity and ground_of(medium) is not None:
+            raise refuse("figure.quantity", "btdf", "brdf over a ground")
+        if self.figure.kind == "polarization":
+            if not (isinstance(medium, TurbidMedium) and medium.polarized):
+                raise refuse("medium.polarized", False, "true for figure.kind = 'polarization'")
+            if self.instrument.estimator not in ("local", "cells"):
+                raise refuse(
+                    "instrument.estimator", self.instrument.estimator,
+                    "local or cells for figure.kind = 'polarization'",
+                )  # fmt: skip
+        if without and "mean_grain_distance" in self.figure.quantity:
+            why = "left out: layers have no grains, stacks not one distance"
+            raise refuse("figure.quantity", "mean_grain_distance", why)
+
+    def drawing(self) -> dict[str, Any]:
+        """Return the section `figure` for `splits.figures.draw`, with a kind that fits.
+
+        What is held fixed is given as the dataset's coordinates have it.
+        """
+        usual = FIGURES[self.instrument.kind][0]
+        if usual == "spectra" and self.grid and self.instrument.wavelengths().size == 1:
+            usual = "points"
+        at = {}
+        for dimension, given in self.figure.at.items():
+            values = self.grid[dimension]
+            place = list(values).index(label_at(dimension, values, given))
+            at[dimension] = coordinate_values(values)[place].item()
+        drawing = self.figure.model_dump(mode="json")
+        return {**drawing, "kind": self.figure.kind or usual, "at": at}

@@ -1,0 +1,116 @@
+"""What SPLITSnow's paper says in words of how snow's BRDF varies with angle (Figs 16 to 22).
+
+Peaks and limbs are means over 60° to 75° in the principal plane, see `splits.experiments.trial`:
+the trends are about directions, not about the brightest of several noisy values.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import xarray as xr
+
+from splits.analysis.angular_trends import LAMBERTIAN
+from splits.experiments.trial import Trial, Values, same
+
+LIMB = 67.5
+"""Middle of the outermost sector (degrees)."""
+
+Number = tuple[float, float]
+"""A value and its standard error."""
+
+
+def incidence(trial: Trial) -> Values:
+    """Return the trends of Fig 19: nearly Lambertian at 0°, a peak at 30°, a larger one at 60°."""
+    upright, tilted = trial.plane(600.0, 0.0, number=1), trial.plane(600.0, 30.0, number=2)
+    peaks = [_over_nadir(plane, LIMB) for plane in (tilted, trial.oblique)]
+    value, noise = _spread(upright.sel(angle=slice(-60.0, 60.0)))
+    return {
+        "fig19_lambertian": same(LAMBERTIAN - value, noise),
+        "fig19_peak_30": same(*peaks[0]),
+        "fig19_peak_60": same(*peaks[1]),
+        "fig19_peak_grows": same(*_difference(peaks[1], peaks[0])),
+    }
+
+
+def nadir(trial: Trial) -> Values:
+    """Return the trends of Figs 16 to 18: where light falls steeply the nadir is dark."""
+    steep = trial.plane([600.0, 1800.0], 69.3, number=3, depth_m=0.25)
+    bright, dark = (steep.isel(wavelength=[i]) for i in (0, 1))
+    darker = min(_over_nadir(dark, angle) for angle in (-LIMB, LIMB))
+    limbs = [
+        max(_over_nadir(plane, angle) for angle in (-LIMB, LIMB))
+        for plane in (
+            trial.plane(600.0, 52.8, number=4, depth_m=0.25), bright,
+            trial.plane(600.0, 84.8, number=5, depth_m=0.25),
+        )
+    ]  # fmt: skip
+    grows = [_difference(b, a) for a, b in itertools.pairwise(limbs)]
+    return {
+        "fig16_nadir_dark": same(*min(limbs)),
+        "fig16_grows": same(*min(grows)),
+        "fig17_nadir_dark": same(*darker),
+        "fig18_varies_more": same(*_difference(_rise(dark), _rise(bright))),
+    }
+
+
+def grains(trial: Trial) -> Values:
+    """Return the trends of Figs 20 to 22: forward peaks by grain size and facetness."""
+    shown = {}
+    for place, name, sign in (
+        (600.0, "fig20_fine_least", -1.0), (1450.0, "fig21_fine_most", 1.0),
+    ):  # fmt: skip
+        *others, fine = (
+            _top(trial.plane(place, 67.0, size[1] > 300, number=6 + i, grain_size_um=size))
+            for i, size in enumerate(((1500, 3000), (300, 750), (30, 300)))
+        )
+        steps = [(sign * (fine[0] / o[0] - 1.0), _ratio_error(fine, o)) for o in others]
+        shown[name] = same(*min(steps))
+    rounded, faceted = (
+        _rise(trial.plane(600.0, 60.0, True, number=9 + i, facetness=facetness))
+        for i, facetness in enumerate(((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)))
+    )
+    steps = [_difference(rounded, other) for other in (_rise(trial.oblique), faceted)]
+    return {**shown, "fig22_rounded_varies_most": same(*min(steps))}
+
+
+def _at(plane: xr.Dataset, angle: float) -> Number:
+    part = plane.isel(wavelength=0).sel(angle=angle)
+    return float(part.brdf), float(part.brdf_stderr)
+
+
+def _top(plane: xr.Dataset) -> Number:
+    """Return the BRDF where the forward peak is."""
+    return _at(plane, LIMB)
+
+
+def _over_nadir(plane: xr.Dataset, angle: float) -> Number:
+    """Return how much brighter a direction is than the nadir, in units of the nadir."""
+    pair = _at(plane, angle), _at(plane, 0.0)
+    return pair[0][0] / pair[1][0] - 1.0, _ratio_error(*pair)
+
+
+def _rise(plane: xr.Dataset) -> Number:
+    """Return by how much the BRDF rises from the nadir forwards, in units of its mean."""
+    mean = float(plane.isel(wavelength=0).brdf.mean())
+    top, low = _at(plane, LIMB), _at(plane, 0.0)
+    return (top[0] - low[0]) / mean, float(np.hypot(top[1], low[1])) / mean
+
+
+def _spread(plane: xr.Dataset) -> Number:
+    """Return the largest difference between sectors in units of the mean."""
+    part = plane.isel(wavelength=0)
+    high, low = (part.isel(angle=int(i(part.brdf.values))) for i in (np.argmax, np.argmin))
+    mean = float(part.brdf.mean())
+    error = float(np.hypot(float(high.brdf_stderr), float(low.brdf_stderr)))
+    return float(high.brdf - low.brdf) / mean, error / mean
+
+
+def _difference(a: Number, b: Number) -> Number:
+    return a[0] - b[0], float(np.hypot(a[1], b[1]))
+
+
+def _ratio_error(a: Number, b: Number) -> float:
+    """Return the error of a/b."""
+    return float(np.hypot(a[1], a[0] * b[1] / b[0]) / abs(b[0]))

@@ -1,0 +1,245 @@
+"""Which readings did a paper's authors run?  All combinations against all that it states.
+
+The misfit of a combination is the sum of squared differences in bars from every number and trend
+(`splits.analysis.misfit`).  But for noise it grows from stage to stage.  All combinations go
+through the cheap stages; of the costly ones each takes fewer, those with the least sum so far
+(`TAKEN`).  What is left behind may still have a smaller misfit than the first: this is a search,
+not a proof.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from splits.analysis.misfit import Misfit, Statement, misfit, numbers_stated
+from splits.experiments.published_snow import FLOORS, NUMBERS, STAGES, pairs_of, trends_stated
+from splits.experiments.trial import WATERS, Errors, Trial, Values
+from splits.media import Readings
+from splits.media.readings import SETS
+
+TAKEN = {
+    "angles": (32, 32), "transmittance": (16, 16), "facetness below": (16, 16),
+    "grain size": (16, 16), "nadir": (7, 7), "grains": (7, 7), "free ranges": (7, 7),
+}  # fmt: skip
+"""How many combinations a stage takes of all, and of those that keep to the text, besides the sets
+with a name; others take all that are left."""
+
+LINES_EVERY = 24
+"""Combinations between lines of progress."""
+HOPELESS = 100.0
+"""Sum of squares (ten bars once) from which a combination is simulated no further."""
+
+BOUNDARIES = "boundaries"
+GRAINS_THAT_DO_NOT_FIT = ("grain_on_last_leg", "grain_across_boundary")
+"""Readings that ``boundaries`` stands for together."""
+FATES = {
+    "reject": ("reject", "reject"),
+    "keep": ("keep", "keep"),
+    "skip": ("skip", "skip"),
+    "last leg kept": ("keep", "reject"),
+}
+"""What ``boundaries`` may be, and those readings."""
+
+
+class Choice(NamedTuple):
+    """What a paper leaves open, chosen with one water to come as near as can be.
+
+    Attributes
+    ----------
+    misfit : Misfit
+    values : dict
+        Ours and its standard error by statement.
+    floor : float
+        Transmittance below which light counts as none in all sensitivities.
+    ranges : dict
+        Extremes of a parameter by the statements of its sensitivities.
+    """
+
+    misfit: Misfit
+    values: dict[str, tuple[float, float]]
+    floor: float
+    ranges: dict[str, str]
+
+
+@dataclass(eq=False)
+class Combination:
+    """One set of readings, as far as it has been simulated.
+
+    Attributes
+    ----------
+    trial : Trial
+    values : dict
+        Ours and its standard error by statement, see `splits.experiments.trial.Values`.
+    done : int
+        How many stages are behind it.
+    least : float
+        The least sum of squares so far with any water.
+    """
+
+    trial: Trial
+    values: Values = field(default_factory=dict)
+    done: int = 0
+    least: float = 0.0
+
+    def keeps_to(self, text: Mapping[str, str]) -> bool:
+        """Tell whether the readings are those of a text."""
+        own = self.trial.readings
+        return all(getattr(own, name) == choice for name, choice in spelt_out(text).items())
+
+    def set_name(self) -> str:
+        """Return the name that these readings have as a set, nothing if they have none."""
+        own = self.trial.readings
+        return next((name for name in SETS if Readings.of(name) == own), "")
+
+    def choices(self, stated: Mapping[str, Statement]) -> list[Choice]:
+        """Return the nearest choice with each water, of those statements that it has values for.
+
+        One floor holds for all sensitivities, one pair of extremes for both of a parameter.
+        """
+        known = {name: stated[name] for name in stated if name in self.values}
+        return [
+            min((self._with(known, w, f) for f in range(len(FLOORS))), key=lambda c: c.misfit.total)
+            for w in range(len(WATERS))
+        ]
+
+    def _with(self, known: Mapping[str, Statement], water: int, floor: int) -> Choice:
+        """Return the choice with one water and one floor."""
+        rows = {
+            name: np.array([array[water] if array.ndim == 1 else _floored(array[water], floor)
+                            for array in self.values[name]])
+            for name in known
+        }  # fmt: skip
+        values: dict[str, tuple[float, float]] = {}
+        ranges: dict[str, str] = {}
+        for parameter, names in _free(rows).items():
+            distance = sum(known[name].distance(rows[name][0]) ** 2 for name in names)
+            pair = int(np.argmin(distance))
+            label = pairs_of(parameter)[pair]
+            ranges |= dict.fromkeys(names, label)
+            values |= {name: _pair(rows[name][:, pair]) for name in names}
+        values |= {name: _pair(row) for name, row in rows.items() if row.ndim == 1}
+        ours, errors = zip(*(values[name] for name in known), strict=True) if known else ((), ())
+        found = misfit(known.values(), ours, errors)
+        return Choice(found, values, FLOORS[floor], ranges)
+
+
+def _pair(row: np.ndarray) -> tuple[float, float]:
+    return float(row[0]), float(row[1])
+
+
+def _floored(array: np.ndarray, floor: int) -> np.ndarray:
+    """Return the sensitivities of all pairs with a floor; reflectance has none."""
+    return array[:, min(floor, array.shape[1] - 1)]
+
+
+def _free(rows: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
+    """Return the sensitivities by parameter."""
+    found: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        if row.ndim > 1:
+            found.setdefault(name.split("_", 2)[2], []).append(name)
+    return found
+
+
+def rank_readings(
+    published: pd.DataFrame,
+    choices: Mapping[str, Sequence[str]],
+    text: Mapping[str, str],
+    seed: int = 1,
+    threads: int = 1,
+    error_factor: float = 1.0,
+    say: Callable[[str], None] = lambda line: None,
+) -> tuple[list[Combination], dict[str, Statement]]:
+    """Simulate combinations of readings, each as far as it may be among the first.
+
+    Parameters
+    ----------
+    published : pandas.DataFrame
+        See `splits.analysis.agreement.read_published`.
+    choices : mapping
+        Names of `splits.Readings` to the choices tried; ``boundaries`` says what becomes of both
+        kinds of grains that do not fit.
+    text : mapping
+        What the paper says without doubt, likewise: the best of those that keep to it are followed
+        to the end whatever comes before them.
+    seed : int
+        The same for all runs, so that combinations share random numbers where they are alike.
+    threads : int
+    error_factor : float
+        Multiplies the errors of all runs.
+    say : callable
+        Receives lines of progress.
+
+    Returns
+    -------
+    combinations : list of Combination
+        All of them, and the sets with a name besides, the least misfit first.
+    stated : dict
+        All statements by name.
+    """
+    begun, given = time.perf_counter(), Errors().times(error_factor)
+    stages = {
+        stage: numbers_stated(published, NUMBERS.get(stage, ())) | trends_stated(stage)
+        for stage in STAGES
+    }
+    stated = {name: s for stage in stages.values() for name, s in stage.items()}
+    readings = [
+        Readings(**spelt_out(dict(zip(choices, one, strict=True))))
+        for one in itertools.product(*choices.values())
+    ]
+    # Sets with a name may differ from all of them in readings that are not tried.
+    readings += [one for one in map(Readings.of, SETS) if one not in readings]
+    combinations = [Combination(Trial(one, seed, given)) for one in readings]
+
+    def further(one: Combination) -> None:
+        stage = list(STAGES)[one.done]
+        one.values |= STAGES[stage](one.trial)
+        one.done += 1
+        one.least = min(choice.misfit.total for choice in one.choices(stated))
+
+    alive = list(combinations)
+    with ThreadPoolExecutor(threads) as pool:
+        for number, stage in enumerate(stages):
+            alive.sort(key=lambda one: one.least)
+            if stage in TAKEN:
+                some, true = TAKEN[stage]
+                literal = [one for one in alive if one.keeps_to(text)][:true]
+                kept = [*alive[:some], *literal, *(one for one in alive if one.set_name())]
+                alive = [one for one in alive if one in kept]
+            if number:
+                # What is off beyond all repair by what costs nothing needs no rays, but two do.
+                alive = [
+                    one for i, one in enumerate(alive)
+                    if i < 2 or one.least < HOPELESS or one.set_name()
+                ]  # fmt: skip
+            for done, _ in enumerate(pool.map(further, alive), start=1):
+                if done % LINES_EVERY == 0 or done == len(alive):
+                    say(
+                        f"readings: {stage}, {done} of {len(alive)}; stage {number + 1} of "
+                        f"{len(stages)}; {time.perf_counter() - begun:.0f} s"
+                    )
+    return sorted(combinations, key=lambda one: (-one.done, one.least)), stated
+
+
+def spelt_out(chosen: Mapping[str, str]) -> dict[str, str]:
+    """Return choices with both readings in place of ``boundaries``."""
+    rest = {name: choice for name, choice in chosen.items() if name != BOUNDARIES}
+    fates = FATES[chosen[BOUNDARIES]] if BOUNDARIES in chosen else ()
+    return rest | dict(zip(GRAINS_THAT_DO_NOT_FIT, fates, strict=bool(fates)))
+
+
+def called(readings: Readings, name: str) -> str:
+    """Return the choice that readings make of one name of a study, the inverse of `spelt_out`."""
+    own = readings.as_dict()
+    if name != BOUNDARIES:
+        return own[name]
+    fates = tuple(own[one] for one in GRAINS_THAT_DO_NOT_FIT)
+    return next(choice for choice, both in FATES.items() if both == fates)

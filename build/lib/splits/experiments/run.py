@@ -1,0 +1,213 @@
+"""Running an experiment: every point of its grid, one labelled dataset."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.dataset import attributes, provenance
+from splits.experiments.coordinates import grid_coordinates
+from splits.experiments.sections import SURFACES, Instrument
+from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
+from splits.instruments import (
+    Progress,
+    bssrdf,
+    goniophotometer,
+    lens,
+    spectrophotometer,
+    surface_map,
+)
+from splits.media.turbid import Medium
+from splits.sources import physics_digest
+
+POINT_FACTS = {
+    "rays": ("number of rays traced", "1"),
+    "max_stderr_reached": ("largest standard error reached", "1"),
+    "relative_stderr_reached": ("largest relative standard error reached", "1"),
+    "mean_grain_distance": ("mean distance between grains along a ray", "m"),
+    "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
+}
+REACHED = ("max_stderr_reached", "relative_stderr_reached")
+BEAM_RAYS = 200_000
+"""Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
+_PER_MEDIUM = {
+    "mean_grain_distance": "mean_grain_distance_m",
+    "specific_surface_area": "specific_surface_area_m2_kg",
+}
+
+
+def run(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int = 1,
+    threads: int | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> xr.Dataset:
+    """Run all points of an experiment's grid.
+
+    Parameters
+    ----------
+    experiment : Simulation
+    accuracy : Accuracy
+        Errors and limits; an instrument's ``error_factor`` multiplies the error.
+    seed : int
+        Used unless the experiment's instrument gives its own; every point of a grid uses the
+        same, so that differences along the grid are smooth.
+    threads : int, optional
+    say : callable
+        Receives lines of progress.
+
+    Returns
+    -------
+    xarray.Dataset
+        The instrument's variables over the grid's parameters and wavelength.
+    """
+    if experiment.instrument.kind == "refractive_index":
+        return refractive_indices(experiment)
+    begun = time.perf_counter()
+    instrument = experiment.instrument
+    points = list(experiment.points())
+    results = []
+    for number, (labels, medium, incidence) in enumerate(points, start=1):
+        where = " ".join(f"{p}={label}" for p, label in labels.items())
+        head = f"{experiment.name} {number}/{len(points)} {where}".rstrip()
+
+        def show(progress: Progress, head: str = head) -> None:
+            if progress.stderr >= 1.0:
+                say(f"{head}: first round, {progress.rays} rays")
+                return
+            say(
+                f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+                f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+            )
+
+        result = measure(
+            instrument,
+            medium,
+            incidence,
+            accuracy,
+            seed if instrument.seed is None else instrument.seed,
+            threads,
+            show,
+        )
+        results.append(result)
+        facts = result.attrs
+        reached = [f", error {facts[key]:.4f}" for key in REACHED if key in facts]
+        say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
+        asked = instrument.rays or instrument.estimator == "cells"
+        if facts.get("stopped_by") == "rays" and not asked:
+            say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
+        if facts.get("stopped_by") == "degree":
+            say(
+                f"{head}: stopped before the error was reached: in some directions light changes "
+                "faster than the expansion can follow, which no rays mend; stated errors allow "
+                "for it; `estimator: cells` shows such light"
+            )
+    return _stack(experiment, results, time.perf_counter() - begun)
+
+
+def measure(
+    instrument: Instrument,
+    medium: Medium,
+    incidence_deg: float | str,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    progress: Callable[[Progress], None],
+) -> xr.Dataset:
+    """Put a medium under an instrument; see `run`."""
+    scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
+    common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
+    keys = (
+        "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",
+        "radius_m", "screen_depth_m", "over", "realisations",
+    )  # fmt: skip
+    given = {key: getattr(instrument, key) for key in keys}
+    given = {key: value for key, value in given.items() if value is not None}
+    if instrument.kind in SURFACES:
+        look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
+        return look(medium, seed=seed, **given)
+    common |= given
+    if instrument.kind == "bssrdf":
+        effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
+        common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
+        return bssrdf(*scene, **common)
+    if accuracy.max_rays is not None:
+        common["max_rays"] = accuracy.max_rays
+    if instrument.kind == "goniophotometer":
+        common["relative_stderr"] = min(instrument.error_factor * accuracy.relative_stderr, 0.5)
+        return goniophotometer(*scene, **common)
+    common["max_stderr"] = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    return spectrophotometer(*scene, **common)
+
+
+def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
+    """Return the points of a grid as one dataset."""
+    shape = tuple(len(values) for values in experiment.grid.values())
+    dims = tuple(experiment.grid)
+    first = results[0]
+    variables: dict[str, Any] = {}
+    common = [n for n in first.data_vars if all(n in r.data_vars for r in results)]
+    for name, variable in first[common].data_vars.items():
+        stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
+        variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
+    for name, (long_name, units) in POINT_FACTS.items():
+        key = f"{first.attrs['medium']}_{_PER_MEDIUM[name]}" if name in _PER_MEDIUM else name
+        if key not in first.attrs:
+            continue
+        values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
+        variables[name] = (dims, values, {"long_name": long_name, "units": units})
+    coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}
+    coordinates |= grid_coordinates(experiment.grid)
+    varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
+    constant = {
+        key: value
+        for key, value in first.attrs.items()
+        if key not in varying
+        and all(key in r.attrs and np.array_equal(r.attrs[key], value) for r in results)
+    }
+    facts = {
+        **constant,
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "configuration": experiment.configuration(),
+        "rays": int(sum(r.attrs["rays"] for r in results)),
+        **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
+        "wall_time_s": round(seconds, 3),
+        **provenance(f"experiment {experiment.name}"),
+    }
+    if "stopped_by" in first.attrs:
+        reasons = {r.attrs["stopped_by"] for r in results}
+        facts["stopped_by"] = next(r for r in ("degree", "rays", "detail", "error") if r in reasons)
+    return xr.Dataset(variables, coordinates, attributes(facts))
+
+
+def refractive_indices(experiment: Simulation) -> xr.Dataset:
+    """Return the complex refractive indices of an experiment's medium over wavelength."""
+    _, medium, _ = next(experiment.points())
+    wavelength = experiment.instrument.wavelengths()
+    index = medium.indices(wavelength)
+    variables = {
+        "n": (("wavelength", "material"), index.real, {"long_name": "refractive index"}),
+        "k": (("wavelength", "material"), index.imag, {"long_name": "extinction coefficient"}),
+    }
+    for _, _, variable_attributes in variables.values():
+        variable_attributes["units"] = "1"
+    coordinates = {
+        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "material": ("material", list(medium.materials()), {"long_name": "material"}),
+    }
+    facts = {
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "configuration": experiment.configuration(),
+        **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
+        "physics_sources_sha256": physics_digest(),
+        **provenance(f"experiment {experiment.name}"),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))

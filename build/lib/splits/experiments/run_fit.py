@@ -1,0 +1,212 @@
+"""Fits as experiments: every sample of a measured table, at every point of the grid."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.checks import in_range, one_of, refuse, under
+from splits.dataset import attributes, provenance
+from splits.experiments.coordinates import grid_coordinates
+from splits.experiments.fit import Effort, FitResult, fit
+from splits.experiments.parameters import Cube
+from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
+from splits.instruments.arguments import check_wavelengths
+from splits.instruments.threads import Threads, cpus
+from splits.sources import physics_digest
+from splits.uncertainty import Variable, quantity
+
+
+def run_fit(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    measured: pd.DataFrame,
+    seed: int = 1,
+    threads: int | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> xr.Dataset:
+    """Fit a sand to every sample of a measured table, for every point of an experiment's grid.
+
+    Parameters
+    ----------
+    experiment : Simulation
+        With a ``fit`` section.
+    accuracy : Accuracy
+        ``max_stderr`` is that of the last spectrum; a fit's effort shrinks when it is coarse.
+    measured : pandas.DataFrame
+        Column ``wavelength_nm`` and one of reflectances per sample.
+    seed, threads, say
+        As for `splits.experiments.run.run`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the grid's parameters and ``sample``: ``reflectance``, its error and ``measured`` over
+        wavelength; ``rmse``; ``value``, ``value_stderr`` and ``determined`` over ``parameter``;
+        ``correlation`` over ``coordinate`` twice.
+
+    Raises
+    ------
+    ValueError
+        For a sample that the table does not have.
+    """
+    begun = time.perf_counter()
+    samples = check_fit(experiment, measured)
+    ranges = experiment.fit.ranges if experiment.fit else {}
+    wavelength = measured.wavelength_nm.to_numpy(dtype=float)
+    max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
+    cases = list(itertools.product(experiment.settings(), samples))
+    workers = threads or cpus()
+
+    def one(number: int) -> FitResult:
+        (labels, settings, incidence), sample = cases[number]
+        where = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
+        head = f"{experiment.name} {number + 1}/{len(cases)} {where}"
+        return fit(
+            settings,
+            wavelength,
+            measured[sample].to_numpy(dtype=float),
+            incidence,
+            ranges,
+            seed if experiment.instrument.seed is None else experiment.instrument.seed,
+            max(1, workers // len(cases)),
+            lambda line: say(f"{head}: {line}"),
+            effort=effort_for(max_stderr),
+        )
+
+    # Simulations of a fit are short: whole fits side by side keep more threads busy than theirs.
+    with Threads(min(workers, len(cases))) as pool:
+        results = list(pool.map(one, range(len(cases))))
+    return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
+
+
+def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
+    """Return the samples to fit, or refuse what cannot be fitted.
+
+    Raises
+    ------
+    ValueError
+        For a table without wavelengths, a sample that it does not have, reflectances outside
+        [0, 1], wavelengths without refractive indices, or keywords that the fit varies itself.
+    """
+    section = experiment.fit
+    if section is None:
+        raise refuse("fit", None, "a section that names a measured table")
+    if "wavelength_nm" not in measured:
+        raise refuse(
+            "fit.measured", list(measured.columns), "a table, by commas, with column wavelength_nm"
+        )
+    known = [str(c) for c in measured.columns if c != "wavelength_nm"]
+    samples = [one_of("fit.samples", s, known) for s in section.samples] or known
+    with under("fit.measured"):
+        wavelength = check_wavelengths(measured.wavelength_nm.tolist())
+    for sample in samples:
+        for x, value in zip(wavelength, measured[sample], strict=True):
+            key = f"fit.measured ({sample} at {x:g} nm)"
+            in_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
+    for labels, settings, _ in experiment.settings():
+        with experiment.placed(labels):
+            cube = Cube(settings, section.ranges)
+        with under("fit.measured"):
+            cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
+    return samples
+
+
+def effort_for(max_stderr: float) -> Effort:
+    """Return the effort that suits an accuracy: a coarse one asks for a quick look only."""
+    if max_stderr <= 0.005:
+        return Effort(max_stderr=max_stderr)
+    return Effort(
+        points=32, starts=(2, 1), evaluations=(20, 20), rays=(512, 512, 512), max_stderr=max_stderr
+    )
+
+
+def _groups(
+    dims: tuple[str, ...], found: list[xr.DataArray], shape: tuple[int, ...]
+) -> dict[str, Variable]:
+    """Return how errors of modelled reflectance go together, see `splits.analysis.errors`."""
+    values = np.stack([one.values for one in found]).reshape(*shape, *found[0].shape)
+    tail = (str(d) for d in found[0].dims)
+    return {"reflectance_groups": ((*dims, *tail), values, dict(found[0].attrs))}
+
+
+def _coordinates(
+    experiment: Simulation, fit: FitResult, samples: list[str], wavelength: np.ndarray
+) -> dict[str, Any]:
+    """Return the coordinates of a dataset of fits like this one."""
+    names = list(fit.names)
+    return {
+        "wavelength": ("wavelength", wavelength, {"units": "nm", "long_name": "wavelength"}),
+        "sample": ("sample", samples, {"long_name": "sample measured"}),
+        "parameter": ("parameter", list(fit.parameters), {"long_name": "parameter of the sand"}),
+        **{
+            axis: (axis, names, {"long_name": "coordinate of the fit"})
+            for axis in ("coordinate", "other_coordinate")
+        },
+        **grid_coordinates(experiment.grid),
+    }
+
+
+def _dataset(
+    experiment: Simulation,
+    results: list[FitResult],
+    samples: list[str],
+    wavelength: np.ndarray,
+    max_stderr: float,
+    begun: float,
+) -> xr.Dataset:
+    """Return all fits as one dataset."""
+    shape = (*(len(values) for values in experiment.grid.values()), len(samples))
+    dims = (*experiment.grid, "sample")
+    first = results[0]
+    parameters = list(first.parameters)
+
+    def stacked(values: list[Any], *tail: int) -> np.ndarray:
+        return np.array(values, dtype=float).reshape(*shape, *tail)
+
+    def per_parameter(what: str) -> np.ndarray:
+        values = [[float(getattr(r.parameters[p], what)) for p in parameters] for r in results]
+        return stacked(values, len(parameters))
+
+    spectrum, count = (*dims, "wavelength"), len(wavelength)
+    over = (*dims, "parameter")
+    square = (*dims, "coordinate", "other_coordinate")
+    modelled = stacked([r.modelled for r in results], count)
+    error = stacked([r.modelled_stderr for r in results], count)
+    measured = stacked([r.measured for r in results], count)
+    value, value_error, told = map(per_parameter, ("value", "stderr", "determined"))
+    related = stacked([r.correlation for r in results], len(first.names), len(first.names))
+    rmse, rmse_error, tried = (
+        stacked([getattr(r, name) for r in results])
+        for name in ("rmse", "rmse_stderr", "evaluations")
+    )
+    narrowed = "1 where the spectrum narrows the parameter to below half of its range"
+    variables: dict[str, Variable] = {
+        **quantity("reflectance", spectrum, modelled, error, "modelled reflectance"),
+        **_groups(dims, [r.spectrum.reflectance_groups for r in results], shape),
+        **quantity("measured", spectrum, measured, None, "measured reflectance"),
+        **quantity("value", over, value, value_error, "fitted parameter"),
+        **quantity("determined", over, told, None, narrowed),
+        **quantity("correlation", square, related, None, "correlation of the fit's coordinates"),
+        **quantity("rmse", dims, rmse, rmse_error, "root mean square misfit"),
+        **quantity("evaluations", dims, tried, None, "number of sands simulated"),
+    }
+    coordinates = _coordinates(experiment, first, samples, wavelength)
+    facts = {
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "medium": "sand",
+        "configuration": experiment.configuration(),
+        "max_stderr": max_stderr,
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "physics_sources_sha256": physics_digest(fit=True),
+        **provenance(f"experiment {experiment.name}"),
+    }
+    return xr.Dataset(variables, coordinates, attributes(facts))

@@ -1,0 +1,332 @@
+"""Sections of an experiment file: instrument, figure, fit.
+
+Unknown keys are refused, and so are settings that the instrument chosen does not know.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import PurePath
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from splits.checks import in_range, refuse, under
+from splits.experiments.grids import evenly_spaced
+from splits.experiments.parameters import checked_ranges
+from splits.experiments.texts import LONGEST_LABEL, check_mathematics, check_text
+from splits.instruments.arguments import (
+    check_angles,
+    check_cells,
+    check_half_width,
+    check_incidence,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.bssrdf import CELLS, SIDES
+from splits.instruments.cells import CELLS_OF_5_DEG
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.lens import RAYS, check_depths, check_radius, check_ring
+from splits.instruments.surface_map import MOST_REALISATIONS, POINTS
+
+ESTIMATORS = {
+    "spectrophotometer": ("spectral", "analog"),
+    "goniophotometer": ("expansion", "cells", "local"),
+}
+ONLY_FOR = {
+    "rays": ("goniophotometer", "bssrdf", "lens"),
+    "target": ("goniophotometer",),
+    "polar_deg": ("goniophotometer",),
+    "azimuth_deg": ("goniophotometer",),
+    "cells": ("goniophotometer",),
+    "half_width_m": ("bssrdf", "surface", "lens"),
+    "radius_m": ("lens",),
+    "screen_depth_m": ("lens",),
+    "over": ("lens",),
+    "realisations": ("lens", "surface"),
+}
+"""Settings that only some instruments know."""
+IGNORED = {
+    "surface": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "lens": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "refractive_index": ("incidence_deg", "error_factor"),
+}
+"""Settings that all others know, but not these instruments."""
+SEVERAL = "several values go under grid"
+SURFACES = ("surface", "lens")
+"""Instruments that look at a rough surface alone."""
+REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
+"""Settings that an instrument cannot do without."""
+FIGURES = {
+    "spectrophotometer": ("spectra", "points", "swatches", "fit"),
+    "goniophotometer": ("principal_plane", "lobes", "cells", "polarization"),
+    "bssrdf": ("spread",),
+    "refractive_index": ("refractive_index",),
+    "surface": ("surface",),
+    "lens": ("lens",),
+}
+"""Kinds of figures that show what an instrument measures, the usual one first."""
+OF_ONE_POINT = ("spread", "lobes", "cells", "surface", "lens")
+"""Kinds of figures that show one point of a grid; of lobes, one parameter may vary."""
+QUANTITIES = {
+    "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
+    "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor"),
+}
+"""What figures of an instrument may show."""
+SHOWN = {
+    "lobes": "brdf", "cells": "brdf", "polarization": "brdf", "swatches": "reflectance",
+    "fit": "reflectance",
+}  # fmt: skip
+"""What kinds of figures show that do not let one choose."""
+Quantity = Literal[
+    "reflectance", "transmittance", "absorptance", "mean_grain_distance",
+    "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
+]  # fmt: skip
+
+
+def check_file(key: str, name: str) -> str:
+    """Return the name of a file of config/measured, or refuse a path that leads elsewhere."""
+    if not name.isprintable() or len(name) > 100 or PurePath(name).name != name or "\\" in name:
+        raise refuse(key, name, "the name of a file of config/measured, without folders")
+    return name
+
+
+class Section(BaseModel):
+    """A configuration section: unknown keys are refused, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_switch(cls, value: Any) -> Any:
+        # Nothing here is switched on and off; pydantic would take true for the number 1.
+        if isinstance(value, bool):
+            raise PydanticCustomError("no_switch", "true or false")
+        return value
+
+
+class WavelengthGrid(Section):
+    """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    start: float
+    stop: float
+    step: float = Field(gt=0)
+    also: tuple[float, ...] = ()
+
+    def values(self) -> np.ndarray:
+        """Return the wavelengths (nm), increasing."""
+        steps = evenly_spaced("wavelength_nm", self.start, self.stop, self.step)
+        return np.unique(np.concatenate([steps, self.also]))
+
+
+class Instrument(Section):
+    """A virtual instrument and its settings."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    kind: Literal[
+        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens"
+    ] = "spectrophotometer"  # fmt: skip
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=400, stop=2500, step=10
+    )
+    incidence_deg: float | str = 0.0
+    estimator: Literal["spectral", "analog", "expansion", "cells", "local"] | None = None
+    error_factor: float = 1.0
+    seed: int | None = Field(default=None, ge=0)
+    rays: int | None = Field(default=None, ge=1)
+    target: Literal["brdf", "btdf"] | None = None
+    polar_deg: tuple[float, ...] | None = None
+    azimuth_deg: tuple[float, ...] | None = None
+    cells: tuple[int, int] | None = None
+    half_width_m: float | None = Field(default=None, gt=0)
+    radius_m: float | None = Field(default=None, gt=0)
+    screen_depth_m: tuple[float, ...] | None = None
+    over: Literal["crest", "trough", "origin"] | None = None
+    realisations: int | None = Field(default=None, ge=1)
+
+    @field_validator("incidence_deg", mode="before")
+    @classmethod
+    def _incidence(cls, value: float | str) -> float | str:
+        with under("instrument"):
+            if isinstance(value, (list, tuple)):
+                raise refuse("incidence_deg", value, "one angle or diffuse", SEVERAL)
+            return check_incidence(value)
+
+    @field_validator("error_factor")
+    @classmethod
+    def _error_factor(cls, value: float) -> float:
+        return in_range("instrument.error_factor", value, 0.01, 100.0)
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Instrument:
+        known = ESTIMATORS.get(self.kind, ())
+        if self.estimator is not None and self.estimator not in known:
+            allowed = "one of " + ", ".join(known) if known else "left out"
+            raise refuse("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
+        for key, kinds in ONLY_FOR.items():
+            if getattr(self, key) is not None and self.kind not in kinds:
+                raise refuse(
+                    f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
+                    "it belongs to " + " and ".join(kinds),
+                )  # fmt: skip
+        for key in REQUIRED.get(self.kind, ()):
+            if getattr(self, key) is None:
+                raise refuse(f"instrument.{key}", None, f"given for {self.kind}")
+        for key, low in (("rays", 1), ("seed", 0), ("realisations", 1)):
+            if getattr(self, key) is not None:
+                check_whole(f"instrument.{key}", getattr(self, key), low)
+        with under("instrument"):
+            self._check_extent()
+        for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
+            if getattr(self, key) is not None:
+                raise refuse(f"instrument.{key}", getattr(self, key), "left out with cells")
+        if self.cells is not None and self.estimator != "cells":
+            raise refuse("instrument.cells", self.cells, "left out without estimator = cells")
+        for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
+            if getattr(self, key) is not None:
+                check_angles(f"instrument.{key}", getattr(self, key), end)
+        if self.cells is not None:
+            with under("instrument"):
+                check_cells(self.cells)
+        self._check_ignored()
+        return self
+
+    def _check_extent(self) -> None:
+        """Refuse what an instrument that looks at places cannot look at."""
+        if self.half_width_m is not None:
+            check_half_width(self.kind, self.half_width_m)
+        if self.kind == "surface" and self.realisations is not None:
+            check_whole("realisations", self.realisations, 2, MOST_REALISATIONS)
+        if self.kind == "lens":
+            if self.half_width_m is None and self.over != "origin":
+                hint = "where to look for the crest; or over: origin"
+                raise refuse("half_width_m", None, "given for lens", hint)
+            depths = check_depths("screen_depth_m", self.screen_depth_m)
+            check_radius(self.radius_m)
+            check_ring(self.rays or RAYS, self.realisations or 1, depths.size)
+
+    def _check_ignored(self) -> None:
+        """Refuse settings that would change nothing."""
+        for key in IGNORED.get(self.kind, ()):
+            value = getattr(self, key)
+            if value != type(self).model_fields[key].default:
+                given = value.model_dump() if isinstance(value, BaseModel) else value
+                raise refuse(f"instrument.{key}", given, f"left out for {self.kind}")
+        counted = "rays" if self.rays is not None else "cells" if self.estimator == "cells" else ""
+        if counted and self.error_factor != 1.0:
+            raise refuse(
+                "instrument.error_factor", self.error_factor, f"left out with {counted}",
+                "the number of rays is fixed there, not the error",
+            )  # fmt: skip
+
+    def wavelengths(self) -> np.ndarray:
+        """Return the wavelengths (nm)."""
+        grid = self.wavelength_nm
+        with under("instrument"):
+            return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
+
+    def values(self) -> int:
+        """Return how many values a quantity has at one point of a grid."""
+        if self.kind == "lens":
+            return len(self.screen_depth_m or ()) * (self.rays or RAYS)
+        if self.kind == "surface":
+            return POINTS**2
+        places = 1
+        if self.kind == "bssrdf":
+            places = len(SIDES) * CELLS**2
+        elif self.estimator == "cells":
+            places = math.prod(self.cells or CELLS_OF_5_DEG)
+        elif self.kind == "goniophotometer":
+            places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
+        return places * self.wavelengths().size
+
+
+class FigureSection(Section):
+    """How an experiment's figure shows its dataset."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    quantity: tuple[Quantity, ...] = ("reflectance",)
+    kind: Literal[
+        "spectra", "points", "refractive_index", "swatches", "fit",
+        "principal_plane", "lobes", "cells", "spread", "surface", "lens",
+        "polarization", "none",
+    ] | None = None  # fmt: skip
+    wavelength_nm: tuple[float, float] | None = None
+    at: dict[str, float | str] = {}
+    measured: str | None = None
+    legend: str | None = None
+    ylim: tuple[float, float] | None = None
+
+    @field_validator("quantity", mode="before")
+    @classmethod
+    def _one_or_more(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @field_validator("at", mode="before")
+    @classmethod
+    def _words(cls, value: Any) -> Any:
+        # Grids label true and false by these words.
+        if not isinstance(value, dict):
+            return value
+        return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
+
+    @field_validator("measured")
+    @classmethod
+    def _file(cls, value: str | None) -> str | None:
+        return value if value is None else check_file("figure.measured", value)
+
+    @field_validator("legend")
+    @classmethod
+    def _legend(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        return check_mathematics("figure.legend", check_text("figure.legend", value, LONGEST_LABEL))
+
+    @model_validator(mode="after")
+    def _fitting(self) -> FigureSection:
+        if not self.quantity:
+            raise refuse("figure.quantity", [], "at least one quantity")
+        for key in ("wavelength_nm", "ylim"):
+            limits = getattr(self, key)
+            if limits is not None and not limits[0] < limits[1]:
+                raise refuse(f"figure.{key}", list(limits), "low < high")
+        if self.kind == "none" and self.model_fields_set != {"kind"}:
+            others = sorted(self.model_fields_set - {"kind"})
+            raise refuse("figure.kind", "none", f"left out with {', '.join(others)}")
+        shown = SHOWN.get(self.kind or "")
+        if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
+            raise refuse("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")
+        if "mean_grain_distance" in self.quantity and self.kind != "points":
+            raise refuse("figure.kind", self.kind, "points for mean_grain_distance")
+        return self
+
+
+class FitSection(Section):
+    """Measured spectra to find sands for, instead of simulating given ones.
+
+    `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
+    sample; `samples` chooses some of them.  `ranges` replaces those of
+    `splits.experiments.parameters.RANGES`.
+    """
+
+    measured: str
+    samples: tuple[str, ...] = ()
+    ranges: dict[str, tuple[float, float]] = {}
+
+    @field_validator("measured")
+    @classmethod
+    def _file(cls, value: str) -> str:
+        return check_file("fit.measured", value)
+
+    @field_validator("ranges")
+    @classmethod
+    def _ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
+        with under("fit"):
+            checked_ranges(value)
+        return value

@@ -1,0 +1,261 @@
+"""What an experiment file says that decides numbers: medium, instrument, grid, fit.
+
+One pydantic model per section (those of its parts are in `splits.experiments.sections`).  Unknown
+keys are refused everywhere; physical ranges are checked by the media and instruments themselves,
+so that a limit stands in one place only.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import Field, field_validator, model_validator
+
+from splits.checks import Refusal, keywords_taken, named, one_of, refuse, unknown_key
+from splits.experiments.grids import labelled
+from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
+from splits.experiments.stacks import (
+    LAYERS,
+    MAKERS,
+    MERGED,
+    check_grid,
+    check_layers,
+    path_of,
+    stack_of,
+    with_paths,
+)
+from splits.experiments.stacks import MEDIA as LAYER_MEDIA
+from splits.experiments.user_tables import by_content, renamed, tables_in
+from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
+from splits.instruments.scenes import constants_of, ground_of
+from splits.media import Stack
+from splits.media.granular import GranularMedium, LayeredMedium, check_room
+from splits.media.measured_inputs import on_top
+from splits.media.readings import together
+from splits.media.turbid import Medium, TurbidMedium
+
+MEDIA: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
+SAMPLE = "medium"
+"""Grid dimension whose values are whole media: their settings replace those of the base medium."""
+ENDLESS = ("spectrophotometer", "refractive_index")
+"""Instruments that take packs without end."""
+NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
+
+
+class Simulation(Section):
+    """A medium under an instrument, over a grid of parameters.
+
+    `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
+    is any keyword of the medium, for a stack also one of a layer as a path such as
+    ``layers.0.depth_m``, ``incidence_deg``, or ``medium`` for values that are mappings of several
+    keywords; all combinations are run.
+    """
+
+    name: str
+    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
+    instrument: Instrument = Instrument()
+    grid: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    fit: FitSection | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        if not NAME.fullmatch(value):
+            raise refuse(
+                "name", value, "lower-case letters, digits and underscores, a letter first"
+            )
+        return value
+
+    @field_validator("grid", mode="before")
+    @classmethod
+    def _labelled(cls, value: Any) -> Any:
+        return labelled(value)
+
+    @model_validator(mode="after")
+    def _runnable(self) -> Simulation:
+        kind = self.medium.get("kind", "snow")
+        one_of("medium.kind", kind, MEDIA)
+        keywords = keywords_taken(MEDIA[kind])
+        samples = self.grid.get(SAMPLE, {})
+        for place, settings in {"medium": self.medium, **_places(samples)}.items():
+            for key in settings:
+                if key not in (*keywords, "kind"):
+                    raise unknown_key(f"{place}.{key}", keywords)
+            one_of(f"{place}.kind", settings.get("kind", kind), [kind])
+            if kind == "stack" and (place == "medium" or LAYERS in settings):
+                check_layers(place, settings.get(LAYERS))
+        if kind == "stack":
+            check_grid(self.medium, self.grid, SAMPLE)
+        parameters = [*keywords, "incidence_deg", SAMPLE]
+        for parameter in self.grid:
+            if kind == "stack" and path_of(parameter):
+                continue
+            if parameter not in parameters:
+                raise unknown_key(f"grid.{parameter}", parameters)
+        self._check_fit(kind)
+        self._check_size()
+        wavelengths = self.instrument.wavelengths()
+        grounded: set[bool] = set()
+        beam = self.instrument.kind in ("goniophotometer", "bssrdf")
+        for labels, medium, incidence in self.points():
+            with self.placed(labels):
+                if not self.fit:
+                    constants_of(medium, wavelengths)
+                check_beam(incidence) if beam else check_incidence(incidence)
+                if isinstance(medium, GranularMedium | LayeredMedium):
+                    check_room(medium)
+            self._check_medium(kind, medium)
+            grounded.add(ground_of(medium) is not None)
+        if len(grounded) > 1 and self.instrument.kind == "goniophotometer":
+            why = "a BTDF is there only where light leaves below"
+            raise refuse("grid", "open and reflecting grounds", "of one sort", why)
+        self._check_grid()
+        return self
+
+    def _check_fit(self, kind: str) -> None:
+        """Refuse what does not go with a fit."""
+        if self.fit and kind != "sand":
+            raise refuse("medium.kind", kind, "sand in an experiment with a section fit")
+        if self.fit and "wavelength_nm" in self.instrument.model_fields_set:
+            raise refuse(
+                "instrument.wavelength_nm",
+                "given",
+                "left out: a fit takes the measured wavelengths",
+            )
+        if self.fit and self.instrument.estimator == "analog":
+            raise refuse("instrument.estimator", "analog", "left out: fits share their paths")
+
+    def _check_size(self) -> None:
+        """Refuse a grid whose dataset would not fit into memory."""
+        points = math.prod(len(values) for values in self.grid.values())
+        values = points * self.instrument.values()
+        if values > MOST_VALUES:
+            raise refuse(
+                "grid", f"{points} points of {self.instrument.values()} values each",
+                f"at most {MOST_VALUES} values in all", "several experiments hold more",
+            )  # fmt: skip
+
+    def _check_grid(self) -> None:
+        """Refuse grids that an instrument cannot look at."""
+        instrument = self.instrument
+        if instrument.kind in SURFACES and "incidence_deg" in self.grid:
+            raise refuse(
+                "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
+                f"left out for {instrument.kind}",
+            )  # fmt: skip
+        if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
+            raise refuse(
+                "instrument.half_width_m", None, "given where there is a grid",
+                "all maps of one dataset have the same axes",
+            )  # fmt: skip
+        several = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
+        if instrument.kind == "refractive_index" and several:
+            raise refuse("grid", several, "of one value for refractive_index")
+
+    def _check_medium(self, kind: str, medium: Medium) -> None:
+        """Refuse what only layers, only smooth or only rough ones have, where they have it not."""
+        layer = isinstance(medium, TurbidMedium)
+        rough = isinstance(medium, TurbidMedium) and medium.fields() is not None
+        instrument = self.instrument
+        if instrument.kind in SURFACES and not rough:
+            given = kind if not layer else "a layer without surface"
+            raise refuse("medium.kind", given, f"a layer with a surface for {instrument.kind}")
+        endless = not layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
+        if endless and (instrument.kind not in ENDLESS or instrument.estimator == "analog"):
+            hint = "the spectrophotometer takes packs without end"
+            raise refuse("medium.depth_m", math.inf, "finite", hint)
+        if instrument.estimator == "local" and (rough or not layer):
+            raise refuse("instrument.estimator", "local", "left out but for smooth layers")
+        if instrument.target == "btdf" and ground_of(medium) is not None:
+            raise refuse("instrument.target", "btdf", "brdf over a ground")
+        told = "wavelength_nm" in instrument.model_fields_set
+        if layer and not told and instrument.kind not in (*SURFACES, "refractive_index"):
+            raise refuse(
+                "instrument.wavelength_nm", None, "given for a layer, for example [550]",
+                "layers have no colour: one wavelength says all",
+            )  # fmt: skip
+
+    def tables(self) -> list[str]:
+        """Return the files of users' own refractive indices, on which the numbers depend."""
+        return tables_in([settings for _, settings, _ in self.settings()])
+
+    def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
+        """Yield the labels, the medium and the angle of incidence of each point of the grid."""
+        for labels, settings, incidence in self.settings():
+            kind = self.medium.get("kind", "snow")
+            with self.placed(labels):
+                medium = stack_of(**settings) if kind == "stack" else MAKERS[kind](**settings)
+            yield labels, medium, incidence
+
+    @contextmanager
+    def placed(self, labels: Mapping[str, str]) -> Iterator[None]:
+        """Put before the key of a refusal the section that gives it at a point of the grid."""
+        try:
+            yield
+        except Refusal as error:
+            path = error.key.split(" ", 1)[0]
+            key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
+            sample = self.grid[SAMPLE][labels[SAMPLE]] if SAMPLE in self.grid else {}
+            if key in self.grid:
+                place = "grid"
+            elif key in sample:
+                place = f"grid.{SAMPLE}.{labels[SAMPLE]}"
+            else:
+                place = "fit" if key in FitSection.model_fields else "medium"
+                place = "instrument" if key in Instrument.model_fields else place
+            several = place == "medium" and self._is_several(key)
+            raise error.within(place, SEVERAL if several else "") from None
+
+    def _is_several(self, key: str) -> bool:
+        """Tell whether a keyword of the medium holds a list of what a grid takes."""
+        given = self.medium.get(key)
+        usual = getattr(MEDIA[self.medium.get("kind", "snow")], key, None)
+        if not isinstance(given, (list, tuple)) or usual is None:
+            return False
+        return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
+
+    def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
+        """Yield what `points` yields, with the medium's keywords in its place."""
+        base = {k: v for k, v in self.medium.items() if k != "kind"}
+        if not isinstance(base.get("readings", {}), Mapping | str):
+            allowed = "a mapping of named readings, or the name of a set"
+            raise refuse("medium.readings", base["readings"], allowed)
+        for labels in itertools.product(*self.grid.values()):
+            chosen = dict(zip(self.grid, labels, strict=True))
+            values = {p: self.grid[p][label] for p, label in chosen.items()}
+            incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
+            sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
+            settings = with_paths(on_top(base, sample), values)
+            for key in MERGED:
+                parts = [part[key] for part in (base, sample, values) if key in part]
+                if key == "readings":
+                    settings |= {key: together(parts)} if parts else {}
+                elif parts and all(isinstance(part, Mapping) for part in parts):
+                    settings[key] = {k: v for part in parts for k, v in part.items()}
+            yield chosen, settings, incidence
+
+    def simulation(self) -> dict[str, Any]:
+        """Return what decides the numbers; `Simulation.model_validate` makes the same of it."""
+        content = self.model_dump(mode="json", include=set(Simulation.model_fields))
+        if self.fit:
+            del content["instrument"]["wavelength_nm"]
+        return content
+
+    def configuration(self) -> str:
+        """Return `simulation` as JSON for a dataset, users' tables by name and content."""
+        return json.dumps(renamed(self.simulation(), by_content), sort_keys=True)
+
+
+def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the media of a grid by the place that an error message names."""
+    places = {f"grid.{SAMPLE}.{named(label)}": settings for label, settings in samples.items()}
+    for place, settings in places.items():
+        if not isinstance(settings, Mapping):
+            raise refuse(place, settings, "a mapping of the medium's keywords")
+    return places

@@ -1,0 +1,345 @@
+"""Studies: tables and figures that are made of several experiments, and the roles these play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from splits.analysis.roles import (
+    ANGULAR,
+    LAYER,
+    SAND,
+    SENSITIVITY_DEPTHS,
+    SNOW,
+    SURFACE_AREA,
+    Role,
+)
+from splits.checks import one_of, refuse, suggestion, unknown_key
+from splits.experiments.model import RULES, Experiment
+from splits.experiments.rank_readings import BOUNDARIES, FATES
+from splits.experiments.sections import Section
+from splits.experiments.simulation import NAME
+from splits.experiments.yaml_files import ConfigError
+from splits.media.readings import CHOICES, Readings
+
+FIGURE = (".png", ".svg")
+
+
+class Product(NamedTuple):
+    """Files that a study makes: their folder, suffixes and usual name."""
+
+    folder: str
+    suffixes: tuple[str, ...]
+    name: str
+
+
+def _table(name: str) -> Product:
+    return Product("tables", (".csv",), name)
+
+
+PRODUCTS: dict[str, dict[str, Product]] = {
+    "sensitivity": {
+        "table": _table("{study}"),
+        "chosen": _table("{study}_chosen"),
+        "data": Product("data", (".nc",), "{study}_index"),
+        "figure": Product("figures", FIGURE, "{study}_index"),
+    },
+    "agreement": {
+        "agreement": _table("{study}"),
+        "bands": _table("{study}_bands"),
+        "table1": _table("{study}_table1"),
+        "table3": _table("{study}_table3"),
+        "figure": Product("figures", FIGURE, "{study}_measured"),
+    },
+    "sand_tables": {
+        key: _table(f"{{study}}_{key}") for key in ("trends", "weights", "colours")
+    },
+    "sand_compositions": {"table": _table("{study}")},
+    "readings": {
+        "table": _table("{study}"),
+        "statements": _table("{study}_statements"),
+        "without": _table("{study}_without"),
+        "figure": Product("figures", FIGURE, "{study}"),
+    },
+    "angular_trends": {"table": _table("{study}")},
+    "layer_trends": {"table": _table("{study}")},
+    "surface_area": {
+        "table": _table("{study}"),
+        "law": _table("{study}_law"),
+        "figure": Product("figures", FIGURE, "{study}_found"),
+        "law_figure": Product("figures", FIGURE, "{study}_law"),
+    },
+}  # fmt: skip
+"""What each kind of study makes, by key; `Study.products` gives other names."""
+
+ROLES: dict[str, Mapping[str, Role]] = {
+    "agreement": SNOW, "sand_tables": SAND, "angular_trends": ANGULAR, "layer_trends": LAYER,
+    "surface_area": SURFACE_AREA,
+}  # fmt: skip
+SOME = ("angular_trends", "layer_trends")
+"""Kinds that make what they can of some of their roles."""
+FILES = {
+    "sensitivity": {"published": "published"},
+    "readings": {"published": "published"},
+    "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
+    "surface_area": {"spectra": "measured"},
+}
+"""Tables of numbers that a kind of study reads, and their folders beside that of media."""
+
+
+class SensitivityPair(Section):
+    """Two values of a parameter between which a spectrum's sensitivity is taken.
+
+    `experiment` varies the parameter, and `readings` besides it the readings of the papers.
+    """
+
+    parameter: str
+    experiment: str
+    readings: str | None = None
+    low: float | str
+    high: float | str
+
+
+class Study(Section):
+    """One analysis of several experiments."""
+
+    kind: Literal[
+        "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
+        "layer_trends", "readings", "surface_area",
+    ]  # fmt: skip
+    experiments: dict[str, str] = Field(default_factory=dict)
+    pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
+    sensitivity: str | None = None
+    readings: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    text: dict[str, str] = Field(default_factory=dict)
+    files: dict[str, str] = Field(default_factory=dict)
+    products: dict[str, str] = Field(default_factory=dict)
+
+    def needed(self) -> list[str]:
+        """Return the names of the experiments that it is made of, each once."""
+        names = list(self.experiments.values())
+        for pair in self.pairs.values():
+            names += [pair.experiment, *([pair.readings] if pair.readings else [])]
+        return list(dict.fromkeys(names))
+
+    def names(self, study: str) -> dict[str, str]:
+        """Return the name of every product, without folder and suffix, by its key."""
+        usual = PRODUCTS[self.kind]
+        return {key: self.products.get(key, usual[key].name.format(study=study)) for key in usual}
+
+    def paths(self, study: str) -> dict[str, list[str]]:
+        """Return the files of every product by its key, relative to the folder of results."""
+        usual = PRODUCTS[self.kind]
+        return {
+            key: [f"{usual[key].folder}/{name}{suffix}" for suffix in usual[key].suffixes]
+            for key, name in self.names(study).items()
+        }
+
+
+def left_out(
+    studies: Mapping[str, Study],
+    selected: Mapping[str, Experiment],
+    available: Mapping[str, Experiment],
+) -> dict[str, str]:
+    """Return the studies that lack experiments among those selected, each with a line saying so."""
+    lines = {}
+    for name, study in studies.items():
+        needed = study.needed()
+        if study.sensitivity:
+            needed += studies[study.sensitivity].needed()
+        needed = [one for one in dict.fromkeys(needed) if one not in selected]
+        idle = [one for one in needed if one in available]
+        lacking = [f"not selected: {', '.join(idle)}"] if idle else []
+        for one in needed:
+            if one not in available:
+                hint = suggestion(one, available)
+                lacking.append(f"no such experiment: {one}" + (f" ({hint})" if hint else ""))
+        sands = [one for one in selected.values() if one.medium.get("kind") == "sand"]
+        if study.kind == "sand_compositions" and not sands:
+            lacking = ["no experiment with sand is selected"]
+        if lacking:
+            lines[name] = f"study {name} is left out: {'; '.join(lacking)}"
+    return lines
+
+
+def check_studies(
+    studies: Mapping[str, Study], available: Mapping[str, Experiment], tables: Mapping[str, Path]
+) -> None:
+    """Refuse studies that cannot be made, and names that two things would have.
+
+    Parameters
+    ----------
+    studies, available : mapping
+        By name.
+    tables : mapping
+        Folders of ``published`` and ``measured`` numbers.
+
+    Raises
+    ------
+    ConfigError
+        With one line that names the study, the key, the value and what is allowed.
+    """
+    for study, about in studies.items():
+        try:
+            _check_keys(about)
+            _check_names(study, about, studies)
+            _check_files(about, tables)
+            for role, name in about.experiments.items():
+                if name in available:
+                    _check_role(f"experiments.{role}", available[name], ROLES[about.kind][role])
+            for pair, given in about.pairs.items():
+                _check_pair(f"pairs.{pair}", given, available)
+        except ValueError as error:
+            raise ConfigError(f"studies.{study}.{error}") from None
+    check_free(studies, available)
+
+
+def _check_keys(study: Study) -> None:
+    """Refuse keys that a kind of study does not know, or the lack of those that it needs."""
+    roles = ROLES.get(study.kind, {})
+    for key, known in (
+        ("experiments", roles), ("files", FILES.get(study.kind, {})),
+        ("products", PRODUCTS[study.kind]),
+    ):  # fmt: skip
+        for name in getattr(study, key):
+            if not known:
+                raise refuse(key, getattr(study, key), f"left out for kind = {study.kind!r}")
+            if name not in known:
+                raise unknown_key(f"{key}.{name}", known)
+    missing = [role for role in roles if role not in study.experiments]
+    if missing and (study.kind not in SOME or not study.experiments):
+        needed = "one of" if study.kind in SOME else "the roles"
+        raise refuse("experiments", study.experiments, f"with {needed} {', '.join(missing)}")
+    if (study.kind == "sensitivity") != bool(study.pairs):
+        allowed = "at least one pair" if study.kind == "sensitivity" else "left out"
+        raise refuse("pairs", study.pairs, f"{allowed} for kind = {study.kind!r}")
+    if (study.kind in ("agreement", "readings")) != (study.sensitivity is not None):
+        allowed = "the name of a study" if study.sensitivity is None else "left out"
+        raise refuse("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
+    _check_readings(study)
+    wanted = FILES.get(study.kind, {}) if study.kind != "sensitivity" else {}
+    for key in wanted:
+        if key not in study.files:
+            raise refuse("files", study.files, f"with {', '.join(wanted)}")
+    for key, name in study.products.items():
+        if not NAME.fullmatch(name):
+            allowed = "lower-case letters, digits and underscores, a letter first"
+            raise refuse(f"products.{key}", name, allowed)
+
+
+def _check_readings(study: Study) -> None:
+    """Refuse readings that there are not, and their lack or presence where it is wrong."""
+    if (study.kind == "readings") != bool(study.readings):
+        allowed = "choices by reading" if study.kind == "readings" else "left out"
+        raise refuse("readings", study.readings, f"{allowed} for kind = {study.kind!r}")
+    known = {f.name: CHOICES[f.name] for f in fields(Readings)} | {BOUNDARIES: tuple(FATES)}
+    for key, choices in study.readings.items():
+        if key not in known:
+            raise unknown_key(f"readings.{key}", known)
+        for choice in choices:
+            one_of(f"readings.{key}", choice, known[key])
+    for key, choice in study.text.items():
+        if key not in study.readings:
+            raise unknown_key(f"text.{key}", study.readings)
+        one_of(f"text.{key}", choice, study.readings[key])
+
+
+def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None:
+    if not NAME.fullmatch(study) or study in RULES:
+        allowed = "lower-case letters, digits and underscores, a letter first, no rule's name"
+        raise refuse("name", study, allowed)
+    if about.sensitivity is not None:
+        kinds = {name: one.kind for name, one in studies.items()}
+        known = [name for name, kind in kinds.items() if kind == "sensitivity"]
+        one_of("sensitivity", about.sensitivity, known)
+
+
+def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
+    for key, file in about.files.items():
+        place = tables[FILES[about.kind][key]]
+        if not (place / file).is_file():
+            one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])
+
+
+def _check_role(place: str, experiment: Experiment, role: Role) -> None:
+    """Refuse an experiment that cannot play a role."""
+    instrument, grid = experiment.instrument, experiment.grid
+
+    def wrong(allowed: str) -> ValueError:
+        return refuse(place, experiment.name, allowed)
+
+    if instrument.kind != role.instrument or experiment.fit:
+        raise wrong(f"an experiment with a {role.instrument}")
+    if set(grid) != set(role.over) or any(len(grid[key]) < 2 for key in role.over):
+        several = f"over {' and '.join(role.over)}, two values or more each"
+        raise wrong(f"an experiment {several if role.over else 'without a grid'}")
+    for key, labels in role.labels.items():
+        for label in labels:
+            if not _has(grid[key], label):
+                raise wrong(f"an experiment with {key} = {label} on its grid")
+    given = instrument.wavelengths()
+    for wavelength in role.at_nm:
+        if not np.isclose(given, wavelength).any():
+            raise wrong(f"an experiment with wavelength {wavelength:g} nm")
+    if role.band_nm and (given[0] > role.band_nm[0] or given[-1] < role.band_nm[-1]):
+        low, high = role.band_nm
+        raise wrong(f"an experiment over wavelengths from {low:g} to {high:g} nm")
+    turned = instrument.polar_deg or instrument.estimator == "cells"
+    if role.instrument == "goniophotometer" and turned:
+        raise wrong("an experiment with the usual polar_deg")
+
+
+def _check_pair(place: str, pair: SensitivityPair, available: Mapping[str, Experiment]) -> None:
+    over = (pair.parameter, "depth_m")
+    ends: dict[str, tuple[float | str, ...]] = {pair.parameter: (pair.low, pair.high)}
+    band = (400.0, 2500.0)
+    if pair.experiment in available:
+        role = Role(over, {**ends, **SENSITIVITY_DEPTHS}, band_nm=band)
+        _check_role(f"{place}.experiment", available[pair.experiment], role)
+    if pair.readings in available:
+        role = Role((*over, "readings"), SENSITIVITY_DEPTHS, band_nm=band)
+        _check_role(f"{place}.readings", available[str(pair.readings)], role)
+
+
+def _has(values: Mapping[str, Any], wanted: float | str) -> bool:
+    """Tell whether a grid's values hold one, by its label or as a number."""
+    if isinstance(wanted, str):
+        return wanted in values
+    numbers = [value for value in values.values() if isinstance(value, (int, float))]
+    return f"{wanted:g}" in values or bool(np.isclose(numbers, wanted).any())
+
+
+def check_free(studies: Mapping[str, Study], available: Mapping[str, Experiment]) -> None:
+    """Refuse names of experiments and studies under which something else is made.
+
+    Raises
+    ------
+    ConfigError
+        With one line for the first of them.
+    """
+    taken: dict[str, str] = {}
+    for study, about in studies.items():
+        owner = f"the study {study}"
+        for name in dict.fromkeys([study, *about.names(study).values()]):
+            if taken.setdefault(name, owner) != owner:
+                raise ConfigError(_twice(f"studies.{study}", name, taken[name]))
+    made_by_studies = set(taken)
+    for name, experiment in available.items():
+        table = f"{name}_parameters"
+        if table in made_by_studies:
+            raise ConfigError(_twice(f"experiment {name}", table, taken[table]))
+        if experiment.fit:
+            taken[table] = f"the table of the experiment {name}"
+    for name in available:
+        if name in taken:
+            raise ConfigError(_twice(f"experiment {name}", name, taken[name]))
+
+
+def _twice(place: str, name: str, owner: str) -> str:
+    allowed = "one that nothing else has"
+    return f"{place}: {refuse('name', name, allowed, f'{owner} has it')}"

@@ -1,0 +1,44 @@
+"""Words that figures and reports show: what can be set, and what cannot."""
+
+from __future__ import annotations
+
+from splits.checks import refuse
+
+LONGEST_LABEL = 80
+LONGEST_TITLE = 200
+LONGEST_CAPTION = 5000
+
+
+def check_text(key: str, value: str, longest: int, lines: bool = False) -> str:
+    """Return a text of one line, or of several, or refuse what cannot be printed.
+
+    Parameters
+    ----------
+    key, value : str
+    longest : int
+        Largest number of characters.
+    lines : bool
+        Whether it may have several lines.
+    """
+    if len(value) > longest:
+        raise refuse(key, value, f"at most {longest} characters")
+    plain = value.replace("\n", "").replace("\t", "") if lines else value
+    if not plain.isprintable():
+        raise refuse(key, value, "text without control characters or line breaks")
+    return value
+
+
+def check_mathematics(key: str, value: str) -> str:
+    """Return a text that may hold formulas between dollar signs, or refuse what cannot be set."""
+    # One dollar sign alone is a dollar sign.
+    dollars = value.count("$") - value.count(r"\$")
+    if dollars < 2 or dollars % 2:
+        return value
+    from matplotlib.mathtext import MathTextParser  # a figure's job loads it anyway
+
+    try:
+        MathTextParser("path").parse(value)
+    except (ValueError, RuntimeError):
+        hint = r"write \$ for a dollar sign"
+        raise refuse(key, value, "text that matplotlib can set", hint) from None
+    return value

@@ -1,0 +1,77 @@
+"""Settings of layers that would change nothing anywhere on a grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from splits.checks import refuse
+from splits.experiments.simulation import SAMPLE, Simulation
+from splits.media import Layer
+
+UNUSED: tuple[tuple[tuple[str, ...], Callable[[Layer], bool], str], ...] = (
+    (
+        ("optical_thickness", "single_scattering_albedo", "asymmetry", "phase_function",
+         "max_polarization", "bottom_albedo"),
+        lambda layer: layer.opaque,
+        "nothing comes back from below an opaque surface",
+    ),
+    (
+        ("bottom_albedo",),
+        lambda layer: layer.optical_thickness == math.inf,
+        "no light reaches the bottom of an infinite layer",
+    ),
+    (
+        ("asymmetry",),
+        lambda layer: layer.phase_function != "henyey_greenstein",
+        "it belongs to henyey_greenstein",
+    ),
+    (
+        ("max_polarization",),
+        lambda layer: not layer.polarized,
+        "it counts with polarized: true",
+    ),
+    (
+        ("max_polarization",),
+        lambda layer: layer.phase_function == "rayleigh",
+        "Rayleigh scattering has its own",
+    ),
+)  # fmt: skip
+"""Keywords, where they do not count, and why."""
+
+
+def keywords_given(content: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
+    """Return where an experiment file itself gives keywords of a medium, and their values.
+
+    What the file of a base medium says is not among them: it serves other experiments, too.
+    """
+    found: dict[str, tuple[str, Any]] = {}
+    grid = content.get("grid")
+    grid = grid if isinstance(grid, Mapping) else {}
+    samples = grid.get(SAMPLE)
+    places = {"medium": content.get("medium"), "grid": grid}
+    if isinstance(samples, Mapping):
+        places |= {f"grid.{SAMPLE}.{label}": given for label, given in samples.items()}
+    for place, given in places.items():
+        for key, value in given.items() if isinstance(given, Mapping) else ():
+            found[key] = f"{place}.{key}", value
+    return found
+
+
+def refuse_unused(experiment: Simulation, given: Mapping[str, tuple[str, Any]]) -> None:
+    """Refuse keywords given, see `keywords_given`, that count at no point of the grid.
+
+    Raises
+    ------
+    ValueError
+        The message says where the keyword stands and why it does not count.
+    """
+    if experiment.medium.get("kind") != "layer":
+        return
+    layers = [medium for _, medium, _ in experiment.points() if isinstance(medium, Layer)]
+    for keys, idle, why in UNUSED:
+        for key in keys:
+            place, value = given.get(key, ("", None))
+            if value is not None and all(idle(layer) for layer in layers):
+                raise refuse(place, value, "left out", why)

@@ -1,0 +1,44 @@
+"""Bars of the mean sensitivity index."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.figures.style import BAND, colours, style, subplots
+
+
+def sensitivity_bars(dataset: xr.Dataset) -> Figure:
+    """Draw the mean sensitivity index of each parameter, ours and, where there are, published ones.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Variables ``msi``, ``msi_stderr`` and optionally ``published`` over ``quantity`` and
+        ``parameter``.
+    """
+    with style():
+        figure, axes = subplots(figsize=(6.4, 3.9))
+        x = np.arange(dataset.sizes["parameter"])
+        width = 0.36
+        for i, quantity in enumerate(dataset.quantity.values):
+            part = dataset.sel(quantity=quantity)
+            at = x + (i - 0.5) * width
+            colour = colours(2, "sample")[i]
+            axes.bar(at, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
+            axes.errorbar(
+                at, part.msi, BAND * part.msi_stderr, fmt="none", ecolor="black", capsize=3
+            )
+            if "published" in part:
+                axes.plot(
+                    at, part.published, "D", color="white", mec="black", ms=6, ls="none",
+                    label="published" if i == 0 else None,
+                )  # fmt: skip
+        axes.set_xticks(x, [str(p).replace("_", " ") for p in dataset.parameter.values])
+        axes.set_ylabel("mean sensitivity index")
+        axes.set_ylim(0, 1.05)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.13))
+        figure.tight_layout()
+    return figure

@@ -1,0 +1,109 @@
+"""Small multiples: spectra of a grid of several parameters, a panel for every value of some."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splits.figures.lines import Lines
+from splits.figures.style import BAND, parameter_label, style, subplots, value_label
+
+COLUMNS = 4
+"""Panels side by side, unless a parameter of up to `WIDEST` values has a row to itself."""
+WIDEST = 6
+_PANEL_INCHES = (2.1, 1.7)
+_BELOW = -10.0
+"""Lines and bands lie below all else, so that SVG files hold them as one image per panel."""
+
+
+def faceted(
+    dataset: xr.Dataset,
+    quantity: Sequence[str],
+    apart: Sequence[str],
+    legend: str | None = None,
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw spectra with bands of two standard errors, a panel per value of some parameters.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As written by an experiment, over wavelength, one parameter whose values are lines, and
+        those of `apart`.
+    quantity : sequence of str
+        A block of panels each, one below the other.
+    apart : sequence of str
+        One or two parameters, see `splits.panels.facets`.
+    legend : str, optional
+        Title of the legend or the colour bar; the first parameter by default.
+    ylim : (low, high), optional
+    """
+    dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *apart)]
+    lines = Lines(dataset, dims)
+    last = dataset.sizes[apart[-1]]
+    columns = last if len(apart) == 2 and last <= WIDEST else COLUMNS
+    places = list(itertools.product(*(dataset[d].values for d in apart)))
+    columns = min(columns, len(places))
+    block = -(-len(places) // columns)
+    rows = block * len(quantity)
+    wide, high = _PANEL_INCHES
+    with style():
+        figure, panels = subplots(
+            rows, columns, figsize=(0.9 + wide * columns, 0.7 + high * rows), sharex=True,
+            squeeze=False, layout="constrained",
+        )  # fmt: skip
+        for number, name in enumerate(quantity):
+            part = panels[number * block : (number + 1) * block]
+            top = ylim or (0.0, _highest(dataset, name))
+            for axes, place in zip(part.flat, places, strict=False):
+                at = dict(zip(apart, place, strict=True))
+                _panel(axes, dataset.sel(at), name, lines)
+                axes.set_title(
+                    " · ".join(value_label(v, d) for d, v in at.items()), fontsize=9, pad=3
+                )
+                axes.set_ylim(top)
+                axes.label_outer()
+            for axes in part.flat[len(places) :]:
+                axes.set_visible(False)
+            for axes in part[:, 0] if len(quantity) > 1 else ():
+                axes.set_ylabel(name, fontsize=9)
+        # The lowest panel of a column may be a hidden one.
+        for column in panels.T:
+            shown = [axes for axes in column if axes.get_visible()]
+            shown[-1].tick_params(labelbottom=True)
+        figure.supxlabel("wavelength (nm)", fontsize=11)
+        if len(quantity) == 1:
+            label = dataset[quantity[0]].attrs.get("long_name", quantity[0])
+            figure.supylabel(str(label), fontsize=11)
+        figure.suptitle("panels: " + " · ".join(map(parameter_label, apart)), fontsize=11)
+        lines.legend(figure, list(panels.flat), legend, few=0)
+    return figure
+
+
+def _highest(dataset: xr.Dataset, name: str) -> float:
+    """Return where the axis of all panels ends."""
+    value = float((dataset[name] + BAND * dataset[f"{name}_stderr"]).max())
+    return 1.05 * value if value > 0.0 else 1.0
+
+
+def _panel(axes: Axes, part: xr.Dataset, name: str, lines: Lines) -> None:
+    axes.set_rasterization_zorder(0.0)
+    x = part.wavelength.values
+    rows = part.transpose(*lines.dims, "wavelength")
+    values = rows[name].values.reshape(-1, x.size)
+    errors = BAND * rows[f"{name}_stderr"].values.reshape(-1, x.size)
+    for one, y, error in zip(lines.all, values, errors, strict=True):
+        look = one.look() | {"lw": 0.9, "zorder": _BELOW + one.zorder}
+        axes.plot(x, y, **look)
+        axes.fill_between(
+            x, np.maximum(y - error, 0.0), y + error, color=one.colour, alpha=0.25, lw=0,
+            zorder=_BELOW,
+        )  # fmt: skip
+    axes.margins(x=0.01)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,233 @@
+"""How the lines of a figure are told apart, and the legend that says so."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+
+from splits.figures.style import (
+    NOMINAL,
+    Colour,
+    Dash,
+    colours,
+    parameter_label,
+    value_label,
+)
+
+DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
+DEFAULT = "default"
+"""Label of a value that the others are read against: its line is black and on top."""
+FEW = 6
+"""Up to so many lines have an entry each and may have their legend on the axes."""
+LEGIBLE = 10
+"""More values of an ordered parameter than these are told by a colour bar."""
+_ENTRY_INCHES = 0.23
+_BAR_INCHES = 1.3
+
+
+class Line(NamedTuple):
+    """One line of a figure: its point of the grid and its look."""
+
+    labels: dict[str, Any]
+    text: str
+    colour: Colour
+    dash: Dash
+    default: bool
+    zorder: float
+
+    def look(self) -> dict[str, Any]:
+        """Return the look as keywords of `matplotlib.axes.Axes.plot`."""
+        return {
+            "color": self.colour, "ls": self.dash, "lw": 1.9 if self.default else 1.4,
+            "zorder": self.zorder,
+        }  # fmt: skip
+
+
+class Lines:
+    """The lines of a figure over some dimensions of a dataset.
+
+    Colour tells the first dimension that varies and the dash all others; with more others than
+    dashes, colour tells the longest.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    dims : sequence of str
+    dashed : bool
+        Whether dashes, too, tell few lines over one dimension, which may lie on each other.
+    """
+
+    def __init__(self, dataset: xr.Dataset, dims: Sequence[str], dashed: bool = False) -> None:
+        self.dims = list(dims)
+        self._values = {d: dataset[d].values for d in dims}
+        sizes = {d: dataset.sizes[d] for d in dims}
+        count = math.prod(sizes.values())
+        several = [d for d in dims if sizes[d] > 1]
+        # What the others are read against is told by colour.
+        marked = [d for d in several if DEFAULT in map(str, self._values[d])]
+        self.main = next(iter([*marked, *several]), "")
+        if self.main and count // sizes[self.main] > len(DASHES):
+            self.main = max(sizes, key=lambda d: sizes[d])
+        others = count // sizes.get(self.main, 1)
+        named = self._is_named(self.main)
+        # Colours of names repeat after a while, and dashes cannot tell both.
+        repeats = named and others > 1 and sizes[self.main] > LEGIBLE
+        crowded = others > len(DASHES) or repeats
+        if crowded:
+            # Every line has a colour and an entry of its own.
+            self.main, named = "", False
+        self.others = [d for d in dims if d != self.main and sizes[d] > 1 and not crowded]
+        values = self._values.get(self.main, np.zeros(count if crowded else 1))
+        self.shades = _shades(values, self.main if named else None)
+        self.bar = len(values) > LEGIBLE and not named and not crowded
+        looks = list(np.ndindex(*(sizes[d] for d in self.others)))
+        self.all: list[Line] = []
+        for place in np.ndindex(*sizes.values()):
+            at = dict(zip(dims, place, strict=True))
+            row = len(self.all) if crowded else at.get(self.main, 0)
+            turn = row if crowded else looks.index(tuple(at[d] for d in self.others))
+            if dashed and not self.others and len(values) <= 4:
+                turn = row
+            elif named and not self.others:
+                turn += row // LEGIBLE
+            labels = {d: self._values[d][i] for d, i in at.items()}
+            default = str(labels.get(self.main)) == DEFAULT
+            # The first is what the others are compared with: it lies on top of them.
+            zorder = 4.0 if default else 2.0 + 1.0 / (1 + len(self.all))
+            text = " · ".join(value_label(v, d) for d, v in labels.items())
+            dash = DASHES[turn % len(DASHES)]
+            self.all.append(Line(labels, text, self.shades[row], dash, default, zorder))
+
+    def _is_named(self, dim: str) -> bool:
+        return dim in NOMINAL and not np.issubdtype(self._values[dim].dtype, np.number)
+
+    def title(self) -> str:
+        """Return the names of the dimensions."""
+        return " · ".join(map(parameter_label, self.dims))
+
+    def legend(
+        self, figure: Figure, axes: Sequence[Axes], title: str | None = None, few: int = FEW,
+        extra: Sequence[Artist] = (),
+    ) -> None:  # fmt: skip
+        """Say which line is which: on the first axes where it covers nothing, or beside all.
+
+        Parameters
+        ----------
+        figure : matplotlib.figure.Figure
+            With constrained layout, to make room.
+        axes : sequence of matplotlib.axes.Axes
+            Those that show the lines.
+        title : str, optional
+            The dimensions' names by default.
+        few : int
+            Largest number of entries on the axes.
+        extra : sequence of artists
+            With labels of their own, beside the lines'.
+        """
+        if not self.dims and not extra:
+            return
+        if self.bar:
+            self._colour_bar(figure, axes, title)
+        handles = [*self._handles(title), *extra]
+        split = len(self.all) > FEW and bool(self.others)
+        head = None if split or self.bar else title or self.title() or None
+        if not handles:
+            return
+        if len(handles) <= few and not self.bar:
+            for panel in axes:
+                legend = panel.legend(handles=handles, title=head, frameon=False)
+                if not covers(legend, panel):
+                    return
+                legend.remove()
+        beside(figure, handles, head)
+
+    def _handles(self, title: str | None) -> list[Artist]:
+        """Return an entry per line, or of many lines per value of each parameter."""
+        if len(self.all) <= FEW or not self.others:
+            if self.bar:
+                return []
+            return [
+                Line2D([], [], label=one.text or "model", **one.look()) for one in self.all
+            ]  # fmt: skip
+        handles: list[Artist] = []
+        if not self.bar:
+            handles.append(_heading(title or parameter_label(self.main)))
+            for value, shade in zip(self._values[self.main], self.shades, strict=True):
+                text = value_label(value, self.main)
+                handles.append(Line2D([], [], color=shade, lw=1.9, label=text))
+        handles.append(_heading(" · ".join(map(parameter_label, self.others))))
+        for number, one in enumerate(
+            itertools.product(*(self._values[d] for d in self.others))
+        ):  # fmt: skip
+            text = " · ".join(value_label(v, d) for d, v in zip(self.others, one, strict=True))
+            dash = DASHES[number % len(DASHES)]
+            handles.append(Line2D([], [], color="0.15", lw=1.4, ls=dash, label=text))
+        return handles
+
+    def _colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
+        count = len(self.shades)
+        norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
+        ticks = np.arange(0, count, -(-count // LEGIBLE))
+        places = [panel.get_subplotspec() for panel in axes]
+        rows = len({place.rowspan.start for place in places if place is not None})
+        bar = figure.colorbar(
+            ScalarMappable(norm, ListedColormap(self.shades)), ax=list(axes), ticks=ticks,
+            aspect=20 * rows, label=title or parameter_label(self.main), pad=0.02,
+        )  # fmt: skip
+        bar.ax.set_yticklabels([value_label(self._values[self.main][i], self.main) for i in ticks])
+        bar.ax.minorticks_off()
+        figure.set_figwidth(figure.get_figwidth() + _BAR_INCHES)
+
+
+def _shades(values: np.ndarray, parameter: str | None) -> list[Colour]:
+    """Return a colour per value: black for the default."""
+    coloured = [v for v in values if str(v) != DEFAULT]
+    shades = iter(colours(len(coloured), parameter))
+    return ["black" if str(v) == DEFAULT else next(shades) for v in values]
+
+
+def _heading(text: str) -> Line2D:
+    return Line2D([], [], ls="none", label=text)
+
+
+def covers(legend: Legend, axes: Axes) -> bool:
+    """Return whether a legend lies on a line of its axes."""
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.draw_without_rendering()  # type: ignore[union-attr]
+    box = legend.get_window_extent()
+    for line in axes.lines:
+        path = line.get_transform().transform_path(line.get_path())
+        if path.intersects_bbox(box, filled=False):
+            return True
+    return False
+
+
+def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
+    """Put a legend to the right of all axes; the figure grows by its width.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        With constrained layout.
+    handles : sequence of artists
+    title : str or None
+    """
+    rows = max(1, int(figure.get_figheight() / _ENTRY_INCHES) - 2)
+    legend = figure.legend(
+        handles=list(handles), title=title, frameon=False, loc="outside right upper",
+        ncols=-(-len(handles) // rows),
+    )  # fmt: skip
+    figure.set_figwidth(figure.get_figwidth() + legend.get_window_extent().width / figure.dpi)

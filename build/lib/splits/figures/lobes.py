@@ -1,0 +1,88 @@
+"""BRDFs as surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from splits.figures.directions import (
+    NAMES,
+    STEEPEST_DEG,
+    directions,
+    half_circle,
+    incidence_of,
+    lines_of,
+    part_at,
+    part_of,
+    plane_of,
+)
+from splits.figures.style import BAND, Colour, Drawing, parameter_label, style, value_label
+
+COLUMNS = 4
+
+
+def _paler(colour: Colour) -> Colour:
+    """Return a colour that shading leaves visible."""
+    red, green, blue = (0.6 * c + 0.4 for c in to_rgb(colour))
+    return red, green, blue
+
+
+def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+    """Draw the BRDF of every point of a grid as a surface, and its principal plane below.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of an experiment with a goniophotometer.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    """
+    dataset = part_at(dataset, at)
+    dataset = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
+    whole = dataset.pad(azimuth=(0, 1), mode="wrap")
+    azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
+    plane = plane_of(dataset)
+    lines = lines_of(plane, "brdf").all
+    # Where nothing comes back, axes want a range all the same.
+    top = 1.05 * float(dataset.brdf.max()) or 1.0
+    columns = min(COLUMNS, len(lines))
+    rows = -(-len(lines) // columns)
+    with style():
+        figure = Drawing(figsize=(3.1 * columns, 0.5 + 4.6 * rows), layout="constrained")
+        for number, one in enumerate(lines):
+            row, column = divmod(number, columns)
+            place = 2 * row * columns + column + 1
+            axes = figure.add_subplot(2 * rows, columns, place, projection="3d")
+            lobe = part_of(whole, one.labels)
+            tilt = np.radians(lobe.polar.values)[:, np.newaxis]
+            radius = lobe.brdf.transpose("polar", "azimuth").values
+            axes.plot_surface(
+                radius * np.sin(tilt) * np.cos(azimuth),
+                radius * np.sin(tilt) * np.sin(azimuth),
+                radius * np.cos(tilt) * np.ones_like(azimuth),
+                color=_paler(one.colour), rcount=40, ccount=80, lw=0, ec="none", antialiased=False,
+            )  # fmt: skip
+            axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
+            axes.set_box_aspect((2, 2, 1), zoom=1.5)
+            axes.set_axis_off()
+            axes.view_init(elev=20, azim=-70)
+            line = part_of(plane, one.labels)
+            incidence = np.radians(incidence_of(line))
+            arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
+            axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=1.0, ls="--")
+            title = (f"{parameter_label(d)}: {value_label(v, d)}" for d, v in one.labels.items())
+            axes.set_title("\n".join(title), fontsize=10)
+            flat = figure.add_subplot(2 * rows, columns, place + columns, projection="polar")
+            angle = directions(line.angle.values)
+            value, error = line.brdf.values, BAND * line.brdf_stderr.values
+            flat.plot(angle, np.maximum(value, 0.0), color=one.colour, lw=1.4)
+            low = np.maximum(value - error, 0.0)
+            flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
+            flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=1.0, ls="--")
+            half_circle(flat, top)
+        figure.suptitle(NAMES["brdf"] + ", dashed: towards the source", fontsize=11)
+    return figure

@@ -1,0 +1,147 @@
+"""Spectra: a quantity over wavelength, one line per point of the grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splits.dataset import at_points
+from splits.figures.facets import faceted
+from splits.figures.lines import Lines
+from splits.figures.style import BAND, style, subplots
+from splits.panels import facets
+
+MATERIAL_COLOURS = {
+    "ice": "#1f6fb4",
+    "water": "#c8553d",
+    "quartz": "#666666",
+    "hematite": "#7b3294",
+    "goethite": "#c79100",
+    "magnetite": "#111111",
+    "kaolinite": "#7fb069",
+}
+"""Materials that figures of refractive indices show; mixtures follow from them."""
+
+
+def spectra(
+    dataset: xr.Dataset,
+    quantity: Sequence[str] = ("reflectance",),
+    wavelength_nm: tuple[float, float] | None = None,
+    at: Mapping[str, float | str] | None = None,
+    measured: pd.DataFrame | None = None,
+    legend: str | None = None,
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw spectra with bands of two standard errors, of many points in several panels.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As written by an experiment.
+    quantity : sequence of str
+        One panel each.
+    wavelength_nm : (low, high), optional
+        Part of the spectrum to show.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    measured : pandas.DataFrame, optional
+        Columns ``wavelength_nm``, ``reflectance`` and optionally its ``_min`` and ``_max``.
+    legend : str, optional
+        Title of the legend; the grid's parameters by default.
+    ylim : (low, high), optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        For more lines than can be shown, see `splits.panels.facets`.
+    """
+    dataset = at_points(dataset, at or {})
+    if wavelength_nm:
+        dataset = dataset.sel(wavelength=slice(*wavelength_nm))
+    dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
+    if apart := facets({d: dataset.sizes[d] for d in dims}, len(quantity), at):
+        return faceted(dataset, quantity, apart, legend, ylim)
+    lines = Lines(dataset, dims)
+    with style():
+        figure, panels = subplots(
+            len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True,
+            layout="constrained",
+        )  # fmt: skip
+        shown = []
+        for axes, name in zip(panels[:, 0], quantity, strict=True):
+            _lines(axes, dataset, name, lines)
+            if measured is not None and name in measured:
+                shown = [_measured(axes, measured, name)]
+            axes.set_ylabel(_label(dataset[name]))
+            axes.set_ylim(ylim or (0.0, None))
+            axes.margins(x=0.01)
+            axes.spines[["top", "right"]].set_visible(False)
+        panels[-1, 0].set_xlabel("wavelength (nm)")
+        lines.legend(figure, list(panels[:, 0]), legend, extra=shown)
+    return figure
+
+
+def _lines(axes: Axes, dataset: xr.Dataset, name: str, lines: Lines) -> None:
+    for line in lines.all:
+        part = dataset.sel(line.labels)
+        x, y = part.wavelength.values, part[name].values
+        error = BAND * part[f"{name}_stderr"].values
+        axes.plot(x, y, label=line.text or "model", **line.look())
+        axes.fill_between(
+            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0
+        )
+
+
+def _measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
+    y = table[name]
+    span = None
+    if f"{name}_min" in table:
+        span = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
+    return axes.errorbar(  # type: ignore[return-value]
+        table["wavelength_nm"], y, span, fmt="s", color="black", ms=4, capsize=3, label="measured"
+    )
+
+
+def _label(variable: xr.DataArray) -> str:
+    return str(variable.attrs.get("long_name", variable.name))
+
+
+def refractive_indices(dataset: xr.Dataset) -> Figure:
+    """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Variables ``n`` and ``k`` over wavelength and material.
+    """
+    with style():
+        figure, left = subplots(figsize=(6.4, 3.9))
+        right = left.twinx()
+        for material, colour in MATERIAL_COLOURS.items():
+            if material not in dataset.material.values:
+                continue
+            part = dataset.sel(material=material)
+            left.plot(part.wavelength, part.n, color=colour, label=f"n, {material}")
+            if float(part.k.max()) > 0.0:
+                right.plot(part.wavelength, part.k, color=colour, ls="--", label=f"k, {material}")
+        right.set_yscale("log")
+        left.set_xlabel("wavelength (nm)")
+        left.set_ylabel("refractive index n (solid)")
+        right.set_ylabel("extinction coefficient k (dashed)")
+        left.margins(x=0.01)
+        lines = [*left.get_lines(), *right.get_lines()]
+        left.legend(
+            handles=lines, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4
+        )
+        figure.tight_layout()
+    return figure

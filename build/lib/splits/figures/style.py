@@ -1,0 +1,219 @@
+"""One look for all figures, and writing them whole or not at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.style
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
+
+from splits.files import whole
+
+Colour = tuple[float, float, float] | str
+Dash = str | tuple[int, tuple[int, ...]]
+
+BAND = 2.0
+"""Error bands and bars reach this many standard errors to either side."""
+
+LABELS = {
+    "wavelength": "wavelength (nm)",
+    "grain_size_um": "grain size (µm)",
+    "facetness": "mean facetness",
+    "sphericity": "mean sphericity",
+    "saturation": "water saturation",
+    "liquid_water_content": "liquid water content",
+    "optical_radius_um": "optical radius (µm)",
+    "specific_surface_area_m2_kg": "specific surface area (m²/kg)",
+    "impurities_ng_g": "impurities (ng/g)",
+    "algae_cells_ml": "algae (cells/ml)",
+    "impurities_in": "impurities in",
+    "density_kg_m3": "density (kg m⁻³)",
+    "temperature_c": "temperature (°C)",
+    "depth_m": "depth (m)",
+    "incidence_deg": "incidence (°)",
+    "medium": "sample",
+    "iron_oxide": "hematite and goethite by mass",
+    "hematite_ratio": "hematite / iron oxide",
+    "magnetite": "magnetite by mass",
+    "partition": "pure / mixed / coated",
+    "roundness": "roundness (mean, sd)",
+    "size_tail": "tail by mass",
+    "readings": "reading",
+}
+"""How figures name parameters whose own names would not do."""
+
+WORDS = {
+    "bottom_albedo": {"None": "no bottom"},
+    "surface": {"None": "smooth"},
+    "ground": {"None": "open"},
+    "polarized": {"0": "no", "1": "yes"},
+    "opaque": {"0": "no", "1": "yes"},
+    "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},
+}
+"""Values of parameters that are not numbers to a reader."""
+PLAIN = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
+BETWEEN = {"texture": " / ", "partition": " / ", "roundness": ", "}
+"""What stands between the numbers of a value, where they are not the ends of a range."""
+NOMINAL = (
+    "medium",
+    "refractive_index",
+    "pores",
+    "impurities_ng_g",
+    "algae_cells_ml",
+    "impurities_in",
+    "readings",
+    "sample",
+    "phase_function",
+    "polarized",
+    "ground",
+    "layers",
+)
+"""Parameters whose values have no order."""
+_NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def parameter_label(parameter: str) -> str:
+    """Return how a figure names a parameter of the grid, or one of a layer by its path."""
+    stack, _, rest = parameter.partition(".")
+    number, _, key = rest.partition(".")
+    if stack == "layers" and key:
+        return f"layer {number}: {parameter_label(key)}"
+    return LABELS.get(parameter, parameter.replace("_", " "))
+
+
+def value_label(value: object, parameter: str | None = None) -> str:
+    """Return how a figure names a value of the grid.
+
+    Parameters
+    ----------
+    value : number or str
+        Ranges and other tuples as labels of a grid have them: "300-750".
+    parameter : str, optional
+        Whose value it is.
+
+    Returns
+    -------
+    str
+        A word or a number as print has it: 10⁻⁵ and not 1e-05.
+    """
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    text = f"{value:g}" if number else str(value)
+    parameter = (parameter or "").rpartition(".")[2]
+    word = WORDS.get(parameter, {}).get(text) or PLAIN.get(text)
+    if word:
+        return word
+    if re.fullmatch(f"-?{_NUMBER}(-{_NUMBER})*", text):
+        between = BETWEEN.get(parameter, "–")
+        sign = "−" if text.startswith("-") else ""
+        return sign + between.join(map(_printed, re.findall(_NUMBER, text)))
+    if whole := re.fullmatch(f"({_NUMBER})([+-])({_NUMBER})j", text):
+        real, sign, imaginary = whole.groups()
+        return f"{_printed(real)} {sign.replace('-', '−')} {_printed(imaginary)}i"
+    return text.replace("_", " ")
+
+
+def _printed(number: str) -> str:
+    """Return a number without an e for its power of ten."""
+    if 0.0 < float(number) < 1e-3 and "e" not in number:
+        number = f"{float(number):e}"
+    mantissa, _, power = number.partition("e")
+    if not power:
+        return number
+    tens = "10" + str(int(power)).translate(_SUPERSCRIPT)
+    return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
+
+
+SUFFIXES = (".png", ".svg")
+OTHER_SCRIPTS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
+    "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
+    "Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai",
+)  # fmt: skip
+"""Fonts for what DejaVu has no letters for; matplotlib warns where none of them has one."""
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the project's style, labels of other scripts in fonts that are there."""
+    found = {font.name for font in fontManager.ttflist}
+    fonts = ["sans-serif", *(name for name in OTHER_SCRIPTS if name in found)]
+    with matplotlib.style.context(
+        [Path(__file__).with_name("paper.mplstyle"), {"font.family": fonts}]
+    ):
+        yield
+
+
+class Drawing(Figure):
+    """A figure beside pyplot: it needs no display, and no backend is chosen for the process.
+
+    A notebook shows it where it is the value of a cell.
+    """
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        # It measures its text before it is written.
+        FigureCanvasAgg(self)
+
+    def _repr_png_(self) -> bytes:
+        held = BytesIO()
+        with style():
+            self.savefig(held, format="png")
+        return held.getvalue()
+
+
+def subplots(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    figsize: tuple[float, float],
+    layout: str | None = None,
+    **settings: Any,
+) -> tuple[Figure, Any]:
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `Drawing`."""
+    figure = Drawing(figsize=figsize, layout=layout)
+    return figure, figure.subplots(rows, columns, **settings)
+
+
+def colours(count: int, parameter: str | None = None) -> list[Colour]:
+    """Return colours that can be told apart: a scale of them for values that have an order."""
+    if parameter not in NOMINAL:
+        places = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
+        shades = matplotlib.colormaps["viridis"](places)
+        return [(r, g, b) for r, g, b, _ in shades.tolist()]
+    import seaborn  # takes as long to import as all the rest
+
+    return list(seaborn.color_palette("colorblind", count))
+
+
+def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
+    """Write ``stem.png`` and ``stem.svg``: the same bytes for the same figure.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    stem : path
+        Without suffix.
+
+    Returns
+    -------
+    list of Path
+    """
+    stem = Path(stem)
+    paths = []
+    for suffix in SUFFIXES:
+        path = stem.with_name(stem.name + suffix)
+        metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
+        with style(), whole(path) as aside:
+            figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
+        paths.append(path)
+    return paths

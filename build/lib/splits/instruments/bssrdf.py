@@ -1,0 +1,302 @@
+"""Where light leaves: the spread of a thin beam, by which a BSSRDF differs from a BRDF."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import known_arguments, one_of
+from splits.instruments import streams
+from splits.instruments.angular import missed_of_totals
+from splits.instruments.arguments import (
+    HALF_WIDTH_M,
+    check_beam,
+    check_half_width,
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.directional import GROUPS, ROUND
+from splits.instruments.ensemble import Level
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.nodes import choose_nodes
+from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.scenes import constants_of
+from splits.instruments.tracers import KERNELS, Heard
+from splits.media.turbid import Medium
+from splits.transport.grains.scene import shared_optics
+from splits.transport.sums.positions import spread
+from splits.uncertainty import Variable, jackknife, quantity, stderr_of, without_one
+
+QUANTILES = (0.25, 0.5, 0.75, 0.9)
+"""Parts of the light that leave within the quantile radii."""
+
+CELLS = 41
+"""Of the map along each edge: odd, so that the point of entry lies in the middle of one."""
+
+SHORTEST_M = 1e-6
+PER_DECADE, DECADES = 40, 9
+_BINS = PER_DECADE * DECADES + 2
+"""Fine bins of distance, from a micrometre to a kilometre, and one beyond each end."""
+
+_COARSE = 5
+"""Fine bins that a bin of the profile takes."""
+
+_TOLERANCE = 0.001
+"""Bound on what interpolation between refractive indices may miss of a reflectance."""
+
+
+SIDES = {"reflected": 0, "transmitted": 1}
+
+Sums = tuple[int, np.ndarray, np.ndarray, np.ndarray]
+"""What a batch yields: group, weights by distance, first moment, map."""
+
+
+@known_arguments
+def bssrdf(
+    medium: Medium,
+    wavelength_nm: Any,
+    incidence_deg: float = 0.0,
+    rays: int = 200_000,
+    seed: int = 1,
+    *,
+    half_width_m: float | None = None,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure how far from its point of entry the light of an infinitely thin beam leaves.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+        For example `splits.Snow`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float
+        Polar angle of the beam, 0 to 89.9999 degrees.
+    rays : int
+        Rounded up.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    half_width_m : float, optional
+        Half the edge of the maps; by default the largest of the radii within which 75 % of the
+        reflected light leaves, as a first round of rays sees it.
+    threads : int, optional
+        Default: every CPU this process may use.
+    kernel : {"auto", "lanes", "scalar"}
+        See `splits.spectrophotometer`.
+    progress : callable, optional
+        Called now and then with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of light that met a grain, over ``side`` ("reflected", "transmitted") and ``wavelength``:
+        ``profile`` (m⁻²) over ``radius``, the BSSRDF integrated over directions of exit weighted
+        with their cosine and averaged around the point of entry; ``profile_map`` (m⁻²), the same
+        over ``x``, along the beam's direction of travel, and ``y``, across; ``mean_radius`` and
+        ``quantile_radius`` (m), the latter over ``quantile``, 0 where no light leaves;
+        ``share``, the light there is.  All with their standard errors ``…_stderr``; what
+        interpolation between refractive indices may miss is in that of ``share``, and the
+        attribute ``interpolation_error_bound`` bounds it.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    References
+    ----------
+    Nicodemus et al. (1977), section III; SPLITSnow section 4.1.
+    """
+    check_medium(medium)
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_beam(incidence_deg)
+    one_of("kernel", kernel, KERNELS)
+    check_whole("rays", rays, 1)
+    seed = check_whole("seed", seed, 0)
+    threads = check_threads(threads)
+    if half_width_m is not None:
+        check_half_width("bssrdf", half_width_m)
+    begun = time.perf_counter()
+    index, absorption = constants_of(medium, wavelengths)
+    nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
+    heard = Heard(positions=True, orders=True)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+
+    def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
+        each = enumerate(zip(nodes.index, nodes.weights, strict=True), start=start)
+        return [_Spread(n, m, absorption, w, half_width, cells) for n, (m, w) in each]
+
+    def trace(ensembles: list[_Spread], rays: int) -> None:
+        runner.trace([(e, level, rays) for e in ensembles for level in e.levels], 1.0, 0.0)
+
+    if half_width_m is None:
+        pilot = spreads(len(nodes.index), 0.0, 0)
+        trace(pilot, ROUND)
+        radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
+        # A free path where no light leaves; an edge that a map can be divided by in any case.
+        found = radii[0].max() or 1.0 / runner.tracer.manner.attenuation
+        half_width_m = np.clip(found, *HALF_WIDTH_M["bssrdf"])
+    half_width_m = float(half_width_m)
+    ensembles = spreads(0, half_width_m, CELLS)
+    trace(ensembles, ROUND * -(-rays // (ROUND * len(ensembles))))
+    facts = {
+        **run_facts("Spread of a beam", "bssrdf", medium, begun, seed, threads),
+        "incidence_deg": incidence,
+        "half_width_m": half_width_m,
+        "rays": sum(level.rays for e in ensembles for level in e.levels),
+        "ensembles": len(ensembles),
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "kernel": runner.kernels(ensembles),
+    }
+    return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
+
+
+class _Spread:
+    """Paths traced with one set of refractive indices, and where they leave."""
+
+    def __init__(
+        self,
+        number: int,
+        index: np.ndarray,
+        absorption: np.ndarray,
+        weights: np.ndarray,
+        half_width: float,
+        cells: int,
+    ) -> None:
+        served = weights > 0.0
+        self.served = served
+        self.absorption = absorption[served]
+        self.weights = weights[served]
+        self.half_width = half_width
+        self.cells = cells
+        optics = shared_optics(index, self.absorption)
+        self.levels = [Level(streams.SPREAD + number, optics, served, 400.0)]
+        self.radial = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
+        self.moment = np.zeros((GROUPS, 2, len(self.absorption)))
+        self.place = np.zeros((2, 2, len(self.absorption), cells, cells))
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        return int(self.radial[0].size + self.moment[0].size + self.place.size)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+        """Return the sums of a batch of exits."""
+        sums = spread(
+            exits, self.absorption, SHORTEST_M, PER_DECADE, _BINS, self.half_width, self.cells
+        )
+        return (first // BATCH) % GROUPS, *sums
+
+    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+        """Add the sums of batches one by one: they do not depend on who traced them."""
+        level.rays += BATCH * len(tallies)
+        for group, radial, moment, place in tallies:
+            self.radial[group] += radial
+            self.moment[group] += moment
+            self.place += place
+
+
+def _radial(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+    """Return the share of light by distance, by groups of rays."""
+    total = np.zeros((GROUPS, 2, wavelengths, _BINS))
+    for e in ensembles:
+        share = e.weights[:, np.newaxis] / (e.levels[0].rays / GROUPS)
+        total[:, :, e.served] += share * e.radial
+    return total
+
+
+def _quantiles(radial: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
+    """Return the radii (m) within which parts of the light leave, shape (…, quantiles).
+
+    Between the edges of fine bins the logarithm is interpolated; 0 where there is no light.
+    """
+    within = np.cumsum(radial, axis=-1)
+    edges = np.log(SHORTEST_M) + np.log(10.0) / PER_DECADE * np.arange(_BINS - 1)
+    found = np.zeros((*radial.shape[:-1], len(quantiles)))
+    for place in np.ndindex(*radial.shape[:-1]):
+        total = within[place][-1]
+        if total > 0.0:
+            found[place] = np.exp(np.interp(quantiles, within[place][:-1] / total, edges))
+    return found
+
+
+def _dataset(
+    ensembles: Sequence[_Spread],
+    wavelengths: np.ndarray,
+    half_width: float,
+    bias: np.ndarray,
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return the sums as a labelled dataset."""
+    radial = _radial(ensembles, len(wavelengths))
+    moment = np.zeros(radial.shape[:-1])
+    for e in ensembles:
+        moment[:, :, e.served] += e.weights * e.moment / (e.levels[0].rays / GROUPS)
+    place = _places(ensembles, len(wavelengths))
+    inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _COARSE).sum(axis=-1)
+    edges = SHORTEST_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _COARSE / PER_DECADE)
+    profile = inner / (np.pi * np.diff(edges**2))
+    radius = np.sqrt(edges[1:] * edges[:-1])
+    share = radial.sum(axis=-1)
+    left_out, less = without_one(radial), without_one(share)
+    mean = _ratio(moment.mean(axis=0), share.mean(axis=0))
+    quantile = _quantiles(radial.mean(axis=0), QUANTILES)
+    cell = (2.0 * half_width / CELLS) ** 2
+    # Nothing seen is not certainty: as if one more ray had come.
+    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    certain = np.where(share.mean(axis=0) > 0.0, stderr_of(share), unseen)
+    certain = np.hypot(certain, missed_of_totals(bias, share.mean(axis=0)))
+    results = {
+        "share": ("share of light", "1", (), share.mean(axis=0), certain),
+        "mean_radius": (
+            "mean distance between entry and exit", "m", (),
+            mean, jackknife(_ratio(without_one(moment), less)),
+        ),
+        "quantile_radius": (
+            "radius within which a part of the light leaves", "m", ("quantile",),
+            quantile, jackknife(_quantiles(left_out, QUANTILES)),
+        ),
+        "profile": (
+            "light leaving per area", "m-2", ("radius",), profile.mean(axis=0), stderr_of(profile),
+        ),
+        "profile_map": (
+            "light leaving per area", "m-2", ("x", "y"),
+            place[0] / cell, np.sqrt(np.maximum(place[1], 0.0)) / cell,
+        ),
+    }  # fmt: skip
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units, dims, values, stderr) in results.items():
+        over = ("side", "wavelength", *dims)
+        variables |= quantity(name, over, values, stderr, long_name, units)
+    across = half_width * ((2.0 * np.arange(CELLS) + 1.0) / CELLS - 1.0)
+    coordinates = {
+        "side": ("side", list(SIDES), {"long_name": "side of the sample that light leaves"}),
+        "wavelength": wavelength_axis(wavelengths),
+        "quantile": ("quantile", list(QUANTILES), {"long_name": "part of the light", "units": "1"}),
+        "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
+        "x": ("x", across, {"long_name": "distance along the beam's travel", "units": "m"}),
+        "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
+    }
+    return xr.Dataset(variables, coordinates, facts)
+
+
+def _places(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+    """Return the light that leaves through each cell, and its variance, in the first axis."""
+    place = np.zeros((2, 2, wavelengths, CELLS, CELLS))
+    for e in ensembles:
+        rays = e.levels[0].rays
+        w = e.weights[:, np.newaxis, np.newaxis]
+        place[0][:, e.served] += w * e.place[0] / rays
+        place[1][:, e.served] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+    return place
+
+
+def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)

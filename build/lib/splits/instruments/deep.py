@@ -1,0 +1,259 @@
+"""Transmittance of samples that let almost nothing through, to a relative error."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, known_arguments, refuse
+from splits.instruments import streams
+from splits.instruments.arguments import (
+    check_incidence,
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.runner import Progress
+from splits.instruments.scenes import constants_of, granular_scene, ground_of
+from splits.instruments.single_scattering import single_scattering
+from splits.instruments.threads import Threads
+from splits.media.granular import GranularMedium
+from splits.transport.grains.deep import families
+from splits.transport.grains.scene import Optics, Scene, shared_optics
+from splits.uncertainty import quantity
+
+BATCH = 64
+"""Families per batch: the grain of parallel work."""
+PILOT = 512
+"""Families of each pilot and of the first round."""
+LARGEST_SHARE = 0.05
+"""A run goes on while a single family makes more than this of the sum: an error estimated from
+rare large contributions that mostly have not been seen yet would be too small."""
+STAGES = 3
+"""Pilots, each of which sees deeper than the one before."""
+SLICES = 24
+"""Slices of the depth in which pilots look how fast the light falls off."""
+_SEEN = 200
+"""Grains met in a slice from which on its weight counts."""
+_SAFE = 0.6
+"""Part of diffusion theory's rate that the first pilot dares: too high a rate multiplies rays."""
+PROPERTY_RAYS = 20_000
+
+
+@known_arguments
+def deep_transmittance(
+    medium: GranularMedium,
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    relative_stderr: float = 0.05,
+    seed: int = 1,
+    *,
+    max_rays: int = 10_000_000,
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure hemispherical transmittance to a relative error, however small it is.
+
+    Each wavelength is traced by itself in double precision; rays are split as they get deeper and
+    end by roulette where they cannot matter (see `splits.transport.grains.deep`).  How fast they
+    are split comes from three pilots, whose rays do not count, and does not touch the mean.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+    relative_stderr : float
+        Largest standard error wanted as a part of the transmittance, 0.001 to 0.5.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    max_rays : int
+        Rays per wavelength, not counting those they are split into, after which a run stops.
+    threads : int, optional
+        Default: every CPU this process may use.
+    progress : callable, optional
+        Called after every round with a `Progress`, errors being relative.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``transmittance`` and ``transmittance_stderr`` over ``wavelength``; ``largest_share``, what
+        part of the sum the heaviest family of rays makes; ``attenuation_rate`` (1/m), the rate at
+        which rays were split; ``rays``.  Attribute ``stopped_by`` is "error" or "rays".
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+    RuntimeError
+        If a ray found no grain that fits where it was.
+    """
+    check_medium(medium, GranularMedium)
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_incidence(incidence_deg)
+    relative_stderr = in_range("relative_stderr", relative_stderr, 0.001, 0.5)
+    seed = check_whole("seed", seed, 0)
+    max_rays = check_whole("max_rays", max_rays, 1)
+    threads = check_threads(threads)
+    ground = ground_of(medium)
+    if ground is not None:
+        raise refuse("ground", ground.name, "open", "what would reach a ground is the question")
+    begun = time.perf_counter()
+    scene = granular_scene(medium, incidence, False)
+    index, absorption = constants_of(medium, wavelengths)
+    first_guess = attenuation_rate(medium, wavelengths, seed, threads)
+    results = np.zeros((5, len(wavelengths)))
+    goal = _Goal(relative_stderr, max_rays, begun, progress)
+    with Threads(threads) as pool:
+        for row, guess in enumerate(first_guess):
+            optics = shared_optics(index[row], absorption[row : row + 1])
+            source = _Source(pool, seed, scene, optics)
+            number = streams.DEEP + (STAGES + 1) * row
+            rate = _piloted(source, number, guess, float(medium.depth_m))
+            run = _reached(goal, source, number + STAGES, rate)
+            results[:, row] = *run.estimate(), run.rays, rate
+    transmittance, errors, shares, count, rates = results
+    long_name = (
+        "hemispherical" if incidence == "diffuse" else "directional"
+    ) + "-hemispherical transmittance"
+    over = "wavelength"
+    variables = {
+        **quantity("transmittance", over, transmittance, errors, long_name),
+        **quantity("largest_share", over, shares, None, "share of the heaviest family of rays"),
+        **quantity(
+            "attenuation_rate", over, rates, None, "rate at which rays are split with depth", "m-1"
+        ),
+        **quantity("rays", over, count.astype(np.int64), None, "rays"),
+    }
+    reached = (errors <= relative_stderr * transmittance) & (shares <= LARGEST_SHARE)
+    facts = {
+        **run_facts("Deep transmittance", "deep_transmittance", medium, begun, seed),
+        "incidence_deg": incidence,
+        "relative_stderr": relative_stderr,
+        "stopped_by": "error" if reached.all() else "rays",
+        "max_rays": max_rays,
+    }
+    return xr.Dataset(variables, {"wavelength": wavelength_axis(wavelengths)}, facts)
+
+
+class _Goal(NamedTuple):
+    """What is asked for, when that began, and who wants to know how far it is."""
+
+    relative_stderr: float
+    max_rays: int
+    begun: float
+    progress: Callable[[Progress], None] | None
+
+
+def _reached(goal: _Goal, source: _Source, number: int, rate: float) -> _Sum:
+    """Return families of rays of one wavelength, traced until the error or the rays asked for."""
+    run = _Sum()
+    wanted = PILOT
+    while True:
+        run.add(source, number, wanted, rate)
+        mean, stderr, share = run.estimate()
+        error = stderr / mean if mean > 0.0 else np.inf
+        if goal.progress:
+            seconds = time.perf_counter() - goal.begun
+            left = seconds * max((error / goal.relative_stderr) ** 2 - 1.0, 0.0)
+            goal.progress(Progress(run.rays, error, goal.relative_stderr, seconds, left))
+        done = error <= goal.relative_stderr and share <= LARGEST_SHARE
+        if done or run.rays >= goal.max_rays:
+            return run
+        needed = 1.1 * run.rays * (error / goal.relative_stderr) ** 2
+        wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * goal.max_rays))
+
+
+class _Source(NamedTuple):
+    """What traces families of rays of one wavelength."""
+
+    pool: Threads
+    seed: int
+    scene: Scene
+    optics: Optics
+
+    def trace(self, number: int, first: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return moments and profile of a batch, see `splits.transport.grains.deep.families`."""
+        moments, profile = np.zeros((2, 3)), np.zeros((2, SLICES))
+        work = np.array([number, first, BATCH])
+        spent = families(self.seed, work, self.scene, self.optics, rate, moments, profile)
+        if spent.lost:
+            raise RuntimeError("a ray found no grain that fits between the boundaries")
+        return moments[1], profile
+
+
+class _Sum:
+    """Families of rays added up in order.
+
+    Attributes
+    ----------
+    rays : int
+    """
+
+    def __init__(self) -> None:
+        self.rays = 0
+        self._total, self._square, self._largest = 0.0, 0.0, 0.0
+        self._profile = np.zeros((2, SLICES))
+
+    def add(self, source: _Source, number: int, wanted: int, rate: float) -> None:
+        """Trace whole batches until there are so many rays."""
+        batches = range(self.rays, wanted, BATCH)
+        for moments, profile in source.pool.map(
+            lambda first: source.trace(number, first, rate), batches
+        ):
+            self._total += moments[0]
+            self._square += moments[1]
+            self._largest = max(self._largest, moments[2])
+            self._profile += profile
+            self.rays += BATCH
+
+    def estimate(self) -> tuple[float, float, float]:
+        """Return the mean, its standard error, and the heaviest family's share of the sum."""
+        mean = self._total / self.rays
+        stderr = np.sqrt(max(self._square / self.rays - mean**2, 0.0) / self.rays)
+        share = self._largest / self._total if self._total > 0.0 else 1.0
+        return float(mean), float(stderr), float(share)
+
+    def rate(self, depth: float, fallback: float) -> float:
+        """Return the rate (1/m) at which the weight falls off with depth, as far as it was seen."""
+        count, weight = self._profile
+        # Neither the slice at the top nor that at the bottom, where light escapes.
+        inside = (count >= _SEEN) & (weight > 0.0)
+        inside[[0, -1]] = False
+        if inside.sum() < 3:
+            return fallback
+        place = depth * (np.arange(SLICES)[inside] + 0.5) / SLICES
+        return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
+
+
+def _piloted(source: _Source, number: int, guess: float, depth: float) -> float:
+    """Return the rate (1/m) at which rays are to be split, as pilots see the light fall off."""
+    rate = _SAFE * guess
+    for stage in range(STAGES):
+        pilot = _Sum()
+        pilot.add(source, number + stage, PILOT, rate)
+        rate = min(pilot.rate(depth, rate), guess)
+    return rate
+
+
+def attenuation_rate(
+    medium: GranularMedium, wavelengths: np.ndarray, seed: int, threads: int | None
+) -> np.ndarray:
+    """Return the rate (1/m) at which diffuse light falls off with depth, by diffusion theory.
+
+    √(3 (1 − ω)(1 − ωg)) times the extinction (Ishimaru 1978, Wave Propagation and Scattering in
+    Random Media, section 9.1), from the medium's single-scattering properties.
+    """
+    optics = single_scattering(medium, wavelengths, 1, PROPERTY_RAYS, seed, threads)
+    albedo = optics.single_scattering_albedo.values
+    asymmetry = optics.asymmetry_parameter.values
+    loss = np.clip(3.0 * (1.0 - albedo) * (1.0 - albedo * asymmetry), 0.0, 3.0)
+    return optics.extinction.values * np.sqrt(loss)

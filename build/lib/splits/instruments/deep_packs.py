@@ -1,0 +1,280 @@
+"""Packs so deep that paths in them have no end: a cut, and a ground that stands for what is below.
+
+Where little is absorbed, light wanders through a deep pack for ten thousand grains, and comes back.
+Far below the surface it is diffuse, and what the rest of the pack does with it is known from
+diffusion theory: F↓ and F↑ are φ/4 ± J/2, and φ obeys D φ″ = μ φ (Ishimaru 1978, Wave Propagation
+and Scattering in Random Media, chapter 9).  So rays are traced down to a cut only.  A ground there
+sends back what the rest would, and keeps what that absorbs or lets through, at every wavelength.
+
+What theory may miss is stated: `DOUBT` of what the rest keeps, times the chance that light from the
+cut leaves at the top.  The cut lies so deep that this is a part of the error asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import refuse
+from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
+from splits.instruments.cut import DOUBT, SHARE, Cut
+from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type, roughly
+from splits.media.granular import GranularMedium, absorption_of
+from splits.media.ground import Ground
+from splits.media.particles import ParticleLayer
+from splits.media.stack import Stack
+from splits.media.turbid import Medium
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
+
+LEAST = 600.0
+"""Mean distances between grains below which no pack is cut: it is traced in no time."""
+REACH = 5.0
+"""Light that decays by more than exp(−REACH) down to the cut, at all wavelengths, asks for none."""
+DIFFUSE = 30.0
+"""Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
+CLEARLY = 2.0
+"""How far beyond a limit a rough look has to be for no better one to be taken."""
+LEAST_TURN = 0.01
+"""Least 1 − ωg of grains among which light gets diffuse before it has gone far."""
+RAYS = BATCH
+"""To measure what each type of grain does: asymmetry to 2 %, far better than `DOUBT`."""
+ROUGHLY = 256
+"""To see roughly what they do, far better than `CLEARLY`; of rare dark grains too little is seen,
+and then a better look is taken."""
+
+
+class _Diffusing(NamedTuple):
+    """How light diffuses among grains, at every wavelength.
+
+    Attributes
+    ----------
+    loss : float
+        Share that a grain absorbs.
+    turn : float
+        1 − g, and the loss besides: 1 − ωg where little is lost.
+    diffusion : float
+        D (m).
+    rate : float
+        By which light decays on its way down (1/m).
+    """
+
+    loss: np.ndarray
+    turn: np.ndarray
+    diffusion: np.ndarray
+    rate: np.ndarray
+
+    @classmethod
+    def of(cls, optics: xr.Dataset) -> _Diffusing:
+        """Return it for grains that do this to light, see `pooled_by_type`."""
+        step = scattering_mean_step(optics)
+        loss = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
+        turn = 1.0 - optics.asymmetry_parameter.values + loss
+        diffusion = step / (3.0 * np.maximum(turn, np.finfo(float).tiny))
+        return cls(loss, turn, diffusion, np.sqrt(loss / step / diffusion))
+
+    def height(self, lowest: Any, max_stderr: float) -> float:
+        """Return how far below the top of its layer a cut has to lie (m)."""
+        # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
+        needed = DOUBT / (SHARE * max_stderr)
+        farthest = float(self.diffusion.max())
+        return max(farthest * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
+
+    def rate_at(self, height: float) -> np.ndarray:
+        """Return the rate (1/m), almost 0 where nothing is absorbed: that says the same, no 0/0."""
+        return np.maximum(self.rate, 1e-9 / height)
+
+    def serves(self, lowest: Any, max_stderr: float, margin: float = 1.0) -> bool:
+        """Return whether a layer that ends is worth a cut, or may be if this is off by a margin."""
+        height = self.height(lowest, max_stderr)
+        deep = lowest.depth_m * margin >= 4.0 * height
+        return bool(
+            self.turn.min() * margin >= LEAST_TURN
+            and deep
+            and (self.rate * height).min() <= REACH * margin
+        )
+
+
+def cut_of(
+    media: Sequence[Medium],
+    wavelengths: np.ndarray,
+    max_stderr: float,
+    seed: int,
+    threads: int,
+) -> Cut | None:
+    """Return packs cut where that serves the error asked for, None where they are traced as such.
+
+    Parameters
+    ----------
+    media : sequence of Medium
+        That share paths, see `splits.instruments.shared_paths`.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    max_stderr, seed, threads
+        As for the spectrophotometer.
+
+    Raises
+    ------
+    ValueError
+        For a pack without end whose lowest layer is not of grains.
+    """
+    lowest = [_lowest(medium) for medium in media]
+    part = lowest[0]
+    if not isinstance(part, GranularMedium):
+        return None
+    depth = float(part.depth_m)
+    if depth * part.grains().attenuation < LEAST:
+        return None
+    if any(one.pores or "air" in one.refractive_index for one in lowest):
+        # The rest of a pack is reckoned for pores of water and of air of index 1.
+        if math.isinf(depth):
+            raise refuse("depth_m", depth, "finite where pores hold other media or other air")
+        return None
+    finite = [replace(one, depth_m=1.0) for one in lowest] if math.isinf(depth) else lowest
+    plan = Plan(1, RAYS, seed, threads, "equilibrium")
+    if not math.isinf(depth):
+        rough = plan._replace(rays=ROUGHLY)
+        looks = (_Diffusing.of(roughly(one, wavelengths, rough)) for one in finite)
+        if not any(look.serves(part, max_stderr, CLEARLY) for look in looks):
+            return None
+    optics = [pooled_by_type(one, wavelengths, plan) for one in finite]
+    return _cut(media, depth, optics, max_stderr)
+
+
+def _cut(
+    media: Sequence[Medium], depth: float, optics: Sequence[xr.Dataset], max_stderr: float
+) -> Cut | None:
+    """Return what `cut_of` returns, for lowest layers of such optics and depth (m)."""
+    found = [_Diffusing.of(one) for one in optics]
+    part = _lowest(media[0])
+    if math.isinf(depth):
+        if min(one.turn.min() for one in found) < LEAST_TURN:
+            raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+    elif not any(one.serves(part, max_stderr) for one in found):
+        return None
+    height = max(one.height(part, max_stderr) for one in found)
+    rests = [
+        _Rested.of(medium, one, o.wavelength.values, height)
+        for medium, one, o in zip(media, found, optics, strict=True)
+    ]
+    # Media that share paths all have a ground, or none.
+    least = np.finfo(float).tiny if len(media) > 1 else 0.0
+    wavelengths = optics[0].wavelength.values
+    grounds = [
+        _ground(wavelengths, np.maximum(_through_face(rest.sent, _lowest(medium), o), least))
+        for medium, rest, o in zip(media, rests, optics, strict=True)
+    ]
+    return Cut(
+        tuple(_shorter(m, height, g) for m, g in zip(media, grounds, strict=True)),
+        height,
+        np.stack([rest.passed for rest in rests]),
+        np.stack([rest.clear for rest in rests]),
+        np.stack([rest.escape for rest in rests]),
+        np.stack([ground.depth(wavelengths) for ground in grounds]),
+        max(_enough(one.rate_at(height), one.diffusion, max_stderr) for one in found),
+    )
+
+
+def _lowest(medium: Medium) -> Any:
+    """Return the lowest layer."""
+    return medium.layers[-1] if isinstance(medium, Stack) else medium
+
+
+def _shorter(medium: Medium, height: float, ground: Ground) -> Medium:
+    """Return a pack whose lowest layer is cut, over a ground."""
+    part = replace(_lowest(medium), depth_m=height)
+    if isinstance(medium, Stack):
+        return replace(medium, layers=(*medium.layers[:-1], part), ground=ground)
+    return replace(part, ground=ground)  # type: ignore[no-any-return]
+
+
+class _Rested(NamedTuple):
+    """What the part of a pack below its cut does, at every wavelength; see `Cut`.
+
+    Attributes
+    ----------
+    sent : float
+        Share that it sends back.
+    passed, clear, escape
+        As of a `Cut`.
+    """
+
+    sent: np.ndarray
+    passed: np.ndarray
+    clear: np.ndarray
+    escape: np.ndarray
+
+    @classmethod
+    def of(
+        cls, medium: Medium, found: _Diffusing, wavelengths: np.ndarray, height: float
+    ) -> _Rested:
+        """Return it for a pack among whose grains light diffuses so."""
+        depth = float(_lowest(medium).depth_m)
+        rate, diffusion = found.rate_at(height), found.diffusion
+        below = Ground.of(medium.ground)  # type: ignore[union-attr]
+        albedo = np.zeros_like(rate) if below is None else below.albedo(wavelengths)
+        rest = Rest(
+            rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo)
+        )
+        clear = found.loss <= 0.0
+        sent = np.where(clear & (math.isinf(depth) | (albedo == 1.0)), 1.0, rest.sent())
+        passed = np.where(clear & (sent < 1.0), 1.0, rest.passed())
+        arriving = 1.0 / (1.0 + 0.75 * height / (diffusion * 3.0))
+        escape = arriving / (arriving + 1.0 - sent)
+        dark_above = _absorbing_above(medium, wavelengths)
+        return cls(sent, passed, (passed == 1.0) & ~dark_above, escape)
+
+
+def _absorbing_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
+    """Tell at which wavelengths a layer above the lowest one may absorb."""
+    if not isinstance(medium, Stack):
+        return np.zeros(wavelengths.size, dtype=bool)
+    above = len(medium.materials()) - len(medium.parts[-1].materials())
+    absorption = absorption_of(medium, medium.indices(wavelengths), wavelengths)
+    pale = [
+        p.layer.single_scattering_albedo < 1.0 for p in medium.parts if isinstance(p, ParticleLayer)
+    ]
+    dark = (absorption[:, :above] > 0.0).any(axis=1)
+    return np.asarray(dark | any(pale))
+
+
+def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float:
+    """Return the least depth (m) over a black ground that is as bright as any."""
+    depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
+    black = np.full_like(rate, 0.5)
+    shallow = Rest(rate * diffusion, rate * depths, black).sent()
+    endless = Rest(rate * diffusion, np.full_like(rate, np.inf), black).sent()
+    far = np.abs(endless - shallow).max(axis=1) > max_stderr
+    return float(depths[min(far.sum(), len(depths) - 1), 0])
+
+
+def _through_face(sent: np.ndarray, lowest: GranularMedium, optics: xr.Dataset) -> np.ndarray:
+    """Return the albedo of a ground that, below the face of wet pores, sends back so much.
+
+    A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
+    entering: by n², as reciprocity asks for.
+    """
+    if not lowest.saturation or not lowest.readings.rules(False).boundary_fresnel:
+        return sent
+    index = lowest.indices(optics.wavelength.values).real
+    n = index[:, WET_PORE] / index[:, DRY_PORE]
+    outer = diffuse_reflectance(n)
+    inner = 1.0 - (1.0 - outer) / n**2
+    wet = optics.wet_share.values
+    out, back = 1.0 - wet * inner, 1.0 - float(lowest.saturation) * outer
+    # What the ground keeps, in units of what reaches the face from within, is to be 1 − sent.
+    kept = 1.0 - sent
+    albedo: np.ndarray = np.clip((out - kept) / (out - kept * (1.0 - back)), 0.0, 1.0)
+    return albedo
+
+
+def _ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:
+    """Return the ground that stands for the rest of a pack."""
+    name = "rest of the pack"
+    if wavelengths.size == 1:
+        return Ground(name, "diffusion theory", albedo)
+    return Ground(name, "diffusion theory", albedo, wavelengths)

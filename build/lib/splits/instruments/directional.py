@@ -1,0 +1,130 @@
+"""Ensembles of a goniophotometer: where light goes, by order of scattering.
+
+Few scatterings carry the structure of a BRDF and cost little; many make most of the light, cost
+most, and are nearly diffuse.  Orders of scattering are therefore grouped in classes.  Rays of a
+level are given up after the last order of its class: they serve that class and all before it, so
+that early classes can have many times the rays of the late ones (correlated through the paths they
+share, which errors from groups of rays account for).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from splits.instruments import streams
+from splits.instruments.ensemble import Level
+from splits.instruments.runner import BATCH
+from splits.transport.grains.scene import UNLIMITED, shared_optics
+from splits.transport.sums.directions import Basis, expand
+from splits.transport.sums.tally import EXIT_ORDER
+
+CLASSES = (2, 8, 32, UNLIMITED)
+"""Largest order of scattering of each class."""
+
+GROUPS = 64
+"""Equal parts of all rays, between which errors are estimated: to 9 %."""
+
+ROUND = GROUPS * BATCH
+"""Rays of a level come in multiples of this."""
+
+
+Sums = tuple[int, np.ndarray, np.ndarray]
+"""What a batch yields: group, sums of polynomials, sums of weights that met no grain."""
+
+
+class Directional:
+    """Paths traced with one set of refractive indices, and where they lead.
+
+    Parameters
+    ----------
+    number : int
+        Names the random streams.
+    index : complex, shape (materials,)
+    absorption : float, shape (wavelengths, materials)
+        Absorption coefficients (1/m) of all wavelengths.
+    weights : float, shape (wavelengths,)
+        How much each wavelength draws on this ensemble.
+    basis : Basis
+    classes : sequence of int
+        Largest order of scattering of each class, the last `UNLIMITED`.
+    sharp : bool
+        Light that met no grain leaves as a beam, so that polynomials leave it out; of diffuse
+        light they do not.
+
+    Attributes
+    ----------
+    levels : list of Level
+        One for each class.
+    place : dict
+        Rows of the wavelengths that draw on this ensemble in the arrays below.
+    sums : float, shape (groups, classes, 2, rows, polynomials)
+        See `splits.transport.sums.directions.expand`.
+    straight : float, shape (groups, 2, rows)
+    """
+
+    def __init__(
+        self,
+        number: int,
+        index: np.ndarray,
+        absorption: np.ndarray,
+        weights: np.ndarray,
+        basis: Basis,
+        classes: Sequence[int] = CLASSES,
+        sharp: bool = True,
+    ) -> None:
+        served = weights > 0.0
+        self.absorption = absorption[served]
+        self.weights = weights
+        self.place = {int(column): row for row, column in enumerate(np.flatnonzero(served))}
+        self.basis = basis
+        self.sharp = sharp
+        self.edges = np.array(classes, dtype=np.int64)
+        rows = len(self.place)
+        self.sums = np.zeros((GROUPS, len(classes), 2, rows, basis.scale.size))
+        self.straight = np.zeros((GROUPS, 2, rows))
+        optics = shared_optics(index, self.absorption)
+        first = streams.DIRECTIONAL + number * len(classes)
+        self.levels = [
+            Level(first + i, optics, served, min(3.0 * most, 400.0), most)
+            for i, most in enumerate(classes)
+        ]
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        return int(self.sums[0].size + self.straight[0].size)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+        """Return the sums of a batch of exits of a level."""
+        heard = self.edges[self.edges <= level.most]
+        if not self.sharp:
+            exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
+        return (first // BATCH) % GROUPS, *expand(exits, self.absorption, heard, self.basis)
+
+    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+        """Add the sums of batches one by one: they do not depend on who traced them."""
+        level.rays += BATCH * len(tallies)
+        for group, sums, straight in tallies:
+            self.sums[group, : len(sums)] += sums
+            self.straight[group] += straight
+
+    def counts(self) -> np.ndarray:
+        """Return the rays that each class listens to, shape (classes,)."""
+        rays = np.array([level.rays for level in self.levels])
+        return np.cumsum(rays[::-1])[::-1]
+
+    def coefficients(self, wavelength: int) -> np.ndarray:
+        """Return its part of a wavelength's coefficients, shape (groups, classes, 2, …)."""
+        each = (self.counts() / GROUPS)[:, np.newaxis, np.newaxis]
+        return self.weights[wavelength] * self.sums[:, :, :, self.place[wavelength]] / each
+
+    def unscattered(self, wavelength: int) -> np.ndarray:
+        """Return its part of a wavelength's light that met no grain, shape (groups, 2)."""
+        each = self.counts()[0] / GROUPS
+        return self.weights[wavelength] * self.straight[:, :, self.place[wavelength]] / each
+
+    def costs(self) -> np.ndarray:
+        """Return the legs of a ray within each class, shape (classes,)."""
+        legs = np.array([level.legs / max(level.rays, 1) for level in self.levels])
+        return np.maximum(np.diff(legs, prepend=-1.0), 0.01)

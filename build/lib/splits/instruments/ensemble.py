@@ -1,0 +1,252 @@
+"""Ensembles of paths, and those of a spectrophotometer: sums of weights, means, variances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from splits.instruments import streams
+from splits.transport.grains.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
+from splits.transport.sums.tally import BLOCK, tally
+
+LEVELS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
+"""Absorption over one mean distance between grains from which wavelengths have rays of their own.
+Visible light needs few rays and long paths, the near infrared many rays and short paths."""
+
+_FIRST_LEGS = 400.0
+"""Legs per ray to expect at first at the level of least absorption; a third fewer at the next."""
+
+BATCH = 128
+"""Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
+GROUPS = 32
+"""Groups of rays whose means are told apart.  Blocks of successive rays take turns, so that the
+smallest first round of a level reaches all.  A standard error from 32 groups is known to 13 %."""
+
+Tally = tuple[np.ndarray, np.ndarray, np.ndarray, int]
+"""What a batch yields here: moments, least weight, sums of blocks, rays."""
+
+
+@dataclass(eq=False)
+class Level:
+    """Rays of an ensemble that serve only some wavelengths, or only some orders of scattering.
+
+    They may end paths early where nobody listens: by roulette, because the wavelengths that need
+    long paths do not, or once they have met as many grains as somebody listens to.
+
+    Attributes
+    ----------
+    number : int
+        Names the random streams.
+    optics : Optics
+    served : bool, shape (wavelengths,)
+    guess : float
+        Legs per ray to expect before any was traced.
+    most : int
+        Grains that a ray may meet.
+    rays, legs : int
+        Traced so far.
+    """
+
+    number: int
+    optics: Optics
+    served: np.ndarray
+    guess: float
+    most: int = UNLIMITED
+    rays: int = 0
+    legs: int = 0
+
+
+class Manner(NamedTuple):
+    """How rays are traced, as far as those who add them up must know it.
+
+    Attributes
+    ----------
+    attenuation : float
+        Scatterings to expect per metre.
+    ground : int
+        Column of meetings with the ground, see `splits.transport.grains.scene.Scene`.
+    fading : bool
+        Whether a ray's weight may fall for another reason than absorption by materials.
+    analog : bool
+        Whether absorption is a coin toss, so that any ray might have been absorbed.
+    """
+
+    attenuation: float
+    ground: int = NO_GROUND
+    fading: bool = False
+    analog: bool = False
+
+
+class Paths(Protocol):
+    """What a `splits.instruments.runner.Runner` asks of an ensemble."""
+
+    absorption: np.ndarray
+    levels: list[Level]
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds."""
+        ...
+
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+        """Return what a batch of a level's exits and notes, from that ray on, adds up to."""
+        ...
+
+    def add(self, level: Level, tallies: Sequence[Any]) -> None:
+        """Add the tallies of successive batches."""
+        ...
+
+
+def levels_of(
+    first: int,
+    index: np.ndarray,
+    absorption: np.ndarray,
+    served: np.ndarray,
+    manner: Manner,
+    thresholds: Sequence[float],
+) -> list[Level]:
+    """Return levels for wavelengths that absorb more and more, numbered from `first` on.
+
+    For the other parameters see `Ensemble`.
+    """
+    materials = np.arange(absorption.shape[1]) != manner.ground
+    strength = absorption[:, materials].max(axis=1) / manner.attenuation
+    levels: list[Level] = []
+    for step, threshold in enumerate(thresholds):
+        part = served & (strength >= threshold)
+        if not part.any() or (levels and part.sum() == levels[-1].served.sum()):
+            continue
+        optics = shared_optics(index, absorption[part])
+        levels.append(Level(first + step, optics, part, _FIRST_LEGS / 1.5**step))
+    return levels
+
+
+class Ensemble:
+    """Paths traced with one set of refractive indices.
+
+    Parameters
+    ----------
+    number : int
+        Names the random streams.
+    index : complex, shape (materials,)
+    absorption : float, shape (wavelengths, materials)
+        Absorption coefficients of all wavelengths (1/m).
+    served : bool, shape (wavelengths,)
+        Wavelengths that draw on this ensemble.
+    manner : Manner
+    levels : sequence of float
+        Absorption from which wavelengths have rays of their own, at most as many as `LEVELS`; an
+        analog ensemble has one level only.
+
+    Attributes
+    ----------
+    levels : list of Level
+    count : float, shape (wavelengths,)
+        Rays that each wavelength listens to.
+    moments : float, shape (3, 3, wavelengths)
+        Over those, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
+    least : float, shape (wavelengths,)
+        Smallest weight with which any of them left; 0 once one was absorbed.
+    groups : float, shape (GROUPS, 2, wavelengths)
+        Σ weight of the rays of every group, reflected and transmitted.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        index: np.ndarray,
+        absorption: np.ndarray,
+        served: np.ndarray,
+        manner: Manner,
+        levels: Sequence[float] = LEVELS,
+    ) -> None:
+        self.absorption = absorption
+        self.manner = manner
+        self.count = np.zeros(len(absorption))
+        self.moments = np.zeros((3, 3, len(absorption)))
+        self.least = np.full(len(absorption), np.inf)
+        self.groups = np.zeros((GROUPS, 2, len(absorption)))
+        used = levels[:1] if manner.analog else levels
+        first = streams.ANALOG if manner.analog else streams.SPECTRAL
+        first += number * len(LEVELS)
+        self.levels = levels_of(first, index, absorption, served, manner, used)
+
+    def size(self) -> int:
+        """Return how many numbers a tally holds, those of blocks being half as long."""
+        return (10 + BATCH // BLOCK) * len(self.absorption)
+
+    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Tally:
+        """Return the sums of a batch of a level, for the wavelengths it serves."""
+        absorption = self.absorption[level.served]
+        weighted, ground = not self.manner.analog, self.manner.ground
+        return *tally(exits, notes, absorption, weighted, ground), len(exits)
+
+    def add(self, level: Level, tallies: Sequence[Tally]) -> None:
+        """Add the tallies of batches one by one: sums do not depend on who traced them."""
+        served = level.served
+        moments, least = self.moments[:, :, served], self.least[served]
+        groups = self.groups[:, :, served]
+        for more, lightest, blocks, rays in tallies:
+            first = level.rays // BLOCK % GROUPS
+            groups[first : first + len(blocks)] += blocks
+            level.rays += rays
+            self.count[served] += rays
+            moments[:, :2] += more[:, :2]
+            np.maximum(moments[:, 2], more[:, 2], out=moments[:, 2])
+            np.minimum(least, lightest, out=least)
+        self.moments[:, :, served], self.least[served] = moments, least
+        self.groups[:, :, served] = groups
+
+    def means(self) -> np.ndarray:
+        """Return the mean weight, shape (2, wavelengths): reflected, transmitted."""
+        return self.moments[:2, 0] / np.maximum(self.count, 1.0)
+
+    def deviations(self) -> np.ndarray:
+        """Return how far each group of rays takes the means off, shape (GROUPS, 2, wavelengths).
+
+        Sums over groups of products of two of them estimate covariances of means (random groups;
+        Wolter 2007, Introduction to Variance Estimation, chapter 2).
+        """
+        off = self.groups - self.rays_of_groups()[:, np.newaxis] * self.means()
+        return off / np.maximum(self.count, 1.0)
+
+    def rays_of_groups(self) -> np.ndarray:
+        """Return how many rays of each group every wavelength listens to, (GROUPS, wavelengths)."""
+        rays = np.zeros((GROUPS, len(self.absorption)))
+        for level in self.levels:
+            turns, rest = divmod(level.rays // BLOCK, GROUPS)
+            rays[:, level.served] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
+        return rays
+
+    def variances(self) -> np.ndarray:
+        """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).
+
+        Two rays are added, of the largest and of the smallest weight possible by what was seen
+        (after Agresti & Coull 1998): few or no arrivals then do not look like certainty.
+        """
+        total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
+        largest = np.where(largest == 0.0, 1.0, largest)
+        smallest = np.zeros_like(largest)
+        absorbs = self.absorption.max(axis=1) > 0.0
+        tossed = self.manner.fading | (self.manner.analog & absorbs)
+        smallest[2] = np.where(tossed | (self.count == 0.0), 0.0, self.least)
+        n = self.count + 2.0
+        mean = (total + largest + smallest) / n
+        return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
+
+
+def scaled(groups: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return deviations of groups whose squares add up to a variance known better than they tell.
+
+    Their correlations stay; where no group deviates at all, none does after.
+
+    Parameters
+    ----------
+    groups : float, shape (groups, ...)
+    variance : float, shape (...)
+    """
+    square = (groups**2).sum(axis=0)
+    seen = square > 0.0
+    return groups * np.sqrt(np.divide(variance, square, out=np.zeros_like(square), where=seen))

@@ -1,0 +1,219 @@
+"""Two ways to a spectrum: all wavelengths from shared paths, or each by itself.
+
+Both run until the standard error asked for is reached at every wavelength, or the ray limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, Paths, scaled
+from splits.instruments.nodes import Nodes, choose_nodes
+from splits.instruments.runner import Runner
+from splits.instruments.shared_paths import Rows, SharedPaths, Slopes
+
+PILOT = 256
+ANALOG_PILOT = 2048
+"""Rays per level, and per wavelength, of the first round, from which the number needed is
+foretold.  Stopping on the variance of the very rays that form the mean draws dark values down; a
+first round that is large against the few events seen there keeps this far below the error."""
+_GROWTH = 8.0
+_BIAS_SHARE = 0.4
+"""Part of the error asked for that interpolation between indices may take."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Means and standard errors, shape (3, rows): reflected, transmitted, absorbed.
+
+    A row is a wavelength, of the one medium or of one of several that share paths.
+
+    Attributes
+    ----------
+    bias : float, shape (3, rows)
+        Part of the standard error that stands for interpolation between refractive indices.
+    groups : float, shape (GROUPS, 2, rows)
+        How far groups of rays take the reflected and transmitted means off: sums over them of
+        squares are the variance without bias, sums of products covariances.
+    rays : int
+        All rays traced.
+    ensembles : int
+        Number of path ensembles among which they are shared.
+    converged : bool
+        Whether the error asked for was reached everywhere.
+    kernel : str
+        "lanes", "scalar", or both where ensembles differ.
+    slopes : Slopes
+        Derivatives, of as many parameters as were asked for.
+    """
+
+    mean: np.ndarray
+    stderr: np.ndarray
+    bias: np.ndarray
+    groups: np.ndarray
+    rays: int
+    ensembles: int
+    converged: bool
+    kernel: str
+    slopes: Slopes
+
+
+def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:
+    """Estimate all rows from path ensembles at a few refractive indices.
+
+    The lengths of a path in each material give its weight at every wavelength (SPLITSnow Eqs
+    5-6); wavelengths take the weighted mean of the index nodes around them, and the bound on what
+    this interpolation misses is added to the standard error in quadrature.
+    """
+    nodes = choose_nodes(rows.index, rows.interfaces, _BIAS_SHARE * max_stderr)
+    ensembles = [
+        SharedPaths(number, m, rows, w > 0.0, runner.tracer.manner)
+        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    ]
+    levels = [(e, level) for e in ensembles for level in e.levels]
+    weights = nodes.weights[:, np.newaxis, :]
+
+    runner.prepare(ensembles)
+    runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
+    while True:
+        mean = np.einsum("jw,jqw->qw", nodes.weights, np.stack([e.means() for e in ensembles]))
+        mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
+        # Near 0 and 1 a share changes in proportion to its distance from there; 8 allows for
+        # elasticities up to 2.4, what a single reflection has is 4/(2 + c).
+        bias = nodes.bias * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
+        parts = weights**2 * np.stack([e.variances() for e in ensembles])
+        count = np.stack([np.maximum(e.count, 1.0) for e in ensembles])
+        variance = (parts / count[:, np.newaxis]).sum(axis=0)
+        stderr = np.sqrt(variance + bias**2)
+        converged = bool(stderr.max() <= max_stderr)
+        rays = np.array([level.rays for _, level in levels], dtype=float)
+        if converged or rays.sum() >= max_rays:
+            break
+        wanted = rays_wanted(parts, max_stderr**2 - bias**2, ensembles)
+        step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
+        step *= min(1.0, (max_rays - rays.sum()) / step.sum())
+        left = float((wanted - rays - step).clip(0).sum())
+        # However few rays are left, at least the level that wants most gets some.
+        least = min(1.0, step.max())
+        work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
+        runner.trace(work, float(stderr.max()), max_stderr, left)
+    groups = np.einsum("jw,jgqw->gqw", nodes.weights, np.stack([e.deviations() for e in ensembles]))
+    return Estimate(
+        mean,
+        stderr,
+        bias,
+        scaled(groups, variance[:2]),
+        int(rays.sum()),
+        len(ensembles),
+        converged,
+        runner.kernels(ensembles),
+        _slopes(nodes, ensembles),
+    )
+
+
+def _slopes(nodes: Nodes, ensembles: Sequence[SharedPaths]) -> Slopes:
+    """Return derivatives, rows taking the weighted mean of the nodes around them."""
+    found = [e.slope_deviations() for e in ensembles]
+    mean = np.einsum("jw,jqpw->qpw", nodes.weights, np.stack([mean for mean, _ in found]))
+    groups = np.einsum("jw,jgqpw->gqpw", nodes.weights, np.stack([off for _, off in found]))
+    # As much of themselves as of light that is nearly all reflected or nearly all absorbed.
+    return Slopes(mean, groups, np.clip(8.0 * nodes.bias, 0.0, 1.0) * np.abs(mean))
+
+
+def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths]) -> np.ndarray:
+    """Return the rays per level that bring every variance to its target at the least cost.
+
+    The cost of a ray is the number of its legs.  At the optimum a level's marginal gain, summed
+    over wavelengths with multipliers that stand at the binding ones, equals its cost; multipliers
+    and rays are iterated to that by multiplicative updates, and then scaled to feasibility.
+
+    Parameters
+    ----------
+    parts : float, shape (ensembles, quantities, wavelengths)
+        Variance per ray times squared weight.
+    target : float, shape (quantities, wavelengths)
+        Variances to reach.
+    ensembles : sequence of Paths
+    """
+    levels = [level for e in ensembles for level in e.levels]
+    member = np.array([i for i, e in enumerate(ensembles) for _ in e.levels])
+    served = np.stack([level.served for level in levels]).astype(float)
+    floor = np.array([level.rays for level in levels], dtype=float)
+    cost = np.array([level.legs / level.rays for level in levels]) + 1.0
+    share = parts / target
+    owner = np.zeros((len(ensembles), len(levels)))
+    owner[member, np.arange(len(levels))] = 1.0
+    rays = floor.copy()
+    multipliers = np.full(target.shape, 1.0 / target.size)
+
+    def excess(rays: np.ndarray) -> np.ndarray:
+        count = np.maximum((owner * rays) @ served, 1e-9)
+        return (share / count[:, np.newaxis]).sum(axis=0)
+
+    for _ in range(200):
+        before = rays.copy()
+        ratio = excess(rays)
+        multipliers *= (ratio / ratio.max()) ** 0.5
+        multipliers /= multipliers.sum()
+        count = np.maximum((owner * rays) @ served, 1e-9)
+        gain = (multipliers * share).sum(axis=1) / count**2
+        rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
+        rays *= excess(rays).max()
+        if (np.abs(rays - before) <= 1e-4 * before).all():
+            break
+    rays = np.maximum(rays, floor)
+    # What the floor gives away can be saved elsewhere; a little is added against falling short,
+    # but only where more is wanted, or levels that have enough would grow with every round.
+    wanted = rays * max(excess(rays).max(), 0.1)
+    more = wanted > floor * (1.0 + 1e-6)
+    return np.where(more, np.ceil(1.03 * wanted), floor) if more.any() else floor + BATCH
+
+
+def analog(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:
+    """Estimate each row by itself, with absorption decided by coin toss on every leg.
+
+    This is the algorithm of SPLITS section 4.3 and SPLITSnow section 3, kept as the reference.
+    `max_rays` is shared equally among the rows.
+    """
+    many = len(rows.index)
+    limit = max(ANALOG_PILOT, max_rays // many)
+    mean = np.empty((3, many))
+    stderr = np.empty_like(mean)
+    groups = np.empty((GROUPS, 2, many))
+    one = np.ones(1, dtype=bool)
+    traced = 0
+    for row, (m, alpha) in enumerate(zip(rows.index, rows.absorption, strict=True)):
+        ensemble = Ensemble(row, m, alpha[np.newaxis], one, runner.tracer.manner)
+        level = ensemble.levels[0]
+        runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
+        while True:
+            variance = ensemble.variances()[:, 0]
+            error = np.sqrt(variance / level.rays)
+            if error.max() <= max_stderr or level.rays >= limit:
+                break
+            wanted = 1.05 * variance.max() / max_stderr**2
+            step = min(wanted, _GROWTH * level.rays, limit) - level.rays
+            runner.trace([(ensemble, level, int(np.ceil(step)))], float(error.max()), max_stderr)
+        reflected, transmitted = ensemble.means()[:, 0]
+        mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
+        stderr[:, row] = error
+        groups[:, :, row] = ensemble.deviations()[:, :, 0]
+        traced += level.rays
+    none = np.zeros((GROUPS, 2, 0, many))
+    return Estimate(
+        mean,
+        stderr,
+        np.zeros_like(mean),
+        scaled(groups, stderr[:2] ** 2),
+        traced,
+        many,
+        bool(stderr.max() <= max_stderr),
+        "scalar",
+        Slopes(none[0], none, none[0]),
+    )
+
+
+ESTIMATORS = {"spectral": spectral, "analog": analog}

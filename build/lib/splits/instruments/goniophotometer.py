@@ -1,0 +1,265 @@
+"""Virtual goniophotometer: where reflected and transmitted light goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, known_arguments, one_of, refuse
+from splits.instruments.angular import Estimate, largest_error
+from splits.instruments.arguments import (
+    check_angles,
+    check_cells,
+    check_incidence,
+    check_medium,
+    check_size,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.cells import (
+    CELLS_OF_5_DEG,
+    centres,
+)
+from splits.instruments.expansion import counted, expand
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.local import Goal, listen
+from splits.instruments.nodes import choose_nodes
+from splits.instruments.runner import Progress, Runner
+from splits.instruments.scenes import constants_of, ground_of
+from splits.instruments.tracers import KERNELS, Heard
+from splits.instruments.views import Found, collected, facts_of, heard_by, traced, under_sky
+from splits.media.turbid import Medium
+from splits.uncertainty import Variable, quantity
+
+POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
+AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
+
+ESTIMATORS = ("expansion", "cells", "local")
+SIDES = {"brdf": 0, "btdf": 1}
+OF_LIGHT_BELOW = ("btdf", "transmittance", "direct_transmittance")
+"""What a dataset tells of light that leaves below: nothing of it over a ground."""
+
+_NODES_SHARE = 0.05
+"""Bound on what interpolation between refractive indices may miss of a reflectance, as a part of
+the relative error asked for."""
+
+
+@known_arguments
+def goniophotometer(
+    medium: Medium,
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    rays: int | None = None,
+    seed: int = 1,
+    *,
+    relative_stderr: float = 0.02,
+    target: str = "brdf",
+    polar_deg: Any = POLAR_DEG,
+    azimuth_deg: Any = AZIMUTH_DEG,
+    estimator: str = "expansion",
+    cells: tuple[int, int] = CELLS_OF_5_DEG,
+    max_rays: int = 1_000_000_000,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
+
+    Parameters
+    ----------
+    medium : GranularMedium or TurbidMedium
+        For example `splits.Snow` or `splits.Layer`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    incidence_deg : float or "diffuse"
+        Polar angle of the beam, 0 to 89.9999 degrees; beyond 89.9 a run takes minutes, because few
+        grains fit below the boundary there.  Or equal radiance from everywhere, of which only the
+        estimator ``expansion`` knows.
+    rays : int, optional
+        How many rays to trace, rounded up; by default as many as `relative_stderr` takes.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    relative_stderr : float
+        Largest standard error wanted as a part of the value, 1e-4 to 0.5, for polar angles up to
+        `STEEPEST_DEG`; of local estimation, for all.
+    target : {"brdf", "btdf"}
+        Which of both is to reach it; wavelengths without light there do not count.
+    polar_deg : array_like
+        Angles from the normal, 0 to below 90 degrees, strictly increasing.
+    azimuth_deg : array_like
+        Angles from the direction in which the beam travels, 0 to below 360 degrees, strictly
+        increasing: the principal plane is 0 (forward) and 180 (back).
+    estimator : {"expansion", "cells", "local"}
+        Orthonormal polynomials over the hemisphere, or the papers' collectors as a reference:
+        cells of equal solid angle; or, for a layer under a smooth surface, local estimation: every
+        scattering tells each direction what it sends there.  Cells take `rays`, a million by
+        default; local estimation takes time for every direction, so ask for few.
+    cells : (int, int)
+        Cells between horizon and zenith and around; results stand at their middles, and
+        `polar_deg` and `azimuth_deg` do not count.
+    max_rays : int
+        A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
+        first: "error", "rays", or "degree" where the light goes into lobes too narrow for the
+        polynomials, which no rays mend; take cells then.  "detail" is "error" but for a direction
+        in a lobe: what is too weak there to be told from noise keeps its error, which is stated,
+        above the one asked for (see ``relative_stderr_reached``); ask for a smaller one.
+    threads : int, optional
+        Default: every CPU this process may use.
+    kernel : {"auto", "lanes", "scalar"}
+        See `splits.spectrophotometer`.
+    progress : callable, optional
+        Called now and then with a `Progress`; errors are relative.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``brdf`` and ``btdf`` (1/sr) over ``wavelength``, ``polar`` and ``azimuth``, of light that
+        met a grain; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor`` π·BRDF over the
+        reflectance of that light (its error is that of the BRDF alone), 0 where there is none.
+        Over wavelength, ``reflectance`` and
+        ``transmittance`` of all light, and the parts of them that met no grain, which leave as
+        sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
+        standard errors ``…_stderr``.  Local estimation and cells of a polarized medium add
+        ``brdf_q``, ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for
+        unpolarized incidence, Q > 0 along the plane that holds the normal.  Over a diffuse bottom
+        the BTDF is that of light that arrives there, at angles within the layer; local estimation
+        leaves it out.  Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
+        hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and
+        ``reflectance`` and ``transmittance`` are bihemispherical.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    References
+    ----------
+    SPLITSnow section 4.1, Eq 7; Budak & Grimailo 2020, Eqs 4-5; Nicodemus et al. (1977) for the
+    terms.
+    """
+    check_medium(medium)
+    wavelengths = check_wavelengths(wavelength_nm)
+    incidence = check_incidence(incidence_deg)
+    relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
+    grounded = ground_of(medium) is not None
+    side = _side_of(target, grounded)
+    _check_estimator(estimator, incidence)
+    one_of("kernel", kernel, KERNELS)
+    seed, max_rays = check_whole("seed", seed, 0), check_whole("max_rays", max_rays, 1)
+    if rays is not None:
+        check_whole("rays", rays, 1)
+    threads = check_threads(threads)
+    begun = time.perf_counter()
+    index, absorption = constants_of(medium, wavelengths)
+    nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
+    heard = Heard(orders=True)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+    polar, azimuth = _directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
+    check_size(len(wavelengths), len(polar) * len(azimuth))
+    goal = Goal(side, relative_stderr, rays, max_rays)
+    if estimator == "cells":
+        found = collected(runner, nodes, absorption, cells, rays or 1_000_000)
+    elif estimator == "local":
+        found = heard_by(
+            listen(medium, float(incidence), polar, azimuth, goal, runner), wavelengths
+        )
+    else:
+        paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
+        found = Found(result, reached, traced(paths), paths)
+    seen = counted(polar, azimuth) | (estimator == "local")
+    facts = {
+        **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
+        "incidence_deg": incidence,
+        "estimator": estimator,
+        "target": target,
+        "relative_stderr_reached": largest_error(found.result, side, seen),
+        **facts_of(found, goal, nodes, runner),
+    }
+    dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
+    unseen = OF_LIGHT_BELOW if grounded else found.unseen
+    dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
+    return under_sky(dataset) if incidence == "diffuse" else dataset
+
+
+def _check_estimator(estimator: str, incidence: float | str) -> None:
+    """Refuse an estimator that there is not, or that does not know diffuse light."""
+    one_of("estimator", estimator, ESTIMATORS)
+    if isinstance(incidence, str) and estimator != "expansion":
+        allowed = "an angle for this estimator"
+        raise refuse("incidence_deg", incidence, allowed, "expansion takes it")
+
+
+def _side_of(target: str, grounded: bool) -> int:
+    """Return the side of the sample that the target is on, or refuse that of a ground."""
+    side = SIDES[one_of("target", target, SIDES)]
+    if grounded and side == 1:
+        raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
+    return side
+
+
+def _directions(
+    polar_deg: Any, azimuth_deg: Any, cells: tuple[int, int] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the directions asked for (degrees), or those of the centres of cells."""
+    if cells is not None:
+        return centres(check_cells(cells))
+    return check_angles("polar_deg", polar_deg, 90.0), check_angles(
+        "azimuth_deg", azimuth_deg, 360.0
+    )
+
+
+def _dataset(
+    result: Estimate,
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    wavelengths: np.ndarray,
+    polar: np.ndarray,
+    azimuth: np.ndarray,
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return an estimate as a labelled dataset."""
+    grid = ("wavelength", "polar", "azimuth")
+    shape = (len(wavelengths), len(polar), len(azimuth))
+    scattered = result.scattered()[0][:, np.newaxis]
+    share = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
+    variables: dict[str, Variable] = {}
+    directional = {
+        "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
+        "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
+        "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
+        "anisotropy_factor": ("anisotropy factor", "1", 0, share),
+    }
+    for name, (long_name, units, side, factor) in directional.items():
+        mean = (factor * result.mean[side]).reshape(shape)
+        stderr = (factor * result.stderr[side]).reshape(shape)
+        variables |= quantity(name, grid, mean, stderr, long_name, units)
+    for name, (values, error) in stokes.items():
+        part = name[-1].upper()
+        label = f"Stokes {part} of the light that the {name[:4].upper()} is of"
+        variables |= quantity(
+            name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
+        )
+    whole = {
+        "reflectance": ("directional-hemispherical reflectance", 0, 0),
+        "transmittance": ("directional-hemispherical transmittance", 0, 1),
+        "specular_reflectance": ("reflectance without scattering", 2, 0),
+        "direct_transmittance": ("transmittance without scattering", 2, 1),
+    }
+    for name, (long_name, row, side) in whole.items():
+        mean, stderr = result.sums[row : row + 2, side]
+        variables |= quantity(name, "wavelength", mean, stderr, long_name)
+    angle = {"units": "degree"}
+    coordinates = {
+        "wavelength": wavelength_axis(wavelengths),
+        "polar": ("polar", polar, {**angle, "long_name": "angle from the normal"}),
+        "azimuth": (
+            "azimuth",
+            azimuth,
+            {**angle, "long_name": "angle from the direction in which the beam travels"},
+        ),
+    }
+    return xr.Dataset(variables, coordinates, facts)

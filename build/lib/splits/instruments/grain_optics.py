@@ -1,0 +1,244 @@
+"""What single grains of a scene do to light: rays that meet one grain each, and means over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.instruments import streams
+from splits.instruments.nodes import Nodes, choose_nodes, nodes_at
+from splits.instruments.scenes import granular_scene
+from splits.instruments.threads import Threads
+from splits.media.granular import GranularMedium, absorption_of
+from splits.transport.grains.scattering import PARTS, Solitary, scatter
+from splits.transport.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, shared_optics
+from splits.uncertainty import without_one
+
+BATCH = 2048
+"""Rays per batch: the grain of parallel work."""
+
+INTERPOLATION = 0.0005
+"""Interpolation error allowed, as for a reflectance (see `splits.instruments.nodes`)."""
+
+MOMENT_SLOPE = 2.0
+"""How much steeper a Legendre moment may be in the contrast than a reflectance: a forward lobe as
+wide as the contrast c has χ_l ~ exp(−c² l²/2), and |dχ/d(ln c)| up to 2/e."""
+
+
+WET_PORES = ("saturation", "equilibrium")
+RATIOS = ("displacement_before", "displacement_after", "displacement_square", "wet_share")
+"""What else is a mean by weight of scattered light, in the order of `scatter`."""
+
+
+class Plan(NamedTuple):
+    """What is asked of grains, see `splits.instruments.single_scattering`.
+
+    Rays are a multiple of `BATCH`, or of `PARTS` and fewer.
+    """
+
+    moments: int
+    rays: int
+    seed: int
+    threads: int
+    wet_pores: str
+
+
+@dataclass(frozen=True)
+class _Node:
+    """Tallies of one node, per ray, for the wavelengths that draw on it.
+
+    Attributes
+    ----------
+    served : bool, shape (wavelengths,)
+    weight : float, shape (served,)
+        Weight of this node in the wavelengths' means.
+    sums : float, shape (3, orders + 4, served)
+    parts : float, shape (parts, orders + 4, served)
+        See `splits.transport.grains.scattering.scatter`.
+    """
+
+    served: np.ndarray
+    weight: np.ndarray
+    sums: np.ndarray
+    parts: np.ndarray
+
+
+def nodes_of(medium: GranularMedium, wavelengths: np.ndarray) -> Nodes:
+    """Return the nodes that `single_scattering` traces at."""
+    return choose_nodes(medium.indices(wavelengths), medium.interfaces(), INTERPOLATION)
+
+
+def optics_of(
+    medium: GranularMedium, scene: Scene, wavelengths: np.ndarray, plan: Plan, nodes: Nodes
+) -> dict[str, np.ndarray]:
+    """Return what a scene's grains do to light, by the names of `single_scattering`.
+
+    Parameters
+    ----------
+    medium : GranularMedium
+    scene : Scene
+        Of the medium, perhaps of some of its grains only.
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    plan : Plan
+    nodes : Nodes
+        Of the medium at these wavelengths.
+    """
+    index = medium.indices(wavelengths)
+    absorption = absorption_of(medium, index, wavelengths)
+    wet = _wet_share(medium.saturation, index, plan.wet_pores)
+    at_nodes = _wet_share(medium.saturation, nodes.index, plan.wet_pores)
+    traced = _trace(scene, nodes, at_nodes, absorption, plan)
+    values = _estimate(traced, nodes.bias, plan.moments + 1, plan.rays)
+    pore = (1.0 - wet) * absorption[:, DRY_PORE] + wet * absorption[:, WET_PORE]
+    grains = medium.grains().attenuation
+    values["extinction"] = grains + pore
+    for name in list(values):
+        if name.startswith("single_scattering_albedo"):
+            values[name] *= grains / values["extinction"]
+    return values
+
+
+def roughly(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
+    """Return about what `pooled_by_type` does, for a part of its time.
+
+    All grains together, and everything but absorption as at one wavelength: that of the least, at
+    which light gets farthest.
+    """
+    index = medium.indices(wavelengths)
+    clearest = int(absorption_of(medium, index, wavelengths).max(axis=1).argmin())
+    nodes = nodes_at(index, medium.interfaces(), [clearest])
+    scene = granular_scene(medium, 0.0, False)
+    values = optics_of(medium, scene, wavelengths, plan, nodes)
+    names = ("single_scattering_albedo", "asymmetry_parameter", "extinction", *RATIOS)
+    found = {
+        name: ("wavelength", np.broadcast_to(values[name], wavelengths.shape)) for name in names
+    }
+    return xr.Dataset(found, {"wavelength": wavelengths})
+
+
+def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
+    """Return means over grains of which each type was met by so many rays, however rare it is.
+
+    A few rays among all types would miss rare ones, and all that these absorb.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``wavelength``, without errors: ``single_scattering_albedo``,
+        ``asymmetry_parameter``, `RATIOS`, ``extinction``.
+    """
+    scene = granular_scene(medium, 0.0, False)
+    shares = np.diff(scene.layers.share[0], prepend=0.0)
+    names = ("asymmetry_parameter", *RATIOS)
+    nodes = nodes_of(medium, wavelengths)
+    scattered, lost, extinction = np.zeros((3, wavelengths.size))
+    sums = {name: np.zeros(wavelengths.size) for name in names}
+    for kind in np.flatnonzero(shares > 0.0):
+        only = (np.arange(shares.size) >= kind).astype(float)[np.newaxis]
+        alone = scene._replace(layers=scene.layers._replace(share=only))
+        values = optics_of(medium, alone, wavelengths, plan, nodes)
+        weight = shares[kind] * values["single_scattering_albedo"]
+        scattered, extinction = scattered + weight, values["extinction"]
+        # Nothing lost is exactly that, whatever shares add up to.
+        lost += shares[kind] * (1.0 - values["single_scattering_albedo"])
+        for name in names:
+            sums[name] += weight * values[name]
+    least = np.maximum(scattered, np.finfo(float).tiny)
+    means = {name: ("wavelength", total / least) for name, total in sums.items()}
+    means["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
+    means["extinction"] = ("wavelength", extinction)
+    return xr.Dataset(means, {"wavelength": wavelengths})
+
+
+def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
+    """Return the share of light in pore space that is in wet pores, one for each row of indices."""
+    wet, dry = saturation, 1.0 - saturation
+    if wet_pores == "saturation":
+        return np.full(len(index), float(wet))
+    square = index[:, [DRY_PORE, WET_PORE]].real ** 2
+    return wet * square[:, 1] / (wet * square[:, 1] + dry * square[:, 0])
+
+
+def _trace(
+    scene: Scene, nodes: Nodes, wet: np.ndarray, absorption: np.ndarray, plan: Plan
+) -> list[_Node]:
+    """Trace so many rays at every node."""
+    orders, rays, seed = plan.moments + 1, plan.rays, plan.seed
+
+    def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        node, first, optics, part = job
+        work = np.array([streams.SINGLE_SCATTERING + node, first, min(rays - first, BATCH)])
+        return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
+
+    traced = []
+    with Threads(plan.threads) as pool:
+        for node, (m, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
+            served = weight > 0.0
+            part = absorption[served]
+            optics = shared_optics(m, part)
+            sums = np.zeros((3, orders + len(RATIOS), len(part)))
+            parts = np.zeros((PARTS, *sums.shape[1:]))
+            jobs = [(node, first, optics, part) for first in range(0, rays, BATCH)]
+            # In a fixed order, so that rounding does not depend on the threads.
+            for one, other in pool.map(run, jobs):
+                sums += one
+                parts += other
+            # Parts per ray of theirs: their mean is that of all rays.
+            traced.append(_Node(served, weight[served], sums / rays, parts * (PARTS / rays)))
+    return traced
+
+
+def _estimate(
+    traced: list[_Node], bias: np.ndarray, orders: int, rays: int
+) -> dict[str, np.ndarray]:
+    """Return means over grains and their standard errors, by name.
+
+    All but the albedo are ratios of means, <w x>/<w>; the error is that of w (x − <w x>/<w>), to
+    first order.
+    """
+    mean = np.zeros((orders + len(RATIOS), len(bias)))
+    parts = np.zeros((PARTS, *mean.shape))
+    for node in traced:
+        mean[:, node.served] += node.weight * node.sums[0]
+        parts[:, :, node.served] += node.weight * node.parts
+    albedo = mean[0]
+    # Where nothing at all is scattered, the phase function has no meaning: 0, and no NaN.
+    share = np.maximum(albedo, np.finfo(float).tiny)
+    ratio = mean / share
+    variance = np.zeros(len(bias))
+    spread = np.zeros(mean.shape)
+    for node in traced:
+        first, mixed, square = node.sums
+        chi = ratio[:, node.served]
+        variance[node.served] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
+        residual = square - 2.0 * chi * mixed + chi**2 * square[0]
+        residual -= (first - chi * first[0]) ** 2
+        spread[:, node.served] += node.weight**2 * np.maximum(residual, 0.0)
+    missed = MOMENT_SLOPE * bias * np.abs(ratio)
+    missed[:orders] = MOMENT_SLOPE * bias * np.clip(8.0 * np.abs(_apart(ratio[:orders])), 0.0, 1.0)
+    error = np.sqrt(spread / (rays * share**2) + missed**2)
+    left_out = without_one(parts)
+    ratios = left_out / np.maximum(left_out[:, :1], np.finfo(float).tiny)
+    albedo_missed = bias * np.clip(8.0 * _apart(albedo), 0.0, 1.0)
+    found = {
+        "single_scattering_albedo": albedo,
+        "single_scattering_albedo_stderr": np.sqrt(variance / rays + albedo_missed**2),
+        "single_scattering_albedo_left_out": left_out[:, 0],
+        "single_scattering_albedo_missed": albedo_missed,
+    }
+    rows = {"legendre_moment": slice(orders), "asymmetry_parameter": 1}
+    rows |= {name: orders + row for row, name in enumerate(RATIOS)}
+    for name, row in rows.items():
+        for end, table in (("", ratio), ("_stderr", error), ("_missed", missed)):
+            found[f"{name}{end}"] = table[row].T
+        found[f"{name}_left_out"] = np.moveaxis(ratios[:, row], 1, -1)
+    return found
+
+
+def _apart(value: np.ndarray) -> np.ndarray:
+    """Return x (1 − x), which is 0 where a share cannot depend on the refractive index."""
+    return value * (1.0 - value)

@@ -1,0 +1,258 @@
+"""The statistical lens: a ring of parallel rays through a wavy surface onto a screen.
+
+Budak & Grimailo 2020, section 3.1 and Fig 2.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, increasing, known_arguments, one_of, refuse, row_of
+from splits.instruments.arguments import check_half_width, check_medium, check_whole
+from splits.instruments.labels import run_facts
+from splits.media.turbid import SurfaceMedium
+from splits.transport.rough.lens import Landed, refract_ring
+from splits.transport.rough.wave_sums import AMPLITUDE, KX, LANES, PHASE, ROWS
+from splits.transport.rough.waves import reliefs_at
+from splits.uncertainty import quantity
+
+LEAST_CAUGHT = 0.5
+"""Share of a ring that must reach a screen for a realisation to count there."""
+OVER = ("crest", "trough", "origin")
+RAYS = 360
+MOST_PLACES = 10_000_000
+"""Places on screens, and images, that one result holds at most."""
+SEARCH_POINTS = 161
+"""Points per side of the grid on which the highest or lowest point is looked for."""
+
+
+@known_arguments
+def lens(
+    medium: SurfaceMedium,
+    screen_depth_m: Any,
+    radius_m: float,
+    *,
+    over: str = "crest",
+    half_width_m: float | None = None,
+    rays: int = RAYS,
+    realisations: int = 1,
+    seed: int = 1,
+    waves: Any = None,
+) -> xr.Dataset:
+    """Send a ring of vertical rays through the surface of a layer and catch it on screens.
+
+    Parameters
+    ----------
+    medium : SurfaceMedium
+        A `splits.Layer` with a rough surface; only the surface and the refractive index matter.
+    screen_depth_m : array_like
+        Distances of screens below the surface under the ring's centre (m), increasing from above 0.
+    radius_m : float
+        Of the ring (m).
+    over : {"crest", "trough", "origin"}
+        Where the ring stands: over the highest or lowest point within `half_width_m`, or there.
+    half_width_m : float
+        Half the side of the square that is searched (m); needed but over the origin.
+    rays : int
+        At least 3, evenly around.
+    realisations : int
+        Of the surface; at least 2 for standard errors.
+    seed : int
+    waves : array_like, shape (waves, 4), optional
+        Amplitudes (m), wave numbers along x and y (1/m) and phases (radians) of cosines, instead
+        of realisations of the layer's surface.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``screen_depth``: ``contraction``, the root mean square distance of the rays from their
+        centre over the radius of the ring, and ``concentration``, the inverse of its mean square:
+        1 without waves, and how much smaller, by area, an image that stays a ring has become; over
+        realisations that let half of the ring through, with standard errors.
+        Over ``realisation``, too: ``caught``, the share of rays that reach the screen without
+        meeting the surface again; the others do not count.  Of the first realisation, over ``ray``:
+        ``path``, where it met the surface, ``place`` on the screens (m) and whether it is ``seen``.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or a layer with a smooth surface.
+    """
+    begun = time.perf_counter()
+    check_medium(medium, SurfaceMedium)
+    depths = check_depths("screen_depth_m", screen_depth_m)
+    radius = check_radius(radius_m)
+    one_of("over", over, OVER)
+    if half_width_m is None and over != "origin":
+        hint = f'half the side of the square searched for the {over}; over="origin" needs none'
+        raise refuse("half_width_m", None, "given (m)", hint)
+    width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
+    rays, realisations = check_ring(rays, realisations, depths.size)
+    seed = check_whole("seed", seed, 0)
+    if waves is None and medium.surface is None:
+        raise refuse("surface", None, "given: a lens needs waves")
+    given = None if waves is None else plane_waves(waves)
+    if given is not None and realisations > 1:
+        raise refuse("realisations", realisations, "1 for given waves")
+    angle = 2.0 * np.pi * np.arange(rays) / rays
+    contraction = np.empty((realisations, depths.size))
+    caught = np.empty_like(contraction)
+    for number in range(realisations):
+        drawn = medium.surface.realisation(seed, number) if given is None else given
+        x0, y0, z0 = centre_of(drawn, over, width)
+        ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
+        landed = refract_ring(drawn, medium.refractive_index, *ring)
+        place, seen = _on_screens(landed, z0 - depths)
+        caught[number] = seen.mean(axis=1)
+        contraction[number] = _spread(place, seen) / radius
+        if number == 0:
+            start = landed.point - (x0, y0, z0)
+            shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
+            reached = seen
+    enough = caught >= LEAST_CAUGHT
+    if not enough.any(axis=0).all():
+        raise refuse(
+            "screen_depth_m", float(depths[~enough.any(axis=0)][0]),
+            f"where a surface lets at least {LEAST_CAUGHT:g} of the ring through",
+            "a smaller ring, or other depths",
+        )  # fmt: skip
+    facts = {
+        **run_facts("Statistical lens", "lens", medium, begun, seed),
+        "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
+        "rays": rays * realisations,
+    }  # fmt: skip
+    return _dataset(contraction, caught, _First(start, shown, reached), depths, facts)
+
+
+class _First(NamedTuple):
+    """What the first surface did to the ring, to be shown.
+
+    Attributes
+    ----------
+    start : float, shape (rays, 3)
+        Where rays met the surface (m).
+    place : float, shape (screens, rays, 2)
+        Where they came to on the screens (m).
+    reached : bool, shape (screens, rays)
+        Whether they did.
+    """
+
+    start: np.ndarray
+    place: np.ndarray
+    reached: np.ndarray
+
+
+def _dataset(
+    contraction: np.ndarray,
+    caught: np.ndarray,
+    first: _First,
+    depths: np.ndarray,
+    facts: dict[str, Any],
+) -> xr.Dataset:
+    """Return what surfaces did to the ring as a labelled dataset."""
+    enough = caught >= LEAST_CAUGHT
+    size = _mean(contraction, enough)
+    density = _inverse(*_mean(contraction**2, enough))
+    at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
+    seen = first.reached.astype(float)
+    variables = {
+        **quantity("contraction", at, *size, "size of the image over the ring's"),
+        **quantity("concentration", at, *density, "inverse mean square size of the image"),
+        **quantity("caught", ("realisation", at), caught, None, "share of rays on the screen"),
+        **quantity("path", ("ray", "point"), first.start, None, "point of the surface", "m"),
+        **quantity("place", by_ray, first.place, None, "place on the screen", "m"),
+        **quantity("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
+    }
+    coordinates = {
+        at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
+        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
+        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
+    }
+    return xr.Dataset(variables, coordinates, facts)
+
+
+def plane_waves(waves: Any) -> np.ndarray:
+    """Return given waves as kernels take them, or refuse them; see `lens`."""
+    try:
+        table = np.asarray(waves, dtype=float)
+    except (TypeError, ValueError):
+        table = np.empty(0)
+    if table.ndim != 2 or table.shape[1] != 4 or not len(table) or not np.isfinite(table).all():
+        raise refuse("waves", waves, "rows of amplitude, wave numbers along x and y, and phase")
+    # Kernels count in cycles, and in the order of wave numbers.
+    table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
+    found = np.zeros((len(ROWS), -(-len(table) // LANES) * LANES))
+    found[:, : len(table)] = table.T
+    found[KX:] /= 2.0 * np.pi
+    # Bounds of the surface add up amplitudes.
+    found[PHASE] += 0.5 * (found[AMPLITUDE] < 0.0)
+    found[AMPLITUDE] = np.abs(found[AMPLITUDE])
+    return found
+
+
+def centre_of(waves: np.ndarray, over: str, half_width: float) -> tuple[float, float, float]:
+    """Return where the ring stands: a point of the surface."""
+    line = np.linspace(-half_width, half_width, 1 if over == "origin" else SEARCH_POINTS)
+    x, y = (0.0 * line[:1],) * 2 if over == "origin" else np.meshgrid(line, line)
+    x, y = np.ravel(x), np.ravel(y)
+    height = reliefs_at(waves, x, y).height
+    best = int(height.argmin() if over == "trough" else height.argmax())
+    return float(x[best]), float(y[best]), float(height[best])
+
+
+def _on_screens(landed: Landed, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return places, shape (screens, rays, 2), and which rays reach them."""
+    point, direction, again = landed
+    way = (heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
+    place = point[:, :2] + way[..., np.newaxis] * direction[:, :2]
+    return place, (way >= 0.0) & (way < again)
+
+
+def _spread(place: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the root mean square distance from the centre of the rays that are seen."""
+    count = np.maximum(seen.sum(axis=1), 1)
+    weight = seen[..., np.newaxis]
+    middle = (place * weight).sum(axis=1) / count[:, np.newaxis]
+    square = (((place - middle[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
+    return np.sqrt(square)
+
+
+def _mean(values: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the mean over realisations that count with its standard error, of one without."""
+    count = counted.sum(axis=0)
+    mean = np.where(counted, values, 0.0).sum(axis=0) / count
+    if len(values) == 1:
+        return mean, None
+    square = np.where(counted, (values - mean) ** 2, 0.0).sum(axis=0)
+    # A single one says nothing of its scatter: as far off as it is large.
+    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
+    return mean, np.where(count > 1, stderr, mean)
+
+
+def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 1/mean and its standard error to first order."""
+    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
+    return inverse, None if stderr is None else stderr * inverse**2
+
+
+def check_depths(key: str, values: Any) -> np.ndarray:
+    """Return increasing depths of screens (m), or refuse them."""
+    depths = row_of(key, values, "numbers in metres")
+    in_range(key, float(depths[0]), 0.0, 1e9, "m", open_low=True)
+    in_range(key, float(depths[-1]), 0.0, 1e9, "m", open_low=True)
+    return increasing(key, depths)
+
+
+def check_radius(radius_m: Any) -> float:
+    """Return the radius of a ring (m), or refuse it."""
+    return in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+
+
+def check_ring(rays: Any, realisations: Any, screens: int) -> tuple[int, int]:
+    """Return numbers of rays and of surfaces whose results fit into memory, or refuse them."""
+    most = MOST_PLACES // screens
+    return check_whole("rays", rays, 3, most), check_whole("realisations", realisations, 1, most)

@@ -1,0 +1,248 @@
+"""Local estimation: directions hear of every scattering under a smooth surface.
+
+Budak & Grimailo 2020, Eqs 4-5: the radiance on a circle above the layer, without collectors of
+finite size.  Errors come from the scatter of batches of rays.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments import streams
+from splits.instruments.angular import Estimate, largest_error
+from splits.instruments.runner import BATCH, Progress, Runner
+from splits.instruments.threads import Threads
+from splits.media.turbid import Medium, TurbidMedium
+from splits.transport.grains.scene import UNLIMITED
+from splits.transport.optics.light import Light
+from splits.transport.optics.polarized_faces import fresnel_amplitudes
+from splits.transport.optics.stokes import NATURAL
+from splits.transport.particles import layer as kernels
+from splits.transport.particles.local import Detectors
+from splits.transport.particles.turbid import OPEN, Scene
+
+PILOT = 128
+"""Batches of the first round."""
+_GROWTH = 8.0
+CHUNK = 4096
+"""Batches that wait for a thread at most."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How far a run goes: to a relative error on one side, or to a number of rays."""
+
+    side: int
+    relative_stderr: float
+    rays: int | None
+    max_rays: int
+
+
+@dataclass(frozen=True)
+class Listened:
+    """What detectors heard.
+
+    Attributes
+    ----------
+    mean, stderr : float, shape (2, directions, 4)
+        I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
+    totals, totals_stderr : float, shape (2, 2)
+        [reflected, transmitted][all light, light that met nothing but smooth faces].
+    rays : int
+    reached : str
+        "error" or "rays".
+    polarized : bool
+    below : bool
+        Whether there was something to hear below.
+    """
+
+    mean: np.ndarray
+    stderr: np.ndarray
+    totals: np.ndarray
+    totals_stderr: np.ndarray
+    rays: int
+    reached: str
+    polarized: bool
+    below: bool
+
+    def error(self, side: int) -> float:
+        """Return the largest error of one side relative to `angular.reference`."""
+        return largest_error(self.estimate(1), side)
+
+    def estimate(self, wavelengths: int) -> Estimate:
+        """Return BRDF and BTDF, the same at so many wavelengths."""
+        sums = np.empty((4, 2, wavelengths))
+        sums[0::2] = self.totals.T[:, :, np.newaxis]
+        sums[1::2] = self.totals_stderr.T[:, :, np.newaxis]
+        mean, stderr = (
+            np.repeat(x[:, np.newaxis, :, 0], wavelengths, axis=1) for x in (self.mean, self.stderr)
+        )
+        degree = np.zeros((2, wavelengths), dtype=int)
+        return Estimate(mean, stderr, stderr, sums, degree, np.zeros_like(mean))
+
+    def stokes(self, wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
+        return {
+            f"{function}_{name}": (
+                np.repeat(self.mean[np.newaxis, side, :, place], wavelengths, axis=0),
+                np.repeat(self.stderr[np.newaxis, side, :, place], wavelengths, axis=0),
+            )
+            for side, function in enumerate(("brdf", "btdf")[: 1 + self.below])
+            for place, name in ((1, "q"), (2, "u"), (3, "v"))
+        }
+
+
+def detectors_at(medium: TurbidMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
+    """Return detectors on a grid of directions, azimuth running fastest.
+
+    Parameters
+    ----------
+    medium : TurbidMedium
+    polar, azimuth : float
+        Degrees, of the directions outside.
+    """
+    layer = medium.turbid(False)
+    outer, turn = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
+    sine = np.sin(outer) / layer.n
+    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    toward = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
+    faces = [fresnel_amplitudes(layer.n, 1.0, c) for c in cosine]
+    returning = np.array([face.reflection for face in faces])
+    passing = np.array([face.transmission for face in faces])
+    if not medium.polarized:
+        returning = returning * [1.0, 0.0, 0.0, 0.0]
+        passing = passing * [1.0, 0.0, 0.0]
+    # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
+    passing = passing / (layer.n**2 * cosine[:, np.newaxis])
+    below = layer.bottom == OPEN and np.isfinite(layer.depth)
+    sums = np.zeros((2, len(toward), 4))
+    plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Detectors(toward, plane, passing, returning, bool(below), sums)
+
+
+def listen(
+    medium: Medium,
+    incidence_deg: float,
+    polar: np.ndarray,
+    azimuth: np.ndarray,
+    goal: Goal,
+    runner: Runner,
+) -> Listened:
+    """Trace rays until every direction has the relative error asked for, or so many.
+
+    Parameters
+    ----------
+    medium : TurbidMedium
+    incidence_deg : float
+    polar, azimuth : float
+        Degrees, see `detectors_at`.
+    goal : Goal
+    runner : Runner
+        For its seed, its threads and its report.
+
+    Raises
+    ------
+    ValueError
+        For grains, and for a rough surface.
+    """
+    if not isinstance(medium, TurbidMedium):
+        raise refuse("estimator", "local", "expansion or cells for grains and stacks")
+    if medium.fields() is not None:
+        raise refuse(
+            "estimator", "local", "expansion or cells under a rough surface",
+            "no single path leads from a scattering through it to a given direction",
+        )  # fmt: skip
+    light = Light(float(np.cos(np.radians(incidence_deg))), 0.0)
+    layer = medium.turbid(False)
+    stokes = NATURAL if medium.polarized else None
+    scene = Scene(light, layer, medium.phase, None, stokes)
+    detectors = detectors_at(medium, polar, azimuth)
+    if goal.side == 1 and not detectors.below:
+        raise refuse(
+            "target", "btdf", "brdf with estimator = local", "the layer has no open lower face"
+        )
+    sums = _Sums(detectors.sums.shape)
+    begun = time.perf_counter()
+
+    def hear(batch: int) -> np.ndarray:
+        heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
+        work = np.array([streams.LOCAL, batch * BATCH, BATCH, UNLIMITED])
+        kernels.hear(runner.seed, work, scene, detectors._replace(sums=heard), totals)
+        return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
+
+    # Peaked phase functions speak rarely, and loudly.
+    g = abs(medium.phase.g)
+    pilot = int(PILOT * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
+    wanted = pilot if goal.rays is None else max(2, -(-goal.rays // BATCH))
+    most = max(2, goal.max_rays // BATCH) if goal.rays is None else wanted
+    silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom <= 0.0
+    with Threads(runner.threads) as pool:
+        while True:
+            while sums.batches < wanted:
+                for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
+                    sums.add(one)
+            certain = not runner.tracer.manner.fading and layer.bottom == 1.0
+            result = sums.result(detectors.below, medium.polarized, silent, certain)
+            error = result.error(goal.side)
+            nothing = not silent and not result.mean[goal.side].any()
+            done = goal.rays is None and error <= goal.relative_stderr and not nothing
+            if done or sums.batches >= most or (nothing and sums.batches >= 64 * pilot):
+                return replace(result, reached="error" if done else "rays")
+            factor = _GROWTH if nothing else 1.05 * (error / goal.relative_stderr) ** 2
+            more = sums.batches * factor
+            wanted = int(min(max(more, sums.batches + 1), _GROWTH * sums.batches, most))
+            if runner.report:
+                spent = time.perf_counter() - begun
+                left = spent * (more / sums.batches - 1.0)
+                progress = Progress(wanted * BATCH, error, goal.relative_stderr, spent, left)
+                runner.report(progress)
+
+
+class _Sums:
+    """What batches heard, added up in their order.
+
+    Attributes
+    ----------
+    batches : int
+    total, square, largest : float, shape (numbers,)
+        Sums, sums of squares, and largest magnitude of what a batch heard.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+        self.batches = 0
+        self.total, self.square, self.largest = np.zeros((3, int(np.prod(shape)) + 4))
+
+    def add(self, one: np.ndarray) -> None:
+        """Add what one batch heard."""
+        self.batches += 1
+        self.total += one
+        self.square += one**2
+        np.maximum(self.largest, np.abs(one), out=self.largest)
+
+    def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Listened:
+        """Return means and standard errors.
+
+        As if one more batch had come that heard as much as the loudest so far; and where nothing
+        was heard, one ray, unless there is nothing to hear (`silent`), or nothing to go astray
+        (`certain`).
+        """
+        n, rays = self.batches, self.batches * BATCH
+        mean = self.total / n
+        variance = np.maximum((self.square + self.largest**2) / (n + 1) - mean**2, 0.0) / n
+        count = int(np.prod(self.shape))
+        (heard, totals), (stderr, of_totals) = (
+            (x[:count].reshape(self.shape), x[count:].reshape(2, 2))
+            for x in (mean, np.sqrt(variance))
+        )
+        if not silent:
+            stderr[0, :, 0][heard[0, :, 0] == 0.0] = 1.0 / (np.pi * rays)
+            if below:
+                stderr[1, :, 0][heard[1, :, 0] == 0.0] = 1.0 / (np.pi * rays)
+        if not certain:
+            of_totals = np.maximum(of_totals, 1.0 / rays)
+        return Listened(heard, stderr, totals, of_totals, rays, "", polarized, below)

@@ -1,0 +1,228 @@
+"""Tracing rays: batches, in jobs, on threads, and the same numbers whoever traces which."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splits.instruments.ensemble import BATCH, Level, Paths
+from splits.instruments.threads import Threads, cpus
+from splits.instruments.tracers import NOTHING_MORE, Heard, tracer_of
+from splits.media.turbid import Medium
+from splits.transport.compiling.features import Features
+from splits.transport.sums.notes import NOTE_RAY
+
+MEMORY = 2**26
+LEGS = 2e7
+"""Largest memory (bytes) that a thread's job takes, and number of legs on lanes, for signs of life
+every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
+better: lanes stand idle while the last rays of a job end."""
+
+Piece = tuple[Paths, Level, int, int]
+"""Some batches of a level: ensemble, level, first ray, number of batches."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a running simulation has reached."""
+
+    rays: int
+    stderr: float
+    target: float
+    seconds: float
+    seconds_left: float
+
+
+class Runner:
+    """Traces rays of a medium on several threads, the same whatever their number.
+
+    Parameters
+    ----------
+    medium : GranularMedium or TurbidMedium
+    incidence_deg : float or "diffuse"
+    seed : int
+    threads : int or None
+        None takes every CPU this process may use.
+    analog : bool
+        Absorption by coin toss.
+    kernel : {"auto", "lanes", "scalar"}
+    report : callable, optional
+        Receives a `Progress` a few times per second at most.
+    heard : Heard
+        What rays are to tell besides their lengths.
+    """
+
+    def __init__(
+        self,
+        medium: Medium,
+        incidence_deg: float | str,
+        seed: int,
+        threads: int | None,
+        analog: bool,
+        kernel: str = "auto",
+        report: Callable[[Progress], None] | None = None,
+        *,
+        heard: Heard = NOTHING_MORE,
+    ) -> None:
+        self.seed = seed
+        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, heard)
+        self.threads = threads or cpus()
+        self.report = report
+        self.started = time.perf_counter()
+        self._reported = 0.0
+
+    def trace(
+        self,
+        work: Sequence[tuple[Paths, Level, int]],
+        stderr: float,
+        target: float,
+        left: float = 0.0,
+    ) -> None:
+        """Trace so many more rays of each level and add them up in a fixed order.
+
+        Parameters
+        ----------
+        work : sequence of (Ensemble, Level, int)
+            Rays to add, rounded up to whole batches.
+        stderr, target, left : float
+            What to report as reached, wanted, and still to do after this (in rays).
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
+        jobs = self.jobs(work)
+        begun = time.perf_counter()
+        costs = [sum(self.cost(level) * count for _, level, _, count in job) for job in jobs]
+        rays = BATCH * sum(count for job in jobs for *_, count in job)
+        total = sum(costs) * (1.0 + left / rays)
+        done = 0.0
+        with Threads(self.threads) as pool:
+            found = pool.map(self.tallies, jobs)
+            for job, cost, tallied in zip(jobs, costs, found, strict=True):
+                for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
+                    ensemble.add(level, tallies)
+                    level.legs += legs
+                done += cost
+                pace = (time.perf_counter() - begun) / done
+                self._tell(rays, stderr, target, pace * (total - done))
+
+    def jobs(self, work: Sequence[tuple[Paths, Level, int]]) -> list[list[Piece]]:
+        """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
+        kinds: dict[Features | None, list[Piece]] = {}
+        for ensemble, level, rays in work:
+            piece = ensemble, level, level.rays, -(-rays // BATCH)
+            kinds.setdefault(self.tracer.features(level), []).append(piece)
+        jobs = []
+        for features, pieces in kinds.items():
+            # Short paths last, so that few lanes wait for the last long one.
+            pieces.sort(key=lambda piece: -piece[1].guess)
+            batches = sum(count for *_, count in pieces)
+            cost = sum(self.cost(level) * count for _, level, _, count in pieces)
+            most = LEGS if features else LEGS / 8
+            held = min(self.held(ensemble) for ensemble, *_ in pieces)
+            # A multiple of the threads, so that all have as much to do.
+            number = int(np.ceil(max(cost / most, batches / held) / self.threads)) * self.threads
+            number = min(number, batches)
+            jobs += self.cut(pieces, number, cost / number, held)
+        return jobs
+
+    def held(self, ensemble: Paths) -> int:
+        """Return how many batches a job may hold: exits of their rays, and tallies."""
+        numbers = BATCH * self.tracer.rows(1).shape[1] + ensemble.size()
+        return max(1, MEMORY // (8 * numbers))
+
+    def cut(
+        self, pieces: Sequence[Piece], number: int, share: float, most: int
+    ) -> list[list[Piece]]:
+        """Return pieces in a number of jobs that cost about a share each, in order.
+
+        There are more of them where one would hold more than `most` batches.
+        """
+        jobs: list[list[Piece]] = [[]]
+        room, held = share, 0
+        for ensemble, level, first, count in pieces:
+            cost = self.cost(level)
+            while count > 0:
+                if held == most or (jobs[-1] and room < 0.5 * cost and len(jobs) < number):
+                    jobs.append([])
+                    room, held = share + min(room, 0.5 * cost), 0
+                now = min(count, most - held)
+                if len(jobs) < number:
+                    now = min(now, max(1, round(room / cost)))
+                jobs[-1].append((ensemble, level, first, now))
+                first += now * BATCH
+                count -= now
+                room -= now * cost
+                held += now
+        return jobs
+
+    def cost(self, level: Level) -> float:
+        """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
+        if level.rays == 0:
+            return BATCH * (1.0 + level.guess)
+        return BATCH * (1.0 + level.legs / level.rays)
+
+    def prepare(self, ensembles: Sequence[Paths]) -> None:
+        """Let all levels of these ensembles share a kernel, if they can."""
+        self.tracer.prepare([level for ensemble in ensembles for level in ensemble.levels])
+
+    def kernels(self, ensembles: Sequence[Paths]) -> str:
+        """Return which kernels trace these ensembles, joined by a comma."""
+        used = {
+            "scalar" if self.tracer.features(level) is None else "lanes"
+            for ensemble in ensembles
+            for level in ensemble.levels
+        }
+        return ", ".join(sorted(used))
+
+    def tallies(self, job: Sequence[Piece]) -> list[tuple[list[Any], int]]:
+        """Trace pieces that share a kernel; the same numbers whoever does, and in whatever job.
+
+        Returns
+        -------
+        list of (list of tallies, int)
+            For each piece: what its ensemble makes of each batch, in order, and the legs traced.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
+        work = np.array(
+            [(level.number, first, count * BATCH, level.most) for _, level, first, count in job]
+        )
+        exits = self.tracer.rows(int(work[:, 2].sum()))
+        followed = self.tracer.trace(work, [level for _, level, *_ in job], exits)
+        if followed.lost:
+            raise RuntimeError(followed.lost)
+        parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+        return [
+            (_tallied(piece, part, notes), int(cost))
+            for piece, part, notes, cost in zip(
+                job, parts, followed.notes, followed.legs, strict=True
+            )
+        ]
+
+    def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
+        now = time.perf_counter()
+        if self.report and now - self._reported > 0.5:
+            self._reported = now
+            self.report(Progress(rays, stderr, target, now - self.started, left))
+
+
+def _tallied(piece: Piece, exits: np.ndarray, notes: np.ndarray) -> list[Any]:
+    """Return what a piece's ensemble makes of each of its batches, in order."""
+    ensemble, level, first, count = piece
+    starts = np.arange(count) * BATCH
+    parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], starts[1:]))
+    sums = []
+    for start, batch, part in zip(starts, exits.reshape(count, BATCH, -1), parts, strict=True):
+        part[:, NOTE_RAY] -= start
+        sums.append(ensemble.tally(level, first + int(start), batch, part))
+    return sums

@@ -1,0 +1,209 @@
+"""Scenes: a light on media, as kernels take them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.media.granular import GranularMedium, LayeredMedium, absorption_of
+from splits.media.ground import Ground
+from splits.media.particles import ParticleLayer
+from splits.media.readings import Readings
+from splits.media.turbid import Medium
+from splits.transport.grains.roof import TALLEST
+from splits.transport.grains.scene import GRAINS, NO_GROUND, Grains, Layers, Particles, Scene, Types
+from splits.transport.optics.light import Light
+from splits.transport.rough.waves import Fields
+
+Part = GranularMedium | ParticleLayer
+LEAST_ATTENUATION = 1e-12
+"""Scatterings per metre of a layer without particles, whose mean free path must be a number."""
+
+
+class Constants(NamedTuple):
+    """Optical constants over wavelength; a ground, if there is one, comes after the materials.
+
+    Attributes
+    ----------
+    indices : complex, shape (wavelengths, columns)
+        Refractive indices.
+    absorption : float, shape (wavelengths, columns)
+        Absorption coefficients (1/m); of the ground, −ln of its albedo.
+    """
+
+    indices: np.ndarray
+    absorption: np.ndarray
+
+
+def light_of(incidence_deg: float | str) -> Light:
+    """Return the light of an incidence: degrees of a beam, or "diffuse"."""
+    if incidence_deg == "diffuse":
+        return Light(1.0, 1.0)
+    return Light(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
+
+
+def ground_of(medium: Medium) -> Ground | None:
+    """Return the ground below a medium, None where nothing comes back from there."""
+    ground = getattr(medium, "ground", None)
+    return ground if ground is not None and ground.reflecting else None
+
+
+def fields_of(medium: Medium) -> Fields | None:
+    """Return the rough surface on top of layers as kernels take it, None where it is smooth."""
+    top = medium.parts[0] if isinstance(medium, LayeredMedium) else medium
+    return top.fields() if isinstance(top, ParticleLayer) else None
+
+
+def columns_of(medium: Medium) -> int:
+    """Return how many lengths a path has: one in each material, and meetings with a ground."""
+    return len(medium.materials()) + (ground_of(medium) is not None)
+
+
+def constants_of(medium: Medium, wavelength_nm: np.ndarray) -> Constants:
+    """Return what a medium and its ground are to light at wavelengths (nm)."""
+    index = medium.indices(wavelength_nm)
+    absorption = absorption_of(medium, index, wavelength_nm)
+    ground = ground_of(medium)
+    if ground is None:
+        return Constants(index, absorption)
+    return Constants(
+        np.pad(index, ((0, 0), (0, 1)), constant_values=1.0),
+        np.column_stack([absorption, ground.depth(wavelength_nm)]),
+    )
+
+
+def granular_scene(
+    medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
+) -> Scene:
+    """Return granular media under a light; `analog` is absorption by coin toss."""
+    media = medium.parts if isinstance(medium, LayeredMedium) else (medium,)
+    granular = [one for one in media if not isinstance(one, ParticleLayer)]
+    tables = [one.grains() for one in granular]
+    points = tables[0].types.curvature.shape[1] if tables else 2
+    given = iter(tables)
+    grains = [
+        _nobody(one.layer.extinction_per_m, points)
+        if isinstance(one, ParticleLayer)
+        else next(given)
+        for one in media
+    ]
+    materials = np.cumsum([0, *(len(one.materials()) for one in media)])
+    types = np.cumsum([0, *(len(one.share) for one in grains)])
+    most = max(len(one.share) for one in grains)
+    face = -np.cumsum([0.0, *(float(one.depth_m) for one in media)])
+    fields = fields_of(medium)
+    if fields is not None:
+        # Above the surface: nothing of a realisation may reach there.
+        face[0] = TALLEST * np.linalg.norm(fields.rms_height)
+    layers = Layers(
+        face=face,
+        attenuation=np.array([one.attenuation for one in grains]),
+        saturation=np.array([float(one.saturation) for one in media]),
+        share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
+        first=types[:-1],
+        pore=materials[:-1],
+        others=_others_of(media),
+        particles=_rows_of_particles(media),
+    )
+    rules = (granular[0].readings if granular else Readings()).rules(analog)
+    particles = particles_of([one for one in media if isinstance(one, ParticleLayer)])
+    column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
+    table = _together(grains, materials)
+    return Scene(light_of(incidence_deg), layers, table, rules, particles, column, False)
+
+
+def _others_of(media: Sequence[Part]) -> np.ndarray:
+    """Return cumulative shares of what fills pores besides air and water."""
+    shares = [[] if isinstance(one, ParticleLayer) else list(one.pores.values()) for one in media]
+    most = max(len(row) for row in shares)
+    return np.array(
+        [
+            float(one.saturation) + np.cumsum([*row, *[0.0] * (most - len(row))])
+            for one, row in zip(media, shares, strict=True)
+        ]
+    ).reshape(len(media), most)
+
+
+def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:
+    """Return a scene cut at depths (m), in which rays that pass faces between layers are noted.
+
+    Cutting a layer changes nothing for the light in it.
+    """
+    layers = scene.layers
+    cut = -np.asarray(depths_m, dtype=float)
+    face = -np.unique(-np.concatenate([layers.face, cut]))
+    # The layer that each of the new ones is a piece of.
+    piece = np.searchsorted(-layers.face, -face[:-1], side="right") - 1
+    rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "face"}
+    return scene._replace(layers=Layers(face=face, **rows), listens=True)
+
+
+def _nobody(attenuation: float, points: int) -> Grains:
+    """Return for a layer of particles what stands in place of its grains, and is never met."""
+    one = np.ones((1, points))
+    types = Types(
+        shells=np.ones(1, dtype=np.int64),
+        material=np.zeros((1, 1), dtype=np.int64),
+        thickness=np.zeros((1, 1)),
+        curvature=one,
+        sphericity=one,
+        facetness=np.zeros((1, points)),
+    )
+    return Grains(max(attenuation, LEAST_ATTENUATION), np.ones(1), types)
+
+
+def _rows_of_particles(media: Sequence[Part]) -> np.ndarray:
+    """Return the row of its particles for every layer, `GRAINS` for one of grains."""
+    has = np.array([isinstance(one, ParticleLayer) for one in media])
+    return np.where(has, np.cumsum(has) - 1, GRAINS)
+
+
+def particles_of(media: Sequence[ParticleLayer]) -> Particles:
+    """Return the table of the particles of these layers."""
+    phases = [one.layer.phase for one in media]
+    longest = max((len(one.cosines) for one in phases), default=2)
+
+    def table(name: str) -> np.ndarray:
+        rows = [np.pad(row, (0, longest - len(row))) for row in (getattr(p, name) for p in phases)]
+        return np.array(rows).reshape(len(phases), longest)
+
+    return Particles(
+        albedo=np.array([one.layer.single_scattering_albedo for one in media], dtype=float),
+        kind=np.array([one.kind for one in phases], dtype=np.int64),
+        g=np.array([one.g for one in phases], dtype=float),
+        size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
+        cosines=table("cosines"),
+        density=table("density"),
+        quantiles=table("quantiles"),
+    )
+
+
+def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:
+    """Return one table of the types of all layers, whose materials begin at given rows."""
+    if len(grains) == 1:
+        return grains[0].types
+    deepest = max(one.types.material.shape[1] for one in grains)
+
+    def wide(table: np.ndarray) -> np.ndarray:
+        return np.pad(table, ((0, 0), (0, deepest - table.shape[1])))
+
+    def every(name: str) -> np.ndarray:
+        rows = [
+            np.broadcast_to(table, (len(one.share), table.shape[1]))
+            for one in grains
+            for table in [getattr(one.types, name)]
+        ]
+        # Kernels read tables row by row, and concatenation keeps the order of what is broadcast.
+        return np.ascontiguousarray(np.concatenate(rows))
+
+    shift = zip(grains, materials, strict=False)
+    return Types(
+        shells=np.concatenate([one.types.shells for one in grains]),
+        material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
+        thickness=np.concatenate([wide(one.types.thickness) for one in grains]),
+        curvature=every("curvature"),
+        sphericity=every("sphericity"),
+        facetness=every("facetness"),
+    )

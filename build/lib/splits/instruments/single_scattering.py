@@ -1,0 +1,147 @@
+"""Single-scattering properties of a granular medium, for radiative transfer by other means."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
+from splits.instruments.grain_optics import BATCH, WET_PORES, Plan, nodes_of, optics_of
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.scenes import granular_scene
+from splits.media.granular import GranularMedium
+from splits.uncertainty import Variable, quantity
+
+LABELS = {
+    "single_scattering_albedo": ("single-scattering albedo", "1"),
+    "asymmetry_parameter": ("asymmetry parameter", "1"),
+    "legendre_moment": ("Legendre moment of the phase function", "1"),
+    "displacement_before": ("mean way through a grain along the ray before it", "m"),
+    "displacement_after": ("mean way through a grain along the ray after it", "m"),
+    "displacement_square": ("mean square of the way through a grain", "m2"),
+    "wet_share": ("share of the light scattered that leaves into a wet pore", "1"),
+    "extinction": ("extinction coefficient", "m-1"),
+    "optical_thickness": ("optical thickness of extinction", "1"),
+}
+FOR_THEORIES = {
+    "_left_out": (("part",), "without one part of the rays:"),
+    "_missed": ((), "bound on what interpolation misses of"),
+}
+"""What theories know errors of the optics by: how names end, dimensions before, and labels."""
+
+
+@known_arguments
+def single_scattering(
+    medium: GranularMedium,
+    wavelength_nm: Any,
+    moments: int = 64,
+    rays: int = 200_000,
+    seed: int = 1,
+    threads: int | None = None,
+    *,
+    wet_pores: str = "saturation",
+) -> xr.Dataset:
+    """Measure what single grains of a medium do to light, as radiative transfer wants to know it.
+
+    Rays meet one grain each in free pore space, which is wet with the medium's saturation, drawn
+    and followed by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
+    except those that look at neighbours: no boundary and no last leg rejects a grain.
+
+    As in the papers' model, diffraction is left out: the extinction is that of the geometric
+    cross-section, half of what Mie theory has for large grains, and the phase function lacks the
+    narrow forward peak.  With diffraction, ω' = (1 + ω)/2 and
+    g' = (1 + ω g)/(1 + ω).
+
+    Parameters
+    ----------
+    medium : GranularMedium
+        For example `splits.Snow`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
+    moments : int
+        Highest order l of the Legendre moments, 1 to 4096.
+    rays : int
+        Rays per refractive-index node, at least 2; rounded up to whole batches of `BATCH`.
+    seed : int
+        Non-negative; the same seed gives the same numbers on any number of threads.
+    threads : int, optional
+        Default: every CPU this process may use.
+    wet_pores : {"saturation", "equilibrium"}
+        Share of the light that meets grains, and is absorbed between them, in wet pores: the
+        saturation S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
+        water over that of air, as deep in the sample, where radiance goes with n² (light leaves
+        grains into water more easily).
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``wavelength``, all but ``extinction`` and ``optical_thickness``, which are exact,
+        with standard error ``…_stderr``:
+        ``single_scattering_albedo`` (0 to 1, absorption by the pores included),
+        ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l = <P_l(cosΘ)>
+        by weight of the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m), the grains
+        met per metre plus absorption by the pores, and ``optical_thickness``.
+
+        Besides, for `splits.analysis.radiative_transfer.packed`:
+        ``displacement_before`` and ``displacement_after`` (m), the way from entry to exit along
+        the direction before and after; ``displacement_square`` (m²); and ``wet_share``, the
+        share of the scattered light that leaves into a wet pore.
+
+        Theories need to know which errors go together: ``…_left_out`` over ``part`` holds each
+        quantity without one of `PARTS` equal parts of the rays, ``…_missed`` the bound on what
+        interpolation between refractive indices may add to it.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    Notes
+    -----
+    Paths are traced with the refractive indices of a few nodes, as by the spectral estimator;
+    standard errors contain the bound on what that misses.
+    """
+    check_medium(medium, GranularMedium, endless=True)
+    if medium.pores:
+        raise refuse("pores", dict(medium.pores), "empty: pores are dry or wet here")
+    wavelengths = check_wavelengths(wavelength_nm)
+    moments = check_whole("moments", moments, 1, 4096)
+    rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)
+    seed = check_whole("seed", seed, 0)
+    threads = check_threads(threads)
+    one_of("wet_pores", wet_pores, WET_PORES)
+    begun = time.perf_counter()
+    scene = granular_scene(medium, 0.0, False)
+    plan = Plan(moments, rays, seed, threads, wet_pores)
+    nodes = nodes_of(medium, wavelengths)
+    values = optics_of(medium, scene, wavelengths, plan, nodes)
+    values["optical_thickness"] = values["extinction"] * medium.depth_m
+    facts = {
+        **run_facts(
+            "Single-scattering properties", "single_scattering", medium, begun, seed, threads
+        ),
+        "diffraction": "none",
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "wet_pores": wet_pores,
+        "rays": rays * len(nodes.index),
+        "ensembles": len(nodes.index),
+    }
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units) in LABELS.items():
+        dims = ("wavelength", "order")[: values[name].ndim]
+        stderr = values.get(f"{name}_stderr")
+        variables |= quantity(name, dims, values[name], stderr, long_name, units)
+        if stderr is not None:
+            for end, (also, about) in FOR_THEORIES.items():
+                over, label = (*also, *dims), f"{about} {long_name}"
+                variables |= quantity(f"{name}{end}", over, values[name + end], None, label, units)
+    order = {"long_name": "order of the Legendre moment", "units": "1"}
+    coordinates = {
+        "wavelength": wavelength_axis(wavelengths),
+        "order": ("order", np.arange(moments + 1), order),
+    }
+    return xr.Dataset(variables, coordinates, facts)

@@ -1,0 +1,142 @@
+"""What spectra of one medium, and of several that share paths, have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import in_range, one_of, refuse
+from splits.instruments.arguments import (
+    check_incidence,
+    check_threads,
+    check_wavelengths,
+    check_whole,
+)
+from splits.instruments.cut import Cut
+from splits.instruments.deep_packs import cut_of
+from splits.instruments.estimators import ESTIMATORS, Estimate
+from splits.instruments.jacobian import Moves
+from splits.instruments.runner import Progress, Runner
+from splits.instruments.shared_paths import Rows
+from splits.instruments.tracers import KERNELS
+from splits.media.turbid import Medium
+from splits.transport.grains.scene import NO_GROUND
+from splits.uncertainty import Variable, deviations, quantity
+
+TITLE = "Virtual spectrophotometer"
+SIDES = ("reflectance", "transmittance")
+QUANTITIES = {
+    "reflectance": "hemispherical reflectance",
+    "transmittance": "hemispherical transmittance",
+    "absorptance": "absorptance",
+}
+NO_MOVES = Moves((), (), np.zeros(0))
+
+
+class Found(NamedTuple):
+    """Estimates, and where packs were cut for them."""
+
+    result: Estimate
+    cut: Cut | None
+
+
+class Run(NamedTuple):
+    """What a user asks of a spectrophotometer, checked; see there."""
+
+    wavelengths: np.ndarray
+    incidence: float | str
+    max_stderr: float
+    seed: int
+    max_rays: int
+    threads: int
+    kernel: str
+
+    @classmethod
+    def checked(
+        cls,
+        wavelength_nm: Any,
+        incidence_deg: Any,
+        max_stderr: Any,
+        seed: Any,
+        max_rays: Any,
+        threads: Any,
+        kernel: Any,
+    ) -> Run:
+        """Return what is asked for, or refuse a value outside its range."""
+        return cls(
+            check_wavelengths(wavelength_nm),
+            check_incidence(incidence_deg),
+            in_range("max_stderr", max_stderr, 1e-6, 0.5),
+            check_whole("seed", seed, 0),
+            check_whole("max_rays", max_rays, 1),
+            check_threads(threads),
+            one_of("kernel", kernel, KERNELS),
+        )
+
+    def estimated(
+        self,
+        media: Sequence[Medium],
+        moves: Moves = NO_MOVES,
+        estimator: str = "spectral",
+        progress: Callable[[Progress], None] | None = None,
+    ) -> Found:
+        """Return estimates for media that share paths, or for one, and its derivatives."""
+        analog = estimator == "analog"
+        family = [*media, *moves.media]
+        w = self.wavelengths
+        cut = None if analog else cut_of(family, w, self.max_stderr, self.seed, self.threads)
+        traced = family if cut is None else cut.media
+        rows = Rows.of(traced[: len(media)], w)
+        if moves.media:
+            white = [] if cut is None else w[cut.below[0] == 0.0]
+            if len(white):
+                allowed = "left out for deep packs at wavelengths where nothing absorbs"
+                hint = f"as at {white[0]:g} nm"
+                raise refuse("jacobian", list(moves.parameters), allowed, hint)
+            ground = NO_GROUND if cut is None else rows.absorption.shape[1] - 1
+            rows = rows.changing(traced[len(media) :], moves.steps, w, ground)
+
+        def estimate(goal: float) -> Estimate:
+            runner = Runner(
+                traced[0], self.incidence, self.seed, self.threads, analog, self.kernel, progress
+            )
+            return ESTIMATORS[estimator](runner, rows, goal, self.max_rays)
+
+        if cut is None:
+            return Found(estimate(self.max_stderr), None)
+        return Found(cut.reached(estimate, self.max_stderr, moves.steps), cut)
+
+    def variables(self, result: Estimate, dims: tuple[str, ...]) -> dict[str, Variable]:
+        """Return what was estimated, with errors and groups, over the media and wavelengths."""
+        illumination = "hemispherical" if self.incidence == "diffuse" else "directional"
+        shape = (self.wavelengths.size,) if len(dims) == 1 else (-1, self.wavelengths.size)
+        found: dict[str, Variable] = {}
+        for row, (name, label) in enumerate(QUANTITIES.items()):
+            long_name = label if name == "absorptance" else f"{illumination}-{label}"
+            mean, stderr = result.mean[row].reshape(shape), result.stderr[row].reshape(shape)
+            found |= quantity(name, dims, mean, stderr, long_name)
+            if name in SIDES:
+                groups = result.groups[:, row]
+                groups = groups.reshape(len(groups), *shape)
+                found |= deviations(name, dims, groups, long_name)
+        return found
+
+    def facts(self, found: Found) -> dict[str, Any]:
+        """Return how it went, for a dataset's attributes."""
+        result, cut = found
+        facts = {
+            "incidence_deg": self.incidence,
+            "max_stderr": self.max_stderr,
+            "stopped_by": "error" if result.converged else "rays",
+            "max_stderr_reached": float(result.stderr.max()),
+            "interpolation_error_bound": float(result.bias.max()),
+            "max_rays": self.max_rays,
+            "rays": result.rays,
+            "ensembles": result.ensembles,
+            "kernel": result.kernel,
+        }
+        if cut is not None:
+            facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.enough_m}
+        return facts

@@ -1,0 +1,106 @@
+"""Virtual spectrophotometer: directional-hemispherical reflectance and transmittance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import xarray as xr
+
+from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.arguments import check_medium
+from splits.instruments.estimators import ESTIMATORS
+from splits.instruments.jacobian import Moves, parameter_axis, slope_variables
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.runner import Progress
+from splits.instruments.spectral_run import SIDES, TITLE, Run
+from splits.media.turbid import Medium
+
+
+@known_arguments
+def spectrophotometer(
+    medium: Medium,
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    max_stderr: float = 0.002,
+    seed: int = 1,
+    *,
+    estimator: str = "spectral",
+    jacobian: Sequence[str] = (),
+    max_rays: int = 20_000_000,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Measure hemispherical reflectance, transmittance and absorptance of a medium.
+
+    Parameters
+    ----------
+    medium : GranularMedium or TurbidMedium
+        For example `splits.Snow` or `splits.Layer`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
+        medium's refractive indices.
+    incidence_deg : float or "diffuse"
+        Polar angle of a collimated beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+    max_stderr : float
+        Largest standard error wanted for any quantity at any wavelength, 1e-6 to 0.5.
+    seed : int
+        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+    estimator : {"spectral", "analog"}
+        Paths shared by all wavelengths, or the papers' algorithm as a reference: one wavelength
+        at a time, absorption by coin toss.
+    jacobian : sequence of str
+        Amounts of impurities to give derivatives to, such as ``impurities_ng_g.black_carbon``,
+        ``algae_cells_ml.snow_algae`` or ``layers.0.impurities_ng_g.black_carbon``: of those that
+        are there, and of those that might be.  They come from the same paths.
+    max_rays : int
+        The run stops once this many are traced (the first round is traced in any case);
+        attribute ``stopped_by`` says whether the error or the rays came first.
+    threads : int, optional
+        Default: every CPU this process may use.
+    kernel : {"auto", "lanes", "scalar"}
+        Many rays side by side in single precision where that serves the sample, or the plain
+        reference kernel in double precision.
+    progress : callable, optional
+        Called now and then with a `Progress`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
+        ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
+        ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
+        see `splits.analysis.errors`; absorptance's are minus their sum.  All inputs stand in
+        the attributes.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
+        ``parameter`` and ``wavelength``, with errors and groups, where they were asked for.
+        Of packs so deep that they are cut (`splits.instruments.deep_packs`), the
+        attribute ``traced_to_m`` says where, and ``optically_deep_m`` from which depth on they
+        are as bright as without end; what theory may miss of the rest is in the errors.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+
+    References
+    ----------
+    SPLITSnow section 4.1, Eq 8: reflectance is the share of rays that leave upwards, n/N (the
+    printed 1/π belongs to a radiance, not to a share of rays).
+    """
+    check_medium(medium, endless=estimator == "spectral")
+    one_of("estimator", estimator, ESTIMATORS)
+    run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    moves = Moves.of(medium, jacobian, run.wavelengths)
+    if moves.parameters and estimator != "spectral":
+        raise refuse("jacobian", list(moves.parameters), "left out for this estimator")
+    begun = time.perf_counter()
+    found = run.estimated([medium], moves, estimator, progress)
+    result = found.result
+
+    variables = run.variables(result, ("wavelength",))
+    variables |= slope_variables(result.slopes, moves.parameters, SIDES)
+    facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
+    axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(moves.parameters)}
+    return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.facts(found))

@@ -1,0 +1,315 @@
+"""What traces the rays of a medium: kernels for grains, or for a layer of small particles.
+
+A runner knows batches, jobs and threads; a tracer knows the kernel that a scene takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments.ensemble import Level, Manner
+from splits.instruments.scenes import columns_of, fields_of, granular_scene, light_of, listening
+from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.turbid import Medium, TurbidMedium
+from splits.transport import lanes
+from splits.transport.compiling.features import Features
+from splits.transport.grains import granular
+from splits.transport.grains.scene import Optics
+from splits.transport.lanes.choice import features_for
+from splits.transport.optics.light import Light
+from splits.transport.optics.stokes import NATURAL
+from splits.transport.particles import layer
+from splits.transport.particles.turbid import Scene
+from splits.transport.rough.waves import room_for
+from splits.transport.sums.notes import NOTE_RAY
+from splits.transport.sums.tally import EXIT_LENGTH, exit_rows
+
+KERNELS = ("auto", "lanes", "scalar")
+"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
+
+
+class Heard(NamedTuple):
+    """What rays are to tell besides their lengths.
+
+    Attributes
+    ----------
+    positions, orders : bool
+        Where a ray left, and how many grains it had met.
+    depths_m : tuple of float
+        Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
+        listens at these.
+    """
+
+    positions: bool = False
+    orders: bool = False
+    depths_m: tuple[float, ...] = ()
+
+
+NOTHING_MORE = Heard()
+"""What rays tell in any case: the side where they left, direction, lengths."""
+
+
+class Followed(NamedTuple):
+    """What pieces of levels yielded besides their exits.
+
+    Attributes
+    ----------
+    legs : int, shape (pieces,)
+    notes : list of float, shape (notes, columns)
+        Of each piece, ray by ray, rays counted from its first; see
+        `splits.transport.sums.tally.Notes`.
+    lost : str
+        Why a ray was lost, or nothing.
+    """
+
+    legs: np.ndarray
+    notes: list[np.ndarray]
+    lost: str
+
+
+class Tracer(Protocol):
+    """The kernel of a scene.
+
+    Attributes
+    ----------
+    manner : Manner
+    upright : bool
+        Whether light comes along the normal, so that nothing tells azimuths apart.
+    diffuse : bool
+        Whether light comes from everywhere.
+    depths_m : float, shape (faces,)
+        Depths (m) of all faces of the scene; of a rough top, a height above it.
+    stokes : tuple of int
+        Columns of exits that hold Q, U, V over I, or nothing.
+    """
+
+    manner: Manner
+    upright: bool
+    diffuse: bool
+    depths_m: np.ndarray
+    stokes: tuple[int, ...]
+
+    def features(self, level: Level) -> Features | None:
+        """Return the lane kernel's features for a level, or None for a scalar kernel."""
+        ...
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Let levels share a kernel, if they can."""
+        ...
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        ...
+
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+        """Trace pieces of levels that share features.
+
+        Parameters
+        ----------
+        work : int64, shape (pieces, 4)
+            See `splits.transport.grains.granular.batch`.
+        levels : sequence of Level
+            One for each piece.
+        exits : float, shape (rays, columns)
+            Of all pieces together.
+
+        Returns
+        -------
+        Followed
+        """
+        ...
+
+
+class GrainTracer:
+    """Traces rays among grains, on lanes where they serve.
+
+    Parameters
+    ----------
+    medium : GranularMedium or LayeredMedium
+    incidence_deg : float or "diffuse"
+    seed : int
+    analog : bool
+        Absorption by coin toss.
+    kernel : {"auto", "lanes", "scalar"}
+    heard : Heard
+    """
+
+    LOST = (
+        "a ray found no grain that fits between the boundaries, or its way at a rough surface: the "
+        "sample is barely thicker than its grains, or the incidence too close to 90 degrees"
+    )
+
+    def __init__(
+        self,
+        medium: GranularMedium | LayeredMedium,
+        incidence_deg: float | str,
+        seed: int,
+        analog: bool,
+        kernel: str,
+        heard: Heard,
+    ) -> None:
+        self.scene = granular_scene(medium, incidence_deg, analog)
+        if heard.depths_m:
+            self.scene = listening(self.scene, heard.depths_m)
+        self.fields = fields_of(medium)
+        self.depths_m = -self.scene.layers.face
+        densest = float(self.scene.layers.attenuation.max())
+        fading = bool((self.scene.particles.albedo < 1.0).any())
+        self.manner = Manner(densest, self.scene.ground, fading, analog)
+        self.upright = self.scene.light == (1.0, 0.0)
+        self.diffuse = self.scene.light.diffuse > 0.0
+        self.stokes: tuple[int, ...] = ()
+        self.columns = columns_of(medium)
+        self.seed = seed
+        self.kernel = kernel
+        self.heard = heard
+        self._features: dict[Level, Features | None] = {}
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Let levels share a kernel, if that is all that parts them.
+
+        Reflection with extinction also serves where extinction does not show, and rays of all
+        levels then share the lanes.
+        """
+        found = [self.features(level) for level in levels]
+        if any(one is not None and one.absorbing for one in found):
+            for level, one in zip(levels, found, strict=True):
+                if one is not None and not one.mixed:
+                    self._features[level] = one._replace(absorbing=True)
+
+    def features(self, level: Level) -> Features | None:
+        """Return the lane kernel's features for a level, or None for the scalar kernel.
+
+        Raises
+        ------
+        ValueError
+            If lanes are asked for and cannot serve the scene.
+        """
+        if self.kernel == "scalar":
+            return None
+        if level not in self._features:
+            self._features[level] = features_for(
+                self.scene, level.optics, self.heard.positions, self.heard.orders
+            )
+        features = self._features[level]
+        if features is None and self.kernel == "lanes":
+            raise refuse(
+                "kernel",
+                "lanes",
+                "'auto' or 'scalar' for this sample",
+                "lanes know no layers of particles, coin tosses, stacked coatings, extreme inputs",
+            )
+        return features
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        return exit_rows(rays, self.columns)
+
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+        """Trace pieces of levels that share features, see `Tracer`."""
+        features = self.features(levels[0])
+        if features is None:
+            parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+            fields = self.fields
+            room = None if fields is None else room_for(fields)
+            told = [
+                granular.batch(self.seed, item, self.scene, level.optics, part, fields, room)
+                for item, part, level in zip(work, parts, levels, strict=True)
+            ]
+            return Followed(
+                np.array([one.legs for one in told]),
+                [one.notes for one in told],
+                self.LOST if any(one.lost for one in told) else "",
+            )
+        optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
+        told = lanes.batch(self.seed, work, self.scene, optics, exits, features)
+        # Of each ray in the order of time, as they were taken.
+        notes = told.notes[np.argsort(told.notes[:, NOTE_RAY], kind="stable")]
+        last = np.cumsum(work[:, 2])
+        parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], last[:-1]))
+        for part, first in zip(parts[1:], last[:-1], strict=True):
+            part[:, NOTE_RAY] -= first
+        return Followed(told.legs, parts, self.LOST if told.lost else "")
+
+
+class LayerTracer:
+    """Traces rays in a layer of small particles.
+
+    Parameters
+    ----------
+    medium : TurbidMedium
+    light : Light
+    seed, analog, kernel
+        As in `GrainTracer`.
+    """
+
+    LOST = "a ray lost its way at the rough surface: please report this with the configuration"
+
+    def __init__(
+        self,
+        medium: TurbidMedium,
+        light: Light,
+        seed: int,
+        analog: bool,
+        kernel: str,
+    ) -> None:
+        if kernel == "lanes":
+            raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
+        stokes = NATURAL if medium.polarized else None
+        self.scene = Scene(light, medium.turbid(analog), medium.phase, medium.fields(), stokes)
+        self.depths_m = np.array([0.0, self.scene.layer.depth])
+        extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
+        fading = self.scene.layer.albedo < 1.0
+        self.manner = Manner(extinction, fading=fading, analog=analog)
+        self.upright = light.diffuse == 0.0 and light.cos == 1.0
+        self.diffuse = light.diffuse > 0.0
+        self.materials = len(medium.materials())
+        # After the path lengths in all materials.
+        self.first_stokes = EXIT_LENGTH + self.materials
+        self.stokes: tuple[int, ...] = ()
+        if medium.polarized:
+            self.stokes = tuple(range(self.first_stokes, self.first_stokes + 3))
+        self.seed = seed
+
+    def prepare(self, levels: Sequence[Level]) -> None:
+        """Do nothing: there is one kernel."""
+
+    def features(self, level: Level) -> None:
+        """Return None: the kernel is scalar."""
+        return None
+
+    def rows(self, rays: int) -> np.ndarray:
+        """Return room for the exits of so many rays."""
+        return exit_rows(rays, self.materials, len(self.stokes))
+
+    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+        """Trace pieces of levels, see `Tracer`."""
+        room = None if self.scene.fields is None else room_for(self.scene.fields)
+        parts = np.split(exits, np.cumsum(work[:, layer.RAYS])[:-1])
+        results = [
+            layer.batch(self.seed, item, self.scene, room, self.first_stokes, part)
+            for item, part in zip(work, parts, strict=True)
+        ]
+        return Followed(
+            np.array([one.legs for one in results]),
+            [exit_rows(0, self.materials)] * len(results),
+            self.LOST if any(one.lost for one in results) else "",
+        )
+
+
+def tracer_of(
+    medium: Medium,
+    incidence_deg: float | str,
+    seed: int,
+    analog: bool,
+    kernel: str,
+    heard: Heard,
+) -> Tracer:
+    """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
+    if isinstance(medium, TurbidMedium):
+        return LayerTracer(medium, light_of(incidence_deg), seed, analog, kernel)
+    return GrainTracer(medium, incidence_deg, seed, analog, kernel, heard)

@@ -1,0 +1,97 @@
+"""What the estimators of a goniophotometer found, in one form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.instruments.angular import Estimate
+from splits.instruments.cells import Cells, estimate_cells, stokes_of_cells
+from splits.instruments.ensemble import Paths
+from splits.instruments.local import Goal, Listened
+from splits.instruments.nodes import Nodes
+from splits.instruments.runner import Runner
+
+
+class Found(NamedTuple):
+    """What an estimator found: result, what stopped it, rays, their paths, polarization.
+
+    `unseen` are variables of which it tells nothing.
+    """
+
+    result: Estimate
+    reached: str
+    rays: int
+    paths: Sequence[Paths] = ()
+    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({})
+    unseen: tuple[str, ...] = ()
+
+
+def facts_of(found: Found, goal: Goal, nodes: Nodes, runner: Runner) -> dict[str, Any]:
+    """Return what was asked of an estimator, what stopped it, and what it spent."""
+    return {
+        "relative_stderr": goal.relative_stderr,
+        "max_rays": goal.max_rays,
+        "degree": found.result.degree[goal.side],
+        "stopped_by": found.reached,
+        "interpolation_error_bound": float(nodes.bias.max()),
+        "rays": found.rays,
+        "ensembles": len(nodes.index),
+        "kernel": runner.kernels(found.paths) or "scalar",
+    }
+
+
+def traced(paths: Sequence[Paths]) -> int:
+    """Return how many rays were traced."""
+    return sum(level.rays for one in paths for level in one.levels)
+
+
+def heard_by(local: Listened, wavelengths: np.ndarray) -> Found:
+    """Return what local estimation found."""
+    stokes = local.stokes(len(wavelengths)) if local.polarized else {}
+    # A bottom hears light at other angles than detectors outside would.
+    unseen = () if local.below else ("btdf",)
+    result = local.estimate(len(wavelengths))
+    return Found(result, local.reached, local.rays, (), stokes, unseen)
+
+
+def collected(
+    runner: Runner, nodes: Nodes, absorption: np.ndarray, cells: tuple[int, int], rays: int
+) -> Found:
+    """Trace so many rays and count them in cells."""
+    paths = [
+        Cells(number, m, absorption, w, cells, runner.tracer.stokes)
+        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    ]
+    each = -(-rays // len(paths))
+    runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
+    result = estimate_cells(paths, nodes.bias)
+    return Found(result, "rays", traced(paths), paths, stokes_of_cells(paths))
+
+
+def under_sky(dataset: xr.Dataset) -> xr.Dataset:
+    """Return in the terms of diffuse light what was found of a BRDF's place in it."""
+    found = dataset
+    if "btdf" in dataset:
+        for end in ("", "_stderr"):
+            found = found.assign({f"transmittance_factor{end}": np.pi * found[f"btdf{end}"]})
+    terms = {
+        "reflectance_factor": "hemispherical-directional reflectance factor",
+        "transmittance_factor": "hemispherical-directional transmittance factor",
+        "reflectance": "bihemispherical reflectance",
+        "transmittance": "bihemispherical transmittance",
+    }
+    for name, term in terms.items():
+        if name in found:
+            about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
+            found[name].attrs = about
+            found[f"{name}_stderr"].attrs = {
+                "long_name": f"standard error of {term}", "units": "1"
+            }  # fmt: skip
+    beams = ("brdf", "btdf", "specular_reflectance", "direct_transmittance")
+    names = [name + end for name in beams for end in ("", "_stderr")]
+    return found.drop_vars([name for name in names if name in found])

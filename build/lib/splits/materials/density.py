@@ -1,0 +1,45 @@
+"""Densities of pure matter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from splits.checks import in_range
+
+_TEMPERATURE_C = np.array([-40.0, -30.0, -20.0, -10.0, 0.0])
+_ICE_KG_M3 = np.array([922.8, 921.6, 920.3, 918.7, 916.7])
+
+MINERAL_KG_M3: Mapping[str, float] = MappingProxyType(
+    {
+        "quartz": 2650.0,
+        "hematite": 5250.0,
+        "goethite": 4300.0,
+        "magnetite": 5200.0,
+        "kaolinite": 2590.0,
+    }
+)
+"""Densities of minerals in kg/m³: SPLITS (Kimmel & Baranoski 2007) Table 2."""
+
+
+def ice_density(temperature_c: float) -> float:
+    """Return the density of ice in kg/m³, linear between tabulated temperatures.
+
+    Parameters
+    ----------
+    temperature_c : float
+        Degrees Celsius, −40 to 0.
+
+    Raises
+    ------
+    ValueError
+        Outside the table.
+
+    References
+    ----------
+    CRC Handbook of Chemistry and Physics (Rumble 2019), as used in SPLITSnow appendix A.
+    """
+    temperature_c = in_range("temperature_c", temperature_c, -40.0, 0.0, "degrees Celsius")
+    return float(np.interp(temperature_c, _TEMPERATURE_C, _ICE_KG_M3))

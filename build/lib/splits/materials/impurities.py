@@ -1,0 +1,159 @@
+"""What dirt in snow absorbs: soot, dust, ash and algae, by how much of each there is.
+
+Particles far smaller than grains, and far fewer, absorb along the paths that light takes anyway.
+That they scatter is left out; docs/impurities.md bounds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.materials.kinds import within
+from splits.materials.tables import user_table
+
+ALGAE = ("ice_algae", "snow_algae")
+"""Kinds whose absorption is known per cell (m²); of the others it is per mass (m²/kg)."""
+PER_NG_G = 1e-9
+"""kg of impurity per kg of ice that are 1 ng/g."""
+PER_CELL_ML = 1e3
+"""Cells per kg of ice that are 1 per ml of its meltwater, which weighs a gram."""
+MOST_NG_G = 1e8
+MOST_CELLS_ML = 1e9
+OWN_KEYS = ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"})
+HALF_BAND_NM = 5.0
+_TABLE = Path(__file__).with_suffix(".csv")
+
+
+@dataclass(frozen=True, eq=False)
+class Impurity:
+    """One kind of particles.
+
+    Attributes
+    ----------
+    name : str
+    per_kg : float
+        kg, or cells of algae, per kg of ice.
+    wavelength_nm, absorption : float, shape (n,)
+        Absorption per kg (m²/kg) or per cell (m²) over wavelength (nm, strictly increasing).
+    sha256 : str
+        Of a user's file.
+    own : bool
+        Whether the table is a user's.
+    """
+
+    name: str
+    per_kg: float
+    wavelength_nm: np.ndarray
+    absorption: np.ndarray
+    sha256: str = ""
+    own: bool = False
+
+    def per_ice(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return the absorption per mass of ice (m²/kg), shaped like the wavelengths (nm)."""
+        first, last = self.wavelength_nm[[0, -1]]
+        w = within(wavelength_nm, first, last, f"impurity {self.name}")
+        return self.per_kg * np.interp(w, self.wavelength_nm, self.absorption)
+
+
+@cache
+def _known() -> pd.DataFrame:
+    return pd.read_csv(_TABLE, comment="#", index_col="wavelength_nm", dtype=float)
+
+
+def kinds() -> tuple[str, ...]:
+    """Return the kinds known by name whose amount is a mass."""
+    return tuple(name for name in _known().columns if name not in ALGAE)
+
+
+def impurities_of(by_mass: Any, cells: Any) -> tuple[Impurity, ...]:
+    """Return the impurities that a user's values stand for, or refuse them.
+
+    Parameters
+    ----------
+    by_mass : mapping
+        ng of impurity per g of ice by kind, see `kinds`; or, under a name of one's own, a mapping
+        of ``ng_g`` and either ``table``, the path of a CSV file with columns ``wavelength_nm,
+        absorption_m2_kg``, or these two as lists.
+    cells : mapping
+        Cells per ml of meltwater by kind of algae, see `ALGAE`.
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind, a negative amount or a malformed table.
+    """
+    for key, given in (("impurities_ng_g", by_mass), ("algae_cells_ml", cells)):
+        if not isinstance(given, Mapping):
+            raise refuse(key, given, "a mapping of amounts by kind")
+    found = [_by_mass(name, amount) for name, amount in by_mass.items()]
+    for name, amount in cells.items():
+        number = in_range(f"algae_cells_ml.{name}", amount, 0.0, MOST_CELLS_ML, "cells/ml")
+        found.append(_of_table("algae_cells_ml", name, PER_CELL_ML * number, ALGAE))
+    return tuple(found)
+
+
+def described_impurities(found: Sequence[Impurity], place: str) -> dict[str, Any]:
+    """Return impurities under names fit for dataset attributes."""
+    facts: dict[str, Any] = {"impurities_in": place} if found else {}
+    for one in found:
+        if one.name in ALGAE:
+            facts[f"{one.name}_cells_ml"] = one.per_kg / PER_CELL_ML
+        else:
+            facts[f"{one.name}_ng_g"] = one.per_kg / PER_NG_G
+        if one.sha256:
+            facts[f"{one.name}_sha256"] = one.sha256
+        elif one.own:
+            facts[f"{one.name}_wavelength_nm"] = one.wavelength_nm
+            facts[f"{one.name}_absorption_m2_kg"] = one.absorption
+    return facts
+
+
+def _by_mass(name: Any, given: Any) -> Impurity:
+    key = f"impurities_ng_g.{name}"
+    own = isinstance(given, Mapping)
+    if own and set(given) not in OWN_KEYS:
+        allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
+        raise refuse(key, sorted(map(str, given)), allowed)
+    amount = in_range(
+        f"{key}.ng_g" if own else key, given["ng_g"] if own else given, 0.0, MOST_NG_G
+    )
+    if not own:
+        return _of_table("impurities_ng_g", name, PER_NG_G * amount, kinds())
+    if name in _known().columns:
+        raise refuse("impurities_ng_g", name, "a name of its own for a table of one's own")
+    digest = ""
+    if "table" in given:
+        names = ("wavelength_nm", "absorption_m2_kg")
+        (w, values), digest = user_table(f"{key}.table", Path(str(given["table"])), names)
+    else:
+        w, values = given["wavelength_nm"], given["absorption_m2_kg"]
+    w = increasing(f"{key}.wavelength_nm", row_of(f"{key}.wavelength_nm", w))
+    values = row_of(f"{key}.absorption_m2_kg", values)
+    if w.size != values.size or w.size < 2:
+        found = f"{w.size} wavelengths, {values.size} values"
+        raise refuse(key, found, "two columns of the same length, at least 2")
+    if values.min() < 0.0:
+        raise refuse(f"{key}.absorption_m2_kg", float(values.min()), "at least 0 m2/kg")
+    return Impurity(str(name), PER_NG_G * amount, w, values, digest, own)
+
+
+def _of_table(key: str, name: Any, per_kg: float, names: tuple[str, ...]) -> Impurity:
+    if name not in names:
+        hint = suggestion(name, list(names))
+        if name in _known().columns:
+            right = "algae_cells_ml" if name in ALGAE else "impurities_ng_g"
+            hint = f"its amount stands under {right}"
+        raise refuse(key, name, "one of " + ", ".join(names), hint)
+    column = _known()[name]
+    w = column.index.to_numpy()
+    # The first and the last band reach half a band farther than their middles.
+    w = np.concatenate([[w[0] - HALF_BAND_NM], w, [w[-1] + HALF_BAND_NM]])
+    return Impurity(name, per_kg, w, np.pad(column.to_numpy(), 1, mode="edge"))

@@ -1,0 +1,186 @@
+"""Kinds of complex refractive index n + i k (k ≥ 0) over wavelength.
+
+A constant, a table, a closed form without absorption, and any of them with k scaled.  Between
+tabulated wavelengths n is linear, and log k is linear, in log wavelength: k spans ten orders of
+magnitude and its tables are coarse where water absorbs most steeply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from splits.checks import in_range, refuse
+
+
+class RefractiveIndex(Protocol):
+    """A material's complex refractive index."""
+
+    @property
+    def name(self) -> str:
+        """What the table or constant is called."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """Where its values are from."""
+        ...
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i k at the vacuum wavelengths `wavelength_nm` (nm)."""
+        ...
+
+
+def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
+    """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
+    w = np.asarray(wavelength_nm, dtype=float)
+    outside = w[~((w >= low) & (w <= high))]
+    if outside.size:
+        raise refuse(
+            "wavelength_nm",
+            float(outside.flat[0]),
+            f"in [{low:g}, {high:g}] nm, the range of {name}",
+            "choose another dataset for this material or other wavelengths",
+        )
+    return w
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same complex index at every wavelength.
+
+    Parameters
+    ----------
+    value : complex
+        n + kj with n > 0 and k ≥ 0.
+    name : str
+        What it is called; a constant without a name of its own is called by its value.
+    source : str
+        Where it is from.
+    """
+
+    value: complex
+    name: str = ""
+    source: str = "given by the user"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.value) and self.value.real > 0.0 and self.value.imag >= 0.0):
+            raise refuse("refractive_index", self.value, "n + kj with n > 0 and k >= 0")
+        if not self.name:
+            object.__setattr__(self, "name", f"{self.value.real:g}+{self.value.imag:g}j")
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return the constant, shaped like `wavelength_nm`."""
+        return np.full(np.shape(wavelength_nm), self.value, dtype=complex)
+
+
+@dataclass(frozen=True, repr=False)
+class Tabulated:
+    """A table of n and k, interpolated in log wavelength (and log k).
+
+    Parameters
+    ----------
+    name, source : str
+        What the table is called and where it is from.
+    wavelength_nm, n, k : numpy.ndarray
+        Vacuum wavelengths (nm, strictly increasing), n > 0, k ≥ 0.
+    sha256 : str
+        Of the content of the file that a user's table was read from; "" for others.
+    """
+
+    name: str
+    source: str
+    wavelength_nm: np.ndarray
+    n: np.ndarray
+    k: np.ndarray
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        w, n, k = self.wavelength_nm, self.n, self.k
+        key = f"refractive_index ({self.name})"
+        if not (w.ndim == 1 and w.size >= 2 and w.shape == n.shape == k.shape):
+            raise refuse(key, w.shape, "three columns of equal length, at least 2 rows")
+        if not (np.isfinite([w, n, k]).all() and (np.diff(w) > 0).all() and w[0] > 0):
+            raise refuse(key, "wavelength_nm", "finite, positive and strictly increasing")
+        if not ((n > 0).all() and (k >= 0).all()):
+            raise refuse(key, "n, k", "n > 0 and k >= 0 in every row")
+
+    def __repr__(self) -> str:
+        low, high = self.wavelength_nm[0], self.wavelength_nm[-1]
+        return f"Tabulated({self.name!r}, {low:g}-{high:g} nm)"
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i k; a wavelength outside the table raises ValueError."""
+        w = within(wavelength_nm, self.wavelength_nm[0], self.wavelength_nm[-1], self.name)
+        x, xp = np.log(w), np.log(self.wavelength_nm)
+        n = np.interp(x, xp, self.n)
+        k = np.interp(x, xp, self.k)
+        # In log wherever both neighbours absorb; next to a row without absorption, linearly.
+        row = np.clip(np.searchsorted(xp, x, side="right"), 1, xp.size - 1)
+        logarithmic = (self.k[row - 1] > 0.0) & (self.k[row] > 0.0)
+        floor = np.log(np.where(self.k > 0.0, self.k, 1.0))
+        k = np.where(logarithmic, np.exp(np.interp(x, xp, floor)), k)
+        return n + 1j * k
+
+
+@dataclass(frozen=True)
+class Sellmeier:
+    """A transparent material: n² = 1 + constant + Σ B λ² / (λ² − C), λ in µm.
+
+    Parameters
+    ----------
+    name, source : str
+        What the formula is called and where it is from.
+    range_nm : (low, high)
+        Vacuum wavelengths (nm) it is stated for.
+    constant : float
+    terms : sequence of (B, C)
+        Strengths B and squared resonance wavelengths C (µm²).
+    """
+
+    name: str
+    source: str
+    range_nm: tuple[float, float]
+    constant: float
+    terms: tuple[tuple[float, float], ...]
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + 0i; a wavelength outside the range raises ValueError."""
+        square = (within(wavelength_nm, *self.range_nm, self.name) * 1e-3) ** 2
+        epsilon = 1.0 + self.constant + sum(b * square / (square - c) for b, c in self.terms)
+        return np.sqrt(epsilon) + 0j
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """An index with its k multiplied by a factor and n as it was, to ask how much k matters.
+
+    Parameters
+    ----------
+    index : RefractiveIndex
+    k_factor : float
+        Above 0.
+    """
+
+    index: RefractiveIndex
+    k_factor: float
+
+    def __post_init__(self) -> None:
+        in_range("k_factor", self.k_factor, 0.0, np.inf, open_low=True)
+
+    @property
+    def name(self) -> str:
+        """The index's name and the factor."""
+        return f"{self.index.name}, k x {self.k_factor:g}"
+
+    @property
+    def source(self) -> str:
+        """Where the values are from before scaling."""
+        return f"k multiplied by {self.k_factor:g}; {self.index.source}"
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i factor k."""
+        index = self.index(wavelength_nm)
+        return index.real + 1j * (self.k_factor * index.imag)

@@ -1,0 +1,80 @@
+"""The complex refractive index of a matrix with small inclusions of another material."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from splits.checks import refuse
+
+
+def _complex(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
+    share = np.asarray(fraction, dtype=float)
+    outside = share[~((share >= 0.0) & (share <= 1.0))]
+    if outside.size:
+        raise refuse("fraction", float(outside.flat[0]), "in [0, 1]")
+    return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), share
+
+
+def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
+    """Return the index of spheres, small against the wavelength, within a matrix.
+
+    With dielectric constants ε = m², ε = ε_m (ε_i + 2ε_m + 2f (ε_i − ε_m)) /
+    (ε_i + 2ε_m − f (ε_i − ε_m)); of its roots that with n > 0 and k ≥ 0.
+
+    Parameters
+    ----------
+    matrix, inclusion : complex array_like
+        Refractive indices n + i k with n > 0, k ≥ 0.
+    fraction : array_like
+        Volume of the inclusions per volume of the mixture, 0 to 1.  All three broadcast.
+
+    Raises
+    ------
+    ValueError
+        For a fraction outside [0, 1].
+
+    References
+    ----------
+    SPLITS (Kimmel & Baranoski 2007) section 4.2.4 Eq 4; Maxwell Garnett 1904, Philosophical
+    Transactions of the Royal Society A 203, 385-420.
+    """
+    m, i, f = _complex(matrix, inclusion, fraction)
+    outer, inner = m * m, i * i
+    contrast, total = (i - m) * (i + m), inner + 2.0 * outer
+    # The formula above, as the distance from the nearer of its ends: k of a mixture then keeps its
+    # digits even if all of it comes from a trace of one of the two.
+    scale = contrast / (total - f * contrast)
+    epsilon = np.where(f < 0.5, outer + 3.0 * f * outer * scale, inner - (1.0 - f) * total * scale)
+    root = np.sqrt(epsilon)
+    # Rounding may leave k a little below 0 where neither material absorbs.
+    mixed = root.real + 1j * np.maximum(root.imag, 0.0)
+    return np.where(f == 0.0, m, np.where(f == 1.0, i, mixed))
+
+
+def linear(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
+    """Return the mean of the two indices by volume: the simplest rule, to set beside the other.
+
+    Parameters
+    ----------
+    matrix, inclusion : complex array_like
+        Refractive indices n + i k.
+    fraction : array_like
+        Volume of the inclusions per volume of the mixture, 0 to 1.  All three broadcast.
+
+    Raises
+    ------
+    ValueError
+        For a fraction outside [0, 1].
+    """
+    m, i, f = _complex(matrix, inclusion, fraction)
+    return (1.0 - f) * m + f * i
+
+
+MIXING: Mapping[str, Callable[[Any, Any, Any], np.ndarray]] = MappingProxyType(
+    {"maxwell_garnett": maxwell_garnett, "linear": linear}
+)
+"""Rules of mixture by name."""

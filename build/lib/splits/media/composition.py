@@ -1,0 +1,233 @@
+"""What sand grains are made of: from concentrations by mass to particle types by volume.
+
+SPLITS sections 4.2.4-4.2.5, Tables 3-4 and Eqs 5-18.  Quartz, hematite, goethite and magnetite
+are shared among eight types of particle: pure ones, quartz mixed with an iron oxide, and quartz
+coated by an iron oxide in a kaolinite matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from splits.checks import in_range, numbers, refuse
+from splits.materials import MINERAL_KG_M3
+from splits.media.grain_statistics import surface_to_volume
+
+OXIDES = ("hematite", "goethite")
+EXCESS_MAGNETITE = ("first", "clipped")
+"""What happens when magnetite needs more than the pure particles have (Eq 9 turns negative)."""
+
+
+@dataclass(frozen=True)
+class ParticleType:
+    """One row of SPLITS Tables 3 and 4.
+
+    Attributes
+    ----------
+    name : str
+    mass_fraction : float
+        μ_j, mass of these particles per mass of all.
+    concentration : mapping
+        ϑ_jℓ, mass of each mineral per mass of the particle.
+    """
+
+    name: str
+    mass_fraction: float
+    concentration: Mapping[str, float]
+
+    @property
+    def density(self) -> float:
+        """Density of the particle γ_j (kg/m³), Eq 15."""
+        return 1.0 / sum(c / MINERAL_KG_M3[mineral] for mineral, c in self.concentration.items())
+
+    @property
+    def volumes(self) -> dict[str, float]:
+        """Volume of each mineral per volume of the particle v_jℓ, Eq 17."""
+        return {
+            mineral: self.density / MINERAL_KG_M3[mineral] * c
+            for mineral, c in self.concentration.items()
+        }
+
+    @property
+    def oxide(self) -> str | None:
+        """The iron oxide mixed into the particle or into its coating, if it has any."""
+        found = [m for m in OXIDES if m in self.concentration]
+        return found[0] if found and len(self.concentration) > 1 else None
+
+    @property
+    def coated(self) -> bool:
+        """Whether a coating of kaolinite and iron oxide surrounds a core of quartz."""
+        return "kaolinite" in self.concentration
+
+    @property
+    def inclusion_fraction(self) -> float:
+        """Volume of iron oxide per volume of the mixture that it is part of (section 4.2.5)."""
+        if self.oxide is None:
+            return 0.0
+        matrix = "kaolinite" if self.coated else "quartz"
+        volumes = self.volumes
+        return volumes[self.oxide] / (volumes[self.oxide] + volumes[matrix])
+
+
+@dataclass(frozen=True)
+class Composition:
+    """All particle types that have mass, and what follows from them.
+
+    Attributes
+    ----------
+    types : tuple of ParticleType
+    coating_fraction : float
+        v_coat, volume of the coating per volume of a coated particle.
+    """
+
+    types: tuple[ParticleType, ...]
+    coating_fraction: float
+
+    @property
+    def density(self) -> float:
+        """Mean density of the particles γ (kg/m³), Eq 16."""
+        return 1.0 / sum(t.mass_fraction / t.density for t in self.types)
+
+    @property
+    def volume_fractions(self) -> tuple[float, ...]:
+        """Volume of each type per volume of all particles v_j, Eq 18."""
+        return tuple(self.density / t.density * t.mass_fraction for t in self.types)
+
+    def rows(self) -> list[dict[str, float | str]]:
+        """Return a table of every intermediate, one row per type."""
+        return [
+            {
+                "particle_type": t.name,
+                "mass_fraction": t.mass_fraction,
+                "density_kg_m3": t.density,
+                "volume_fraction": v,
+                **{f"mass_{m}": t.concentration.get(m, 0.0) for m in MINERAL_KG_M3},
+                **{f"volume_{m}": t.volumes.get(m, 0.0) for m in MINERAL_KG_M3},
+                "inclusion_fraction": t.inclusion_fraction,
+                "coating_fraction": self.coating_fraction if t.coated else 0.0,
+            }
+            for t, v in zip(self.types, self.volume_fractions, strict=True)
+        ]
+
+
+def coating_fraction(sphericity: float, relative_thickness: float) -> float:
+    """Return v_coat, volume of the coating per volume of the coated particle (Eqs 12-14).
+
+    Parameters
+    ----------
+    sphericity : float
+        Mean Riley sphericity, in (0, 1].
+    relative_thickness : float
+        h' = h/s, thickness per major axis.
+    """
+    coat = float(surface_to_volume(sphericity)) * relative_thickness
+    return coat / (1.0 + coat)
+
+
+def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, float]:
+    """Return the concentrations by mass of quartz coated by iron oxide in kaolinite.
+
+    Eqs 10-11: the mass of kaolinite follows from the volume of the coating.
+
+    Parameters
+    ----------
+    oxide : {"hematite", "goethite"}
+    iron_oxide : float
+        Mass of the oxide per mass of the particle.
+    coat : float
+        Volume of the coating per volume of the particle.
+
+    Raises
+    ------
+    ValueError
+        If the coating is too thin to hold that much iron oxide.
+    """
+    quartz, kaolinite = MINERAL_KG_M3["quartz"], MINERAL_KG_M3["kaolinite"]
+    iron = MINERAL_KG_M3[oxide]
+    core = quartz * (1.0 - coat)
+    limit = iron * coat / (iron * coat + core)
+    # A coating full of oxide has no room left but for rounding.
+    room = max(iron * coat * (1.0 - iron_oxide) - core * iron_oxide, 0.0)
+    if iron_oxide > limit * (1.0 + 1e-12):
+        raise refuse(
+            "iron_oxide",
+            iron_oxide,
+            f"at most {np.floor(1e4 * limit) / 1e4:g}, what a coating of {oxide} can hold",
+            "a thicker coating holds more: relative_coating_thickness; or set partition (coated) 0",
+        )
+    matrix = kaolinite / iron * room / (core + kaolinite * coat)
+    found = {"quartz": 1.0 - iron_oxide - matrix, oxide: iron_oxide, "kaolinite": matrix}
+    return {mineral: c for mineral, c in found.items() if c > 0.0 or mineral == "kaolinite"}
+
+
+def compose(
+    iron_oxide: float,
+    hematite_ratio: float,
+    magnetite: float,
+    partition: tuple[float, float, float],
+    coat: float,
+    excess_magnetite: str = "first",
+) -> Composition:
+    """Return the particle types of a sand.
+
+    Parameters
+    ----------
+    iron_oxide : float
+        ϑ_hg, mass of hematite and goethite per mass of sand, 0 to 1; also their concentration
+        in every mixed and coated particle.
+    hematite_ratio : float
+        r_hg, hematite's part of that, 0 to 1.
+    magnetite : float
+        ϑ_m, mass of magnetite per mass of sand; iron_oxide + magnetite at most 1.
+    partition : (pure, mixed, coated)
+        μ'_p, μ'_m, μ'_c, by mass; they add up to 1.
+    coat : float
+        v_coat, see `coating_fraction`.
+    excess_magnetite : {"first", "clipped"}
+        Where magnetite and the pure iron oxides exceed the pure particles' share: they are there
+        first, pure quartz vanishes and the mixed and coated particles share what is left; or
+        quartz is set to 0 and all mass fractions are divided by their sum.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range.
+    """
+    iron_oxide = in_range("iron_oxide", iron_oxide, 0.0, 1.0)
+    ratio = in_range("hematite_ratio", hematite_ratio, 0.0, 1.0)
+    magnetite = in_range("magnetite", magnetite, 0.0, 1.0 - iron_oxide, hint="all sand is 1")
+    pure, mixed, coated = numbers("partition", partition, ("pure", "mixed", "coated"))
+    if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 2e-9:
+        raise refuse(
+            "partition", partition, "three numbers of at least 0 that add up to 1",
+            f"these make {pure + mixed + coated:.10g}; YAML has no 1/3, write 0.3333333333",
+        )  # fmt: skip
+    shares = {"hematite": ratio, "goethite": 1.0 - ratio}
+    iron = iron_oxide * pure  # Eq 8
+    quartz = pure - magnetite - iron  # Eq 9
+    scale = 1.0
+    if quartz < 0.0:
+        if excess_magnetite == "first":
+            rest = mixed + coated
+            scale = max(1.0 - magnetite - iron, 0.0) / rest if rest > 0.0 else 1.0
+        quartz = 0.0
+    mass = {"pure quartz": quartz, "pure magnetite": magnetite}
+    concentration = {"pure quartz": {"quartz": 1.0}, "pure magnetite": {"magnetite": 1.0}}
+    for oxide, share in shares.items():
+        mass[f"pure {oxide}"] = share * iron
+        concentration[f"pure {oxide}"] = {oxide: 1.0}
+        mass[f"quartz mixed with {oxide}"] = share * mixed * scale
+        grain = {"quartz": 1.0 - iron_oxide, oxide: iron_oxide}
+        concentration[f"quartz mixed with {oxide}"] = {m: c for m, c in grain.items() if c > 0.0}
+        mass[f"quartz coated by {oxide}"] = share * coated * scale
+        if share * coated > 0.0:
+            grain = coated_particle(oxide, iron_oxide, coat)
+            concentration[f"quartz coated by {oxide}"] = grain
+    total = sum(mass.values())
+    types = (
+        ParticleType(name, m / total, concentration[name]) for name, m in mass.items() if m > 0.0
+    )
+    return Composition(tuple(types), coat)

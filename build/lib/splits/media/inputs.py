@@ -1,0 +1,90 @@
+"""Checks that several media share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any
+
+from splits.checks import in_range, numbers, refuse, scalar, suggestion
+from splits.materials import RefractiveIndex, given_index, refractive_index
+from splits.media.ground import ground_facts
+
+SPELT_OUT = (
+    "refractive_index", "readings", "ground", "pores",
+    "impurities_ng_g", "algae_cells_ml", "impurities_in",
+)  # fmt: skip
+"""Inputs that attributes hold part by part."""
+_LIMITS = ("min", "max", "mean", "sd")
+
+
+def limited_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
+    """Return (min, max, mean, sd) of a normal distribution within limits in [low, 1], or refuse."""
+    minimum, maximum, mean, sd = numbers(key, value, _LIMITS)
+    if not low <= minimum <= mean <= maximum <= 1.0:
+        raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
+    in_range(f"{key} (sd)", sd, 0.0, 1.0)
+    return minimum, maximum, mean, sd
+
+
+def sample_depth(depth_m: Any) -> float:
+    """Return the thickness of a sample of grains (m), above 0 to 1e4 or infinite, or refuse it."""
+    hint = "or infinite: .inf in YAML, math.inf in Python"
+    if isinstance(scalar(depth_m), float) and depth_m == math.inf:
+        return math.inf
+    return in_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
+
+
+def indices_of(
+    materials: Iterable[str], given: Any, pores: Iterable[str] = ()
+) -> dict[str, RefractiveIndex]:
+    """Return the refractive index of every material, where nothing is given the default dataset.
+
+    Parameters
+    ----------
+    materials : iterable of str
+    given : mapping
+        Of air, too, which has no default: it is 1.
+    pores : iterable of str, optional
+        Media in pores, of which something must be given.
+
+    Raises
+    ------
+    ValueError
+        If `given` is not a mapping, or for a material that the medium does not have.
+    """
+    known = list(materials)
+    others = [*pores, "air"] if isinstance(given, Mapping) and "air" in given else list(pores)
+    names = known + others
+    if not isinstance(given, Mapping):
+        raise refuse("refractive_index", given, "a mapping by material")
+    for name in given:
+        if name not in names:
+            raise refuse(
+                "refractive_index",
+                name,
+                "a mapping with keys " + ", ".join(names),
+                suggestion(name, names),
+            )
+    return {m: refractive_index(m, given.get(m)) for m in known} | {
+        m: given_index(m, given[m]) for m in others
+    }
+
+
+def described(medium: Any) -> dict[str, Any]:
+    """Return a medium's inputs under names fit for dataset attributes.
+
+    Parameters
+    ----------
+    medium : dataclass
+        With fields ``refractive_index`` (by material), ``readings`` and ``ground`` among others.
+    """
+    inputs = {f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in SPELT_OUT}
+    inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
+    for material, index in medium.refractive_index.items():
+        inputs[f"refractive_index_{material}"] = index.name
+        if digest := getattr(index, "sha256", ""):
+            inputs[f"refractive_index_{material}_sha256"] = digest
+    inputs |= {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}
+    return inputs | ground_facts(medium.ground)

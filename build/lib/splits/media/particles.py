@@ -1,0 +1,85 @@
+"""A layer of small particles as a part of a stack."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.media.granular import Interface
+from splits.media.layer import Layer
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
+from splits.transport.rough.waves import Fields
+
+LEFT_OUT = {
+    "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),
+    "surface": (None, "only the top of a stack is rough"),
+    "polarized": (False, "stacks know no polarization"),
+    "opaque": (False, "light comes back from all layers of a stack"),
+}
+"""Settings that a layer of a stack has not, what they must be, and why."""
+
+
+@dataclass(frozen=True)
+class ParticleLayer:
+    """What a `splits.Layer` hands to a scene of several layers.
+
+    Its matrix takes the place of pores that are all wet, with air outside: so it meets its
+    neighbours at Fresnel faces where their indices differ.
+
+    Parameters
+    ----------
+    layer : Layer
+    top : bool
+        Whether it is the first of the stack, and may have a rough surface.
+
+    Raises
+    ------
+    ValueError
+        If it has a bottom, a rough surface where it is not the top, polarization or no end.
+    """
+
+    layer: Layer
+    top: bool = False
+    saturation = 1.0
+    largest_grain_m = 0.0
+
+    def __post_init__(self) -> None:
+        for name, (allowed, why) in LEFT_OUT.items():
+            given = getattr(self.layer, name)
+            if given != allowed and not (name == "surface" and self.top):
+                raise refuse(name, given, "left out" if allowed is None else "false", why)
+        if self.layer.optical_thickness == math.inf:
+            raise refuse("optical_thickness", math.inf, "finite", "other layers lie below")
+
+    @property
+    def depth_m(self) -> float:
+        """Thickness (m)."""
+        return float(self.layer.depth_m)
+
+    def fields(self) -> Fields | None:
+        """Return its rough surface as kernels take it, None where it is smooth."""
+        return self.layer.fields()
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials in the rows of index arrays."""
+        return ("air", "matrix")
+
+    def interfaces(self) -> Sequence[Interface]:
+        """Return none: the index is the same at all wavelengths."""
+        return ()
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, 2)."""
+        index = np.ones((np.size(wavelength_nm), 2), dtype=complex)
+        index[:, WET_PORE] = self.layer.refractive_index
+        index[:, DRY_PORE] = 1.0
+        return index
+
+    def describe(self) -> dict[str, Any]:
+        """Return all inputs under names fit for dataset attributes."""
+        return self.layer.describe()

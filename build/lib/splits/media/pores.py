@@ -1,0 +1,91 @@
+"""What fills the pores between grains: air, water, and whatever else a sample holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import in_range, refuse
+from splits.materials import RefractiveIndex
+from splits.media.granular import Interface
+from splits.transport.grains.scene import DRY_PORE
+
+AIR, WATER = "air", "water"
+
+
+class Pores(NamedTuple):
+    """Media that share the pore space, in the order of their columns.
+
+    A leg through the pore space runs in one of them, drawn by these shares (SPLITSnow section 3.4).
+
+    Attributes
+    ----------
+    names : tuple of str
+        Dry pores first, then water, then others.
+    shares : tuple of float
+        Of the pore space; they sum to 1.
+    """
+
+    names: tuple[str, ...]
+    shares: tuple[float, ...]
+
+    @classmethod
+    def of(cls, saturation: float, others: Mapping[str, float]) -> Pores:
+        """Return the pores of so much water and of others; the rest is dry."""
+        dry = max(1.0 - saturation - sum(others.values()), 0.0)
+        return cls((AIR, WATER, *others), (dry, saturation, *others.values()))
+
+    def interfaces(self, core: int, share: float = 1.0) -> list[Interface]:
+        """Return what grains of a material, met with a probability, have in common with pores."""
+        return [Interface(share * part, row, core) for row, part in enumerate(self.shares)]
+
+    def faces(self, fresnel: bool) -> list[Interface]:
+        """Return what wet pores have in common with the dry ones outside, if Fresnel acts there."""
+        return [
+            Interface(part, DRY_PORE, row, "face")
+            for row, part in enumerate(self.shares)
+            if fresnel and row != DRY_PORE and part > 0.0
+        ]
+
+    def fill(
+        self, index: np.ndarray, known: Mapping[str, RefractiveIndex], wavelength_nm: np.ndarray
+    ) -> None:
+        """Write refractive indices of media that are there into their columns."""
+        for row, (name, part) in enumerate(zip(self.names, self.shares, strict=True)):
+            if name in known and (part > 0.0 or row == DRY_PORE):
+                index[:, row] = known[name](wavelength_nm)
+
+
+def other_pores(
+    given: Any, saturation: float, refractive_index: Any, taken: Iterable[str]
+) -> dict[str, float]:
+    """Return the shares of media other than air and water, or refuse them.
+
+    Parameters
+    ----------
+    given : mapping
+        Shares of the pore space by name.
+    saturation : float
+    refractive_index : mapping
+        As given by the user, who has to say what such a medium is.
+    taken : iterable of str
+        Names of the materials of grains.
+    """
+    if not isinstance(given, Mapping):
+        raise refuse("pores", given, "a mapping of shares of the pore space by medium")
+    reserved = (AIR, WATER, *taken)
+    shares = {}
+    for name, share in given.items():
+        if not isinstance(name, str) or not name.isidentifier() or name in reserved:
+            hint = "water is saturation, air the rest"
+            raise refuse("pores", name, f"names other than {', '.join(reserved)}", hint)
+        shares[name] = in_range(f"pores.{name}", share, 0.0, 1.0, open_low=True)
+        if not isinstance(refractive_index, Mapping) or name not in refractive_index:
+            hint = f"give refractive_index of {name}: n + kj, a table"
+            raise refuse("pores", name, "media of known refractive index", hint)
+    total = saturation + sum(shares.values())
+    if total > 1.0 + 1e-12:
+        raise refuse("pores", dict(given), "shares that leave saturation room: at most 1 together")
+    return shares

@@ -1,0 +1,205 @@
+"""Where the papers can be read two ways: every reading has a name, and one is the default.
+
+docs/model.md says why each default was taken and what the alternatives do to reflectance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeVar
+
+from splits.checks import known_keywords, listed, one_of, refuse, suggestion
+from splits.materials import MIXING
+from splits.media.composition import EXCESS_MAGNETITE
+from splits.transport.grains.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "entry": tuple(ENTRY),
+    "facets": tuple(FACETS),
+    "wrong_side": tuple(WRONG_SIDE),
+    "boundary_fresnel": ("yes", "no"),
+    "grain_on_last_leg": tuple(FATE),
+    "grain_across_boundary": tuple(FATE),
+    "grain_distance": ("leg", "leg_and_grain"),
+    "size_is": ("diameter", "semi_axis"),
+    "struck_size": ("attenuation", "uniform"),
+    "mixing": tuple(MIXING),
+    "sizes": ("separates", "single"),
+    "excess_magnetite": EXCESS_MAGNETITE,
+    "attenuation": ("solid", "printed"),
+}
+
+SETS: dict[str, dict[str, str]] = {
+    "splits_2007": {
+        "entry": "uniform", "facets": "projected", "wrong_side": "lobe",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+    },
+    "splitsnow_2021": {
+        "entry": "uniform", "facets": "any", "wrong_side": "mirrored",
+        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+    },
+    "geometric": {
+        "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
+        "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
+        "grain_distance": "leg_and_grain",
+    },
+}  # fmt: skip
+"""Sets of readings by name; what a set does not say stays as by default."""
+SET = "set"
+"""Key of a mapping of readings that names the set which the others stand beside."""
+
+
+def together(given: Sequence[Any]) -> Any:
+    """Return readings given one after the other as one: a set's name replaces all before it."""
+    found: Any = {}
+    for one in given:
+        mapping = {SET: one} if isinstance(one, str) else one
+        if not isinstance(mapping, Mapping):
+            return one
+        found = dict(mapping) if SET in mapping else {**found, **mapping}
+    return found[SET] if list(found) == [SET] else found
+
+
+Kind = TypeVar("Kind", bound="TransportReadings")
+
+
+@dataclass(frozen=True)
+class TransportReadings:
+    """Named readings of the transport that SPLITS and SPLITSnow share.
+
+    Parameters
+    ----------
+    entry : {"uniform", "projected"}
+        Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2), or by
+        projected area, as straight rays through real grains have it.
+    facets : {"projected", "unweighted", "any"}
+        Facet struck: facing the ray and weighted by projected area (SPLITS 4.3.4), facing it
+        with equal weight, or any facet.
+    wrong_side : {"lobe", "mirrored"}
+        A ray that a facet sends to the wrong side of the grain's surface leaves in a cosine
+        lobe (SPLITS 4.3.4) or mirrored in the surface.
+    boundary_fresnel : {"yes", "no"}
+        Fresnel reflection and refraction at the extended boundaries where water fills the pores
+        (SPLITS 4.3.1).
+    grain_on_last_leg : {"reject", "keep", "skip"}
+        A new grain that lies across the leg just travelled: drawn again from the same origin,
+        distance included (SPLITS 4.3.3), kept, or left out, so that the next distance counts
+        from its place.
+    grain_across_boundary : {"reject", "keep", "skip"}
+        A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2), likewise.  If
+        kept, a ray that leaves a grain outside the sample counts as standing on the boundary
+        there.  If skipped, grains are as rare near the boundaries as whole grains are.
+    grain_distance : {"leg", "leg_and_grain"}
+        The mean distance between grains is that of a leg through pores, as the papers have it, or
+        that from one entry to the next, the way through the grain included.  With the latter rays
+        are in grains, and in water, for as much of their way as these fill of the volume, and
+        meet as many grains per metre as their surface asks for.
+    """
+
+    entry: str = "uniform"
+    facets: str = "projected"
+    wrong_side: str = "lobe"
+    boundary_fresnel: str = "yes"
+    grain_on_last_leg: str = "reject"
+    grain_across_boundary: str = "reject"
+    grain_distance: str = "leg"
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            one_of(f"readings.{field.name}", getattr(self, field.name), CHOICES[field.name])
+
+    @classmethod
+    def of(cls: type[Kind], value: Any) -> Kind:
+        """Return readings, or refuse them.
+
+        Parameters
+        ----------
+        value : Readings, str or mapping
+            The name of one of `SETS`; or a mapping of names to choices, with the name of a set
+            under ``set`` if they are to stand beside it and not beside the default.
+        """
+        if isinstance(value, cls):
+            return value
+        if isinstance(value, str):
+            return cls(**SETS[one_of("readings", value, SETS)])
+        if not isinstance(value, Mapping):
+            raise refuse(
+                "readings", value, f"a mapping of named readings, or one of {listed(SETS)}"
+            )
+        names = [f.name for f in fields(cls)]
+        if SET in value:
+            base = SETS[one_of(f"readings.{SET}", value[SET], SETS)]
+            return cls.of({**base, **{key: given for key, given in value.items() if key != SET}})
+        for name in value:
+            if name not in names:
+                raise refuse(
+                    "readings", name, "one of " + ", ".join(names), suggestion(name, names)
+                )
+        return cls(**value)
+
+    def rules(self, analog: bool = False) -> Rules:
+        """Return the readings as kernels take them."""
+        return Rules(
+            entry=ENTRY[self.entry],
+            facets=FACETS[self.facets],
+            wrong_side=WRONG_SIDE[self.wrong_side],
+            boundary_fresnel=self.boundary_fresnel == "yes",
+            on_last_leg=FATE[self.grain_on_last_leg],
+            across_boundary=FATE[self.grain_across_boundary],
+            analog=analog,
+        )
+
+    def as_dict(self) -> dict[str, str]:
+        """Return all readings by name."""
+        return asdict(self)
+
+
+@known_keywords
+@dataclass(frozen=True)
+class Readings(TransportReadings):
+    """Named readings of SPLITSnow, besides those of `TransportReadings`.
+
+    By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
+    (entry, grains across boundaries), and where it is silent or can be read two ways a
+    combination that comes as near as any to 24 of its statements (docs/readings.md).
+
+    Parameters
+    ----------
+    facets, wrong_side
+        As in `TransportReadings`.
+    size_is : {"diameter", "semi_axis"}
+        What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
+    struck_size : {"attenuation", "uniform"}
+        Size distribution of the grains that rays strike: ∝ s⁻² P(s), consistent with the
+        attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
+    """
+
+    facets: str = "any"
+    wrong_side: str = "mirrored"
+    size_is: str = "diameter"
+    struck_size: str = "attenuation"
+
+
+@known_keywords
+@dataclass(frozen=True)
+class SandReadings(TransportReadings):
+    """Named readings of SPLITS, besides those of `TransportReadings`.
+
+    Parameters
+    ----------
+    mixing : {"maxwell_garnett", "linear"}
+        Index of a mineral with inclusions (Eq 4), or the mean of the two by volume.
+    sizes : {"separates", "single"}
+        A log-normal per soil separate (section 4.2.6), or one over silt and sand.
+    excess_magnetite : {"first", "clipped"}
+        More magnetite than the pure particles' share (Eq 9); see `splits.media.composition`.
+    attenuation : {"solid", "printed"}
+        Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
+        as Eqs 22-24 print it, without.
+    """
+
+    mixing: str = "maxwell_garnett"
+    sizes: str = "separates"
+    excess_magnetite: str = "first"
+    attenuation: str = "solid"

@@ -1,0 +1,279 @@
+"""Sand: up to eight types of mineral particles in pores of air and water (SPLITS)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from splits.checks import in_range, known_keywords, numbers
+from splits.materials import MINERAL_KG_M3, MIXING
+from splits.media import grain_statistics as statistics
+from splits.media.composition import Composition, ParticleType, coating_fraction, compose
+from splits.media.granular import Interface, mean_leg_m
+from splits.media.ground import Ground
+from splits.media.inputs import described, indices_of, limited_normal, sample_depth
+from splits.media.pores import Pores, other_pores
+from splits.media.readings import SandReadings
+from splits.media.soil_sizes import SoilSizes, soil_sizes
+from splits.transport.grains.scene import Grains, Types
+
+
+@known_keywords
+@dataclass(frozen=True)
+class Sand:
+    """A homogeneous sand.
+
+    By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and
+    the texture that of most samples of Table 5.
+
+    Parameters
+    ----------
+    iron_oxide : float
+        ϑ_hg, mass of hematite and goethite per mass of sand; what coated particles can hold
+        limits it (0.065 for hematite and 0.054 for goethite at the default thickness).
+    hematite_ratio : float
+        r_hg, hematite's part of the iron oxide, 0 to 1.
+    magnetite : float
+        ϑ_m, mass of magnetite per mass of sand, 0 to 1 − iron_oxide.
+    partition : (pure, mixed, coated)
+        Mass fractions of pure, mixed and coated particles, adding up to 1.
+    texture : (clay, silt, sand)
+        Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
+    saturation : float
+        Fraction of the pore space filled with water, 0 to 1.
+    pores : mapping, optional
+        Fractions of the pore space filled with other media, by name: ``{"oil": 0.1}``.
+        ``refractive_index`` has to know them.
+    porosity : float
+        Fraction of the volume that is pore space, above 0 and below 1.
+    roundness : (mean, sd)
+        Krumbein roundness, 0 to 1 (smooth); normal.  Facetness is 1 − roundness.
+    sphericity : (min, max, mean, sd)
+        Riley sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere); normal within limits.
+    relative_coating_thickness : float
+        Thickness of coatings per major axis, above 0 and at most 0.05.
+    depth_m : float
+        Thickness of the sample (m), more than the largest particle, to 1e4, or infinite for the
+        spectrophotometer.
+    size_tail : float
+        Mass beyond the outermost size limits, see `splits.media.soil_sizes.soil_sizes`.
+    refractive_index : mapping, optional
+        Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water",
+        "air") a dataset's name, a constant or a table; see `splits.materials.refractive_index`.
+        Air, 1 by default, also lies above the sample.
+    readings : SandReadings or mapping, optional
+        Named readings of the paper.
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names key, value and range.
+    TypeError
+        For an unknown keyword.
+
+    Examples
+    --------
+    >>> from splits import Sand
+    >>> round(Sand(iron_oxide=0.01, hematite_ratio=0.738, partition=(0, 1, 0)).density_kg_m3)
+    2662
+    """
+
+    kind = "sand"
+
+    iron_oxide: float = 0.01
+    hematite_ratio: float = 0.0
+    magnetite: float = 0.0
+    partition: tuple[float, float, float] = (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+    texture: tuple[float, float, float] = (0.0, 0.15, 0.85)
+    saturation: float = 0.0
+    porosity: float = 0.425
+    roundness: tuple[float, float] = (0.482, 0.072)
+    sphericity: tuple[float, float, float, float] = (0.6, 0.95, 0.798, 0.064)
+    relative_coating_thickness: float = 5.0 / 1200.0
+    depth_m: float = 1.0
+    size_tail: float = 1e-4
+    refractive_index: Mapping[str, Any] = field(default_factory=dict)
+    readings: SandReadings = field(default_factory=SandReadings)
+    ground: Any = None
+    pores: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("readings", SandReadings.of(self.readings))
+        put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
+        put(
+            "porosity",
+            in_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True),
+        )
+        mean, sd = numbers("roundness", self.roundness, ("mean", "sd"))
+        in_range("roundness (mean)", mean, 0.0, 1.0)
+        in_range("roundness (sd)", sd, 0.0, 1.0)
+        put("roundness", (mean, sd))
+        put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
+        thickness = in_range(
+            "relative_coating_thickness",
+            self.relative_coating_thickness,
+            0.0,
+            0.05,
+            open_low=True,
+            hint="coatings act as flat slabs, so they must be thin",
+        )
+        put("relative_coating_thickness", thickness)
+        put("partition", numbers("partition", self.partition, ("pure", "mixed", "coated")))
+        put("texture", numbers("texture", self.texture, ("clay", "silt", "sand")))
+        put("ground", Ground.of(self.ground))
+        put("depth_m", sample_depth(self.depth_m))
+        for name in ("iron_oxide", "hematite_ratio", "magnetite"):
+            put(name, in_range(name, getattr(self, name), 0.0, 1.0))
+        given = self.refractive_index
+        put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
+        put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
+        # What these derive is checked here.
+        _ = self.sizes, self.composition
+
+    @cached_property
+    def sizes(self) -> SoilSizes:
+        """Sizes of the particles, of every type alike."""
+        return soil_sizes(self.texture, self.size_tail, self.readings.sizes)
+
+    @cached_property
+    def composition(self) -> Composition:
+        """Particle types with mass fractions, volume fractions and densities."""
+        coat = coating_fraction(self.sphericity[2], self.relative_coating_thickness)
+        return compose(
+            self.iron_oxide,
+            self.hematite_ratio,
+            self.magnetite,
+            self.partition,
+            coat,
+            self.readings.excess_magnetite,
+        )
+
+    @property
+    def density_kg_m3(self) -> float:
+        """Mean density of the particles (kg/m³), SPLITS Eq 16."""
+        return self.composition.density
+
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        return float(self.sizes.largest)
+
+    @cached_property
+    def attenuation_per_m(self) -> float:
+        """K = K1 K2, cross-section per volume of particles (1/m), SPLITS Eqs 22-24."""
+        return self.sizes.attenuation * statistics.shape_attenuation(*self.sphericity)
+
+    @property
+    def mean_grain_distance_m(self) -> float:
+        """Mean distance between particles of any type along a ray (m), SPLITS Eq 21."""
+        solid = 1.0 - self.porosity if self.readings.attenuation == "solid" else 1.0
+        return 1.0 / (solid * self.attenuation_per_m)
+
+    @property
+    def specific_surface_area_m2_kg(self) -> float:
+        """Surface area per mass of particles, 4K/γ for convex particles (m²/kg)."""
+        return 4.0 * self.attenuation_per_m / self.density_kg_m3
+
+    @cached_property
+    def _layers(self) -> list[tuple[str, ...]]:
+        """Names of the materials of each particle type, from the outside in."""
+        return [_materials_of(t) for t in self.composition.types]
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials in the rows of index arrays."""
+        minerals = dict.fromkeys(m for layers in self._layers for m in layers)
+        return (*self.fluids.names, *minerals)
+
+    @cached_property
+    def fluids(self) -> Pores:
+        """What fills the pores."""
+        return Pores.of(self.saturation, self.pores)
+
+    def grains(self) -> Grains:
+        """Return the table of particle types; sizes and shapes are those of all types."""
+        names = self.materials()
+        deepest = max(len(layers) for layers in self._layers)
+        material = np.zeros((len(self._layers), deepest), dtype=np.int64)
+        thickness = np.zeros(material.shape)
+        for i, layers in enumerate(self._layers):
+            material[i, : len(layers)] = [names.index(m) for m in layers]
+            thickness[i, : len(layers) - 1] = self.relative_coating_thickness
+        facetness = statistics.truncated_normal(
+            0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
+        )
+        return Grains(
+            attenuation=1.0 / mean_leg_m(self),
+            share=np.cumsum(self.composition.volume_fractions),
+            types=Types(
+                shells=np.array([len(layers) for layers in self._layers], dtype=np.int64),
+                material=material,
+                thickness=thickness,
+                curvature=2.0 * self.sizes.struck_inverse_sizes()[np.newaxis],
+                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+                facetness=facetness[np.newaxis],
+            ),
+        )
+
+    def interfaces(self) -> list[Interface]:
+        """Return the pairs of materials that meet at surfaces of particles and of the slab."""
+        names = self.materials()
+        found: list[Interface] = []
+        for layers, share in zip(self._layers, self.composition.volume_fractions, strict=True):
+            rows = [names.index(m) for m in layers]
+            found += self.fluids.interfaces(rows[0], share)
+            found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
+        return found + self.fluids.faces(self.readings.rules().boundary_fresnel)
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials)."""
+        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
+        mix = MIXING[self.readings.mixing]
+        index = np.ones((wavelength_nm.size, len(self.materials())), dtype=complex)
+        self.fluids.fill(index, self.refractive_index, wavelength_nm)
+        known: dict[str, np.ndarray] = {}
+
+        def pure(mineral: str) -> np.ndarray:
+            if mineral not in known:
+                known[mineral] = self.refractive_index[mineral](wavelength_nm)
+            return known[mineral]
+
+        for particle, layers in zip(self.composition.types, self._layers, strict=True):
+            for name in layers:
+                row = self.materials().index(name)
+                matrix, _, oxide = name.partition(" with ")
+                index[:, row] = pure(matrix)
+                if oxide:
+                    index[:, row] = mix(pure(matrix), pure(oxide), particle.inclusion_fraction)
+        return index
+
+    def describe(self) -> dict[str, Any]:
+        """Return inputs and derived quantities under names fit for dataset attributes."""
+        return described(self) | {
+            "particle_types": ", ".join(t.name for t in self.composition.types),
+            "particle_volume_fractions": self.composition.volume_fractions,
+            "particle_density_kg_m3": self.density_kg_m3,
+            "coating_volume_fraction": self.composition.coating_fraction,
+            "mean_grain_distance_m": self.mean_grain_distance_m,
+            "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+        }
+
+
+def _materials_of(particle: ParticleType) -> tuple[str, ...]:
+    """Return the names of a particle's layers from the outside in."""
+    if particle.coated:
+        coating = f"kaolinite with {particle.oxide}" if particle.oxide else "kaolinite"
+        return coating, "quartz"
+    if particle.oxide:
+        return (f"quartz with {particle.oxide}",)
+    return (next(iter(particle.concentration)),)

@@ -1,0 +1,317 @@
+"""Snow: one type of ice grain in pores of air and water (SPLITSnow)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from splits.checks import (
+    in_range,
+    keywords_taken,
+    known_keywords,
+    numbers,
+    one_of,
+    refuse,
+    unknown_key,
+)
+from splits.materials import ice_density
+from splits.materials.impurities import Impurity, described_impurities, impurities_of
+from splits.media import grain_statistics as statistics
+from splits.media.granular import Interface, mean_leg_m
+from splits.media.ground import Ground
+from splits.media.inputs import described, indices_of, limited_normal, sample_depth
+from splits.media.measured_inputs import takes_measured
+from splits.media.natural_snow import natural_settings, shape_facts
+from splits.media.pores import Pores, other_pores
+from splits.media.readings import Readings
+from splits.transport.grains.scene import Grains, Types
+
+
+@known_keywords
+@takes_measured
+@dataclass(frozen=True)
+class Snow:
+    """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
+
+    For snow of which a surface area was measured see `Snow.natural`.
+
+    Parameters
+    ----------
+    grain_size_um : (min, max)
+        Major-axis diameter of the grains (µm), uniform between the two; 1 to 100 000, max at
+        most 1000 min.  "Uniform" is the paper's word for P(s) in its attenuation K1 (Eq A.7),
+        which is that of a number of grains ∝ s⁻⁴ P(s): by number, area and volume of grains
+        sizes go as s⁻⁴, s⁻² and s⁻¹, and none of the three is uniform.
+    specific_surface_area_m2_kg, optical_radius_um : float
+        In place of `grain_size_um`: surface area per mass of ice, 0.2 to 2000 m²/kg, or the radius
+        (µm) of the spheres that have it.  Sizes keep the ratio of Table 1's, 1 to 2.5.
+    facetness : (min, max, mean, sd)
+        0 (smooth) to 1; normal with mean and standard deviation within [min, max].
+    sphericity : (min, max, mean, sd)
+        Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
+    saturation : float
+        Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
+    liquid_water_content : float
+        In place of `saturation`: volume of water per volume of snow, 0 to the porosity.
+    pores : mapping, optional
+        Fractions of the pore space filled with other media, by name: ``{"brine": 0.1}``.
+        ``refractive_index`` has to know them.
+    impurities_ng_g : mapping, optional
+        Mass of impurities per mass of ice (ng/g) by kind: ``{"black_carbon": 50}``; kinds and
+        tables of one's own: `splits.materials.impurities.impurities_of`.  They absorb only.
+    algae_cells_ml : mapping, optional
+        Cells of "ice_algae" or "snow_algae" per ml of meltwater.
+    impurities_in : {"ice", "pores"}
+        Where they are, evenly spread: within the grains, or in all pores between them.
+    density_kg_m3 : float
+        Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
+    temperature_c : float
+        −40 to 0 °C; decides the density of ice.
+    depth_m : float
+        Thickness of the sample (m), above 0 to 1e4, or infinite for spectra and albedos.  A
+        sample, which may have several layers, must be thicker than its largest grain.
+    refractive_index : mapping, optional
+        Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
+        see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
+    readings : Readings, str or mapping, optional
+        Named readings of the papers, or the name of a set: "splitsnow_2021" (default),
+        "splits_2007" or "geometric".
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names key, value and range.
+    TypeError
+        For an unknown keyword.
+
+    Examples
+    --------
+    >>> from splits import Snow
+    >>> round(Snow(density_kg_m3=450).mean_grain_distance_m, 6)
+    0.000435
+    """
+
+    kind = "snow"
+
+    grain_size_um: tuple[float, float] = (300.0, 750.0)
+    facetness: tuple[float, float, float, float] = (0.2, 0.4, 0.3, 0.072)
+    sphericity: tuple[float, float, float, float] = (0.6, 0.95, 0.798, 0.064)
+    saturation: float = 0.05
+    density_kg_m3: float = 275.0
+    temperature_c: float = -1.0
+    depth_m: float = 0.12
+    refractive_index: Mapping[str, Any] = field(default_factory=dict)
+    readings: Readings = field(default_factory=Readings)
+    ground: Any = None
+    pores: Mapping[str, float] = field(default_factory=dict)
+    impurities_ng_g: Mapping[str, Any] = field(default_factory=dict)
+    algae_cells_ml: Mapping[str, float] = field(default_factory=dict)
+    impurities_in: str = "ice"
+
+    @classmethod
+    def natural(cls, **settings: Any) -> Snow:
+        """Return snow as it lies, by its surface area: dry, deep and clean unless said.
+
+        Its grains have the absorption enhancement and the asymmetry parameter that natural snow
+        was measured to have at 900 nm (`splits.media.natural_snow`), its readings are those that
+        geometry and reciprocity ask for (``geometric``), its ice absorbs as Picard et al. (2016)
+        found below 600 nm, and its water is Segelstein's.
+
+        Parameters
+        ----------
+        specific_surface_area_m2_kg, optical_radius_um : float
+            One of the two.
+        density_kg_m3 : float
+            300 by default.
+        depth_m : float
+            Infinite by default, which spectra and albedos take alone; give it for the others.
+        **settings
+            Whatever `Snow` takes.
+
+        Raises
+        ------
+        ValueError
+            Without a size, or for a value outside its range.
+
+        Examples
+        --------
+        >>> from splits import Snow
+        >>> snow = Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=250, depth_m=1)
+        >>> round(snow.optical_radius_um, 1)
+        163.6
+        """
+        for key in settings:
+            if key not in keywords_taken(cls):
+                raise TypeError(str(unknown_key(key, keywords_taken(cls))))
+        return cls(**natural_settings(settings))
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        smallest, largest = numbers("grain_size_um", self.grain_size_um, ("min", "max"))
+        if not 1.0 <= smallest <= largest <= 1e5:
+            raise refuse(
+                "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"
+            )
+        if largest > 1e3 * smallest:
+            raise refuse("grain_size_um", self.grain_size_um, "max <= 1000 min")
+        put("grain_size_um", (smallest, largest))
+        put("facetness", limited_normal("facetness", self.facetness, 0.0))
+        put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
+        put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
+        put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
+        ice = ice_density(self.temperature_c)
+        put(
+            "density_kg_m3",
+            in_range(
+                "density_kg_m3",
+                self.density_kg_m3,
+                0.0,
+                ice,
+                "kg/m3",
+                open_low=True,
+                open_high=True,
+                hint=f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}",
+            ),
+        )
+        put("ground", Ground.of(self.ground))
+        put("depth_m", sample_depth(self.depth_m))
+        put("readings", Readings.of(self.readings))
+        given = self.refractive_index
+        put("pores", other_pores(self.pores, self.saturation, given, ("ice",)))
+        put("refractive_index", indices_of(("ice", "water"), given, self.pores))
+        one_of("impurities_in", self.impurities_in, ("ice", "pores"))
+        # Bad ones are refused here.
+        _ = self._impurities
+
+    @cached_property
+    def _diameters_m(self) -> tuple[float, float]:
+        scale = 1e-6 if self.readings.size_is == "diameter" else 2e-6
+        return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
+
+    @cached_property
+    def _impurities(self) -> tuple[Impurity, ...]:
+        return impurities_of(self.impurities_ng_g, self.algae_cells_ml)
+
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m)."""
+        return self._diameters_m[1]
+
+    @property
+    def porosity(self) -> float:
+        """Volume fraction not filled by ice (SPLITSnow Eq A.1)."""
+        ice = ice_density(self.temperature_c)
+        return (ice - self.density_kg_m3) / ice
+
+    @property
+    def ice_fraction(self) -> float:
+        """Volume fraction of ice, 𝓔 (SPLITSnow Eq A.2)."""
+        return self.density_kg_m3 / ice_density(self.temperature_c)
+
+    @cached_property
+    def attenuation_per_m(self) -> float:
+        """K = K1 K2, cross-section per volume of ice (1/m), SPLITSnow Eq A.5."""
+        return statistics.size_attenuation(*self._diameters_m) * statistics.shape_attenuation(
+            *self.sphericity
+        )
+
+    @property
+    def mean_grain_distance_m(self) -> float:
+        """Mean distance between grains along a ray (m), SPLITSnow Eq A.3."""
+        return 1.0 / (self.ice_fraction * self.attenuation_per_m)
+
+    @property
+    def specific_surface_area_m2_kg(self) -> float:
+        """Surface area per mass of ice, 4K/ρ_ice for convex grains (m²/kg)."""
+        return 4.0 * self.attenuation_per_m / ice_density(self.temperature_c)
+
+    @property
+    def optical_radius_um(self) -> float:
+        """Radius (µm) of the ice spheres of the same specific surface area, 3/(ρ_ice SSA)."""
+        return 3e6 / (ice_density(self.temperature_c) * self.specific_surface_area_m2_kg)
+
+    @property
+    def liquid_water_content(self) -> float:
+        """Volume of water per volume of snow."""
+        return self.saturation * self.porosity
+
+    def grains(self) -> Grains:
+        """Return the table of particle types: one, of ice."""
+        sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)
+        return Grains(
+            attenuation=1.0 / mean_leg_m(self),
+            share=np.ones(1),
+            types=Types(
+                shells=np.ones(1, dtype=np.int64),
+                material=np.array([[self._ice]], dtype=np.int64),
+                thickness=np.zeros((1, 1)),
+                curvature=2.0 * sizes[np.newaxis],
+                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+                facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
+            ),
+        )
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials in the rows of index arrays."""
+        return (*self.fluids.names, "ice")
+
+    @cached_property
+    def fluids(self) -> Pores:
+        """What fills the pores."""
+        return Pores.of(self.saturation, self.pores)
+
+    @property
+    def _ice(self) -> int:
+        """Row of ice in index arrays."""
+        return len(self.fluids.names)
+
+    def interfaces(self) -> list[Interface]:
+        """Return the pairs of materials that meet at surfaces of grains and of the slab."""
+        fresnel = self.readings.rules().boundary_fresnel
+        return self.fluids.interfaces(self._ice) + self.fluids.faces(fresnel)
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials); 1 if absent."""
+        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
+        index = np.ones((wavelength_nm.size, self._ice + 1), dtype=complex)
+        self.fluids.fill(index, self.refractive_index, wavelength_nm)
+        index[:, self._ice] = self.refractive_index["ice"](wavelength_nm)
+        return index
+
+    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
+        wavelength_nm = np.asarray(wavelength_nm, dtype=float)
+        added = np.zeros((wavelength_nm.size, self._ice + 1))
+        per_ice = sum(one.per_ice(wavelength_nm) for one in self._impurities)
+        if self.impurities_in == "ice":
+            added[:, self._ice] = ice_density(self.temperature_c) * per_ice
+        else:
+            # Per length of leg: what leaves as much of the impurity along a ray as there is per
+            # mass of ice, of which a ray crosses 1/K (Eq A.5) for every leg.
+            ice_per_leg = 1.0 / (self.attenuation_per_m * mean_leg_m(self))
+            density = ice_density(self.temperature_c) * ice_per_leg
+            added[:, : self._ice] = np.reshape(density * per_ice, (-1, 1))
+        return added
+
+    def describe(self) -> dict[str, Any]:
+        """Return inputs and derived quantities under names fit for dataset attributes."""
+        return (
+            described(self)
+            | described_impurities(self._impurities, self.impurities_in)
+            | {
+                "mean_grain_distance_m": self.mean_grain_distance_m,
+                "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
+                "optical_radius_um": self.optical_radius_um,
+                "liquid_water_content": self.liquid_water_content,
+            }
+            | shape_facts(self)
+        )

@@ -1,0 +1,174 @@
+"""Sizes of soil particles: one log-normal per soil separate, from texture.
+
+SPLITS section 4.2.6 after Shirazi et al. (1988, Soil Science Society of America Journal 52,
+181-190): within clay, silt and sand the distribution of mass is log-normal.  Geometric mean and
+standard deviation of each piece follow from the cumulative mass at its two limits, read as
+points of a normal distribution in log size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from statistics import NormalDist
+
+import numpy as np
+
+from splits.checks import in_range, numbers, refuse
+from splits.media.grain_statistics import TABLE_POINTS, integral_and_quantiles
+from splits.transport.numerics.rng import table_probabilities
+
+LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
+"""Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""
+SEPARATES = ("clay", "silt", "sand")
+FINES_LIMIT = 0.15
+"""A sand has silt + 1.5 clay of at most this (USDA; SPLITS Table 2)."""
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """Mass distribution of one separate: log-normal between two sizes.
+
+    Attributes
+    ----------
+    low, high : float
+        Limits of the major axis (m).
+    mass : float
+        Mass per mass of all particles.
+    mean, sd : float
+        Of the natural logarithm of the size in m: a_g and b_g of Eq 19.
+    """
+
+    low: float
+    high: float
+    mass: float
+    mean: float
+    sd: float
+
+    def _shape(self, x: np.ndarray, power: float = 0.0) -> np.ndarray:
+        """Return s^power times the density of x = ln s, up to a factor."""
+        score = (x - self.mean) / self.sd
+        return np.exp(-0.5 * score**2 + power * (x - np.log(self.low)))
+
+    @property
+    def inverse_mean(self) -> float:
+        """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
+        return _inverse_mean(self)
+
+    def struck_size(self, probability: np.ndarray) -> np.ndarray:
+        """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
+        low, high = float(np.log(self.low)), float(np.log(self.high))
+        return np.exp(
+            integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high, probability)[1]
+        )
+
+
+@lru_cache(maxsize=1024)
+def _inverse_mean(sizes: LogNormal) -> float:
+    """Return `LogNormal.inverse_mean`; fits ask for the same soils again and again."""
+    # Not in closed form: its error functions cancel when a separate's limits lie close
+    # together in probability, while this integrand is always smooth.
+    low, high = float(np.log(sizes.low)), float(np.log(sizes.high))
+    weighted, _ = integral_and_quantiles(lambda x: sizes._shape(x, -1.0), low, high)
+    return weighted / integral_and_quantiles(sizes._shape, low, high)[0] / sizes.low
+
+
+@dataclass(frozen=True)
+class SoilSizes:
+    """Particle sizes of a soil, separate by separate, from fine to coarse."""
+
+    separates: tuple[LogNormal, ...]
+
+    @property
+    def largest(self) -> float:
+        """Largest major axis (m)."""
+        return max(s.high for s in self.separates)
+
+    @property
+    def attenuation(self) -> float:
+        """Mean of 1/s by volume (1/m): K1 of Eq 23 without v_j."""
+        return sum(s.mass * s.inverse_mean for s in self.separates)
+
+    def struck_inverse_sizes(self) -> np.ndarray:
+        """Return the quantile function of 1/s of struck particles, shape (TABLE_POINTS,).
+
+        Between the outermost quantiles of two separates the table is linear, as within one: where
+        clay and sand have no silt between them, about 0.1 % of struck particles fall in the gap.
+        """
+        return _struck_inverse_sizes(self).copy()
+
+
+@lru_cache(maxsize=64)
+def _struck_inverse_sizes(sizes: SoilSizes) -> np.ndarray:
+    u = table_probabilities(TABLE_POINTS)
+    weights = np.array([s.mass * s.inverse_mean for s in sizes.separates])[::-1]
+    edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
+    edges[-1] = 1.0
+    inverse = np.empty(u.shape)
+    for i, separate in enumerate(reversed(sizes.separates)):
+        inside = (u >= edges[i]) & (u <= edges[i + 1])
+        part = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
+        inverse[inside] = 1.0 / separate.struck_size(1.0 - part)
+    return inverse
+
+
+def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -> SoilSizes:
+    """Return the particle sizes of a sand of given texture.
+
+    Parameters
+    ----------
+    texture : (clay, silt, sand)
+        Mass fractions ζ1, ζ2, ζ3, adding up to 1, with ζ2 + 1.5 ζ1 at most 0.15.
+    tail : float
+        Mass taken to lie beyond the outermost limits, 1e-6 to 0.01: it decides how far
+        distributions of open separates reach towards the fine end.
+    pieces : {"separates", "single"}
+        A log-normal per separate, or a single one with the geometric mean and standard deviation
+        of the texture (Shirazi & Boersma 1984, Soil Science Society of America Journal 48,
+        142-147), between the limits of the separates present.
+
+    Raises
+    ------
+    ValueError
+        For a texture that is no sand's.
+    """
+    clay, silt, sand = numbers("texture", texture, SEPARATES)
+    if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
+        raise refuse("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
+    if silt + 1.5 * clay > FINES_LIMIT + 1e-9:
+        raise refuse(
+            "texture", texture, f"silt + 1.5 clay at most {FINES_LIMIT:g}", "more is no sand"
+        )
+    tail = in_range("size_tail", tail, 1e-6, 0.01)
+    cumulative = np.clip([tail, clay, clay + silt, 1.0 - tail], tail, 1.0 - tail)
+    score = [NormalDist().inv_cdf(c) for c in cumulative]
+    x = np.log(LIMITS_M)
+    if pieces == "single":
+        return SoilSizes((_single((clay, silt, sand)),))
+    separates = []
+    for i, mass in enumerate((clay, silt, sand)):
+        if mass > 0.0 and score[i + 1] > score[i]:
+            sd = (x[i + 1] - x[i]) / (score[i + 1] - score[i])
+            mean = x[i] - sd * score[i]
+            separates.append(LogNormal(LIMITS_M[i], LIMITS_M[i + 1], mass, float(mean), float(sd)))
+    total = sum(s.mass for s in separates)
+    return SoilSizes(
+        tuple(LogNormal(s.low, s.high, s.mass / total, s.mean, s.sd) for s in separates)
+    )
+
+
+def _single(texture: tuple[float, float, float]) -> LogNormal:
+    """Return one log-normal over all separates, from the middles of their limits."""
+    mass = np.array(texture)
+    middle = np.log([0.5 * (a + b) for a, b in pairwise((0.0, *LIMITS_M[1:]))])
+    mean = float(mass @ middle)
+    sd = float(np.sqrt(max(mass @ middle**2 - mean**2, 0.0)))
+    present = np.flatnonzero(mass)
+    low, high = LIMITS_M[present[0]], LIMITS_M[present[-1] + 1]
+    if present.size == 1:
+        raise refuse(
+            "readings.sizes", "single", "'separates' for a texture of one separate alone",
+            "its standard deviation would be zero",
+        )  # fmt: skip
+    return LogNormal(low, high, 1.0, mean, sd)

@@ -1,0 +1,185 @@
+"""A stack: media of grains on top of one another, as one sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+
+from splits.checks import known_keywords, one_of, refuse, suggestion, under
+from splits.media.granular import GranularMedium, Interface
+from splits.media.ground import Ground, ground_facts
+from splits.media.layer import Layer
+from splits.media.particles import ParticleLayer
+from splits.media.pores import Pores
+from splits.media.readings import SETS
+from splits.transport.grains.scene import WET_PORE
+
+MOST_LAYERS = 200
+
+
+@known_keywords
+@dataclass(frozen=True)
+class Stack:
+    """Media of grains in order, top first.
+
+    Between them nothing optical stands.  The pore of a leg is drawn once, so it changes at an
+    interface only where saturations differ; there Fresnel's laws act.  A grain belongs to the
+    layer in which a ray meets it, and is kept where it reaches across an interface, so that a
+    medium cut in two answers as the whole.
+
+    Parameters
+    ----------
+    layers : sequence of Snow, Sand or Layer
+        Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
+        of them has a ground of its own.  A `Layer` has no bottom here, and a rough surface only
+        as the first.
+    ground : number, str, mapping or path, optional
+        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
+        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+    readings : str, optional
+        Name of a set of readings, see `splits.media.readings.SETS`, that all layers of grains take
+        in place of their own: snow and sand have different ones by default.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; the message names the layer.
+
+    Examples
+    --------
+    >>> from splits import Snow, Stack
+    >>> fresh = Snow(grain_size_um=(50, 100), density_kg_m3=120, depth_m=0.02)
+    >>> round(Stack([fresh, Snow()]).depth_m, 6)
+    0.14
+    """
+
+    kind = "stack"
+
+    layers: tuple[GranularMedium | Layer, ...]
+    ground: Any = None
+    readings: str | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.layers, str | GranularMedium | Layer) or not isinstance(
+            self.layers, Iterable
+        ):
+            raise refuse("layers", self.layers, "a list of media, top first")
+        layers = tuple(self.layers)
+        if not 1 <= len(layers) <= MOST_LAYERS:
+            raise refuse("layers", f"{len(layers)} layers", f"1 to {MOST_LAYERS}")
+        for number, layer in enumerate(layers):
+            if isinstance(layer, Layer):
+                with under(f"layers[{number}]"):
+                    ParticleLayer(layer, number == 0)
+                continue
+            if isinstance(layer, type) or not isinstance(layer, GranularMedium):
+                given = getattr(layer, "kind", layer)
+                near = suggestion(str(given).capitalize(), ["Snow", "Sand", "Layer"])
+                allowed = "splits.Snow(...), splits.Sand(...) or splits.Layer(...)"
+                raise refuse(f"layers[{number}]", given, allowed, near)
+            if layer.depth_m == math.inf and number < len(layers) - 1:
+                hint = "only the lowest layer has no end"
+                raise refuse(f"layers[{number}].depth_m", math.inf, "finite", hint)
+            if layer.ground is not None:
+                hint = "give it to the stack"
+                raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
+        if self.readings is not None:
+            layers = tuple(self._read_anew(layer) for layer in layers)
+        grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
+        for number, layer in grains:
+            top, first = grains[0]
+            if layer.readings.rules() != first.readings.rules():
+                raise refuse(
+                    f"layers[{number}].readings", layer.readings.as_dict(),
+                    f"those of layers[{top}], {first.readings.as_dict()}",
+                    "one set holds for all: Stack(..., readings='geometric')",
+                )  # fmt: skip
+        object.__setattr__(self, "layers", layers)
+        object.__setattr__(self, "ground", Ground.of(self.ground))
+
+    def _read_anew(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
+        """Return a layer with the stack's readings."""
+        if isinstance(layer, Layer):
+            return layer
+        own: Any = layer.readings
+        chosen = SETS[one_of("readings", self.readings, SETS)]
+        return replace(cast(Any, layer), readings=type(own).of({**own.as_dict(), **chosen}))
+
+    @cached_property
+    def parts(self) -> tuple[GranularMedium | ParticleLayer, ...]:
+        """The layers as scenes take them."""
+        return tuple(
+            ParticleLayer(layer, number == 0) if isinstance(layer, Layer) else layer
+            for number, layer in enumerate(self.layers)
+        )
+
+    @property
+    def depth_m(self) -> float:
+        """Thickness of all layers together (m)."""
+        return float(np.cumsum([part.depth_m for part in self.parts])[-1])
+
+    @property
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain of all layers (m)."""
+        return max(part.largest_grain_m for part in self.parts)
+
+    def materials(self) -> tuple[str, ...]:
+        """Return the names of the materials, layer by layer."""
+        return tuple(
+            f"layers.{number}.{name}"
+            for number, layer in enumerate(self.parts)
+            for name in layer.materials()
+        )
+
+    def interfaces(self) -> list[Interface]:
+        """Return the pairs of materials that meet within each layer, and at faces of particles'."""
+        found = []
+        first = np.cumsum([0, *(len(part.materials()) for part in self.parts)]).tolist()
+        for number, layer in enumerate(self.parts):
+            found += [
+                Interface(i.share, i.near + first[number], i.far + first[number], i.place, number)
+                for i in layer.interfaces()
+            ]
+        for upper, lower in pairwise(range(len(self.parts))):
+            for one, other in ((upper, lower), (lower, upper)):
+                found += self._between(one, other, first)
+        return found
+
+    def _between(self, one: int, other: int, first: list[int]) -> list[Interface]:
+        """Return what the pores of one layer of grains have in common with its neighbour."""
+        grains, neighbour = self.parts[one], self.parts[other]
+        if isinstance(grains, ParticleLayer):
+            return []
+        shares = Pores.of(grains.saturation, grains.pores).shares
+        matrix = isinstance(neighbour, ParticleLayer)
+        if not matrix and not grains.readings.rules().boundary_fresnel:
+            return []
+        # Air and water of two layers of grains may have tables of their own.
+        rows = [
+            (r, WET_PORE if matrix else r) for r in range(len(shares)) if matrix or r <= WET_PORE
+        ]
+        return [
+            Interface(shares[row], first[other] + beyond, first[one] + row, "face", one)
+            for row, beyond in rows
+            if shares[row] > 0.0
+        ]
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, materials)."""
+        return np.concatenate([layer.indices(wavelength_nm) for layer in self.parts], axis=1)
+
+    def describe(self) -> dict[str, Any]:
+        """Return inputs and derived quantities of all layers, for a dataset's attributes."""
+        facts: dict[str, Any] = {"depth_m": self.depth_m}
+        for number, layer in enumerate(self.parts):
+            facts[f"layers_{number}_kind"] = self.layers[number].kind
+            described = layer.describe()
+            described.pop("ground", None)
+            facts |= {f"layers_{number}_{key}": value for key, value in described.items()}
+        return facts | ground_facts(self.ground)

@@ -1,0 +1,157 @@
+"""Bands of sensors: by their ends, or by how a sensor responds to each wavelength."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
+from splits.extras import optional
+from splits.materials.tables import user_table
+
+COLUMNS = ("wavelength_nm", "response")
+SENSORS = {
+    "landsat_5": ("Landsat-5", "TM"),
+    "landsat_7": ("Landsat-7", "ETM+"),
+    "landsat_8": ("Landsat-8", "OLI_TIRS"),
+    "landsat_9": ("Landsat-9", "OLI_TIRS"),
+    "modis_aqua": ("Aqua", "MODIS"),
+    "modis_terra": ("Terra", "MODIS"),
+    "sentinel_2a": ("Sentinel-2A", "MSI"),
+    "sentinel_2b": ("Sentinel-2B", "MSI"),
+}
+"""Satellite and instrument of every sensor, as pyrsr calls them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """How much a sensor makes of light at each wavelength.
+
+    Attributes
+    ----------
+    wavelength_nm : float, shape (n,)
+        Strictly increasing (nm).
+    response : float, shape (n,)
+        Linear in between, nothing outside.
+    sha256 : str
+        Of a user's file.
+    """
+
+    wavelength_nm: np.ndarray
+    response: np.ndarray
+    sha256: str = ""
+
+    @classmethod
+    def between(cls, low: float, high: float) -> Band:
+        """Return the band in which all light counts alike, from low to high (nm)."""
+        return cls(np.array([low, high]), np.ones(2))
+
+    @classmethod
+    def of(cls, key: str, given: Any) -> Band:
+        """Return the band that a user's value stands for, or refuse it.
+
+        Parameters
+        ----------
+        key : str
+            For messages.
+        given : (float, float), mapping or path
+            Its ends (nm), or a mapping of ``wavelength_nm`` and ``response``, or the path of a CSV
+            file with these columns.
+
+        Raises
+        ------
+        ValueError
+            For a malformed band.
+        """
+        digest = ""
+        if isinstance(given, str | Path):
+            columns, digest = user_table(key, Path(given), COLUMNS)
+        elif isinstance(given, Mapping):
+            if set(given) != set(COLUMNS):
+                allowed = "its ends (nm), or a mapping of " + ", ".join(COLUMNS)
+                raise refuse(key, sorted(map(str, given)), allowed)
+            columns = [given[name] for name in COLUMNS]
+        else:
+            low, high = numbers(key, given, ("low", "high"))
+            if not 0.0 < low < high:
+                raise refuse(key, given, "0 < low < high (nm)")
+            return cls.between(low, high)
+        w, response = (
+            row_of(f"{key}.{name}", column) for name, column in zip(COLUMNS, columns, strict=True)
+        )
+        increasing(f"{key}.wavelength_nm", w)
+        if not w.size == response.size >= 2:
+            found = f"{w.size} wavelengths, {response.size} responses"
+            raise refuse(key, found, "two lists of the same length, at least 2")
+        if response.min() < 0.0 or not response.any():
+            raise refuse(
+                f"{key}.response", float(response.min()), "at least 0, and not 0 everywhere"
+            )
+        return cls(w, response, digest)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last wavelength (nm)."""
+        return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+
+
+def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
+    """Return the bands of a sensor, as `splits.albedo` takes them.
+
+    The tables are those of pyrsr (extra ``sky``), which has bands 1 to 16 of MODIS.  Bands of
+    thermal light are left out.
+
+    Parameters
+    ----------
+    name : str
+        One of landsat_5, landsat_7, landsat_8, landsat_9, modis_aqua, modis_terra, sentinel_2a,
+        sentinel_2b.
+
+    Returns
+    -------
+    dict
+        By names of bands, as the sensor's makers number them: ``wavelength_nm`` and ``response``,
+        at most 1.
+
+    Raises
+    ------
+    ValueError
+        For an unknown sensor.
+    ModuleNotFoundError
+        Without pyrsr.
+
+    Examples
+    --------
+    >>> import splits
+    >>> bands = splits.sensor("sentinel_2a")
+    >>> round(float(bands["3"]["wavelength_nm"][bands["3"]["response"].argmax()]))
+    560
+    """
+    one_of("sensor", name, SENSORS)
+    rsr = optional("pyrsr", "sky", "bands of sensors need").RSR
+    found = rsr(*SENSORS[name], no_thermal=True)
+    w = np.asarray(found.rsrs_wvl, dtype=float)
+    bands = {}
+    for label, response in found.rsrs_norm01.items():
+        # From the last zero before the first response to the first after the last.
+        first, last = np.flatnonzero(response > 0.0)[[0, -1]]
+        some = slice(max(first - 1, 0), last + 2)
+        bands[str(label)] = {"wavelength_nm": w[some], "response": response[some].clip(0.0, 1.0)}
+    return bands
+
+
+def bands_of(given: Any) -> dict[str, Band]:
+    """Return all bands that a user names, or refuse them."""
+    if given is None:
+        return {}
+    if isinstance(given, str):
+        one_of("bands", given, SENSORS)
+        given = sensor(given)
+    if not isinstance(given, Mapping):
+        allowed = "a mapping of names to bands, or one of " + listed(SENSORS)
+        raise refuse("bands", given, allowed)
+    return {str(name): Band.of(f"bands.{name}", band) for name, band in given.items()}

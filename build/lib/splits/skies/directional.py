@@ -1,0 +1,88 @@
+"""The reflectance factor of a sample under a sky, by direction of view."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import xarray as xr
+
+from splits.checks import known_arguments
+from splits.instruments import goniophotometer
+from splits.instruments.arguments import check_threads, check_whole
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.media.turbid import Medium
+from splits.skies.irradiance import Sky
+from splits.skies.mixing import asked, light_of, mixed, sky_facts
+
+
+@known_arguments
+def hdrf(
+    medium: Medium,
+    sky: Sky | str | Mapping[str, Any],
+    wavelength_nm: Any,
+    relative_stderr: float = 0.02,
+    seed: int = 1,
+    *,
+    polar_deg: Any = POLAR_DEG,
+    azimuth_deg: Any = AZIMUTH_DEG,
+    threads: int | None = None,
+) -> xr.Dataset:
+    """Measure the hemispherical-directional reflectance factor of a medium under a sky.
+
+    Parameters
+    ----------
+    medium : GranularMedium or TurbidMedium
+    sky : Sky, str or mapping
+        See `splits.sky`.
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm) that the sky has.
+    relative_stderr : float
+        Largest standard error wanted as a part of the value, under the sun and under diffuse light
+        each, see `splits.goniophotometer`.
+    seed : int
+        Non-negative; diffuse light takes the next.
+    polar_deg, azimuth_deg : array_like
+        Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
+    threads : int, optional
+        Default: every CPU this process may use.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance_factor`` and its error ``reflectance_factor_stderr`` over ``wavelength``,
+        ``polar`` and ``azimuth``: the radiance over that of a white Lambertian surface in the same
+        light.  Sunlight that is reflected as a beam, by a smooth face, is left out.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range, or wavelengths that the sky does not have.
+
+    References
+    ----------
+    Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
+    """
+    begun = time.perf_counter()
+    light = light_of(sky)
+    w = asked(wavelength_nm, light, 1)
+    seed, threads = check_whole("seed", seed, 0), check_threads(threads)
+
+    def run(incidence: float | str, number: int) -> xr.Dataset:
+        return goniophotometer(
+            medium, w, incidence, seed=seed + number, relative_stderr=relative_stderr,
+            polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads,
+        )  # fmt: skip
+
+    name = "reflectance_factor"
+    found = mixed(light, w, run, [name])
+    term = "hemispherical-directional reflectance factor under this sky"
+    error = {"long_name": f"standard error of {term}", "units": "1"}
+    about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
+    found[name].attrs, found[f"{name}_stderr"].attrs = about, error
+    facts = run_facts("Reflectance factor under a sky", "hdrf", medium, begun, seed, threads)
+    asked_for = {"relative_stderr": relative_stderr}
+    found = found.assign_coords(wavelength=wavelength_axis(w))
+    return found.assign_attrs(facts | sky_facts(light) | asked_for)

@@ -1,0 +1,297 @@
+"""Spectral irradiance on a horizontal surface: from the sun, and from the rest of the sky."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.extras import optional
+from splits.materials.tables import user_table
+from splits.skies.bands import Band, bands_of
+
+_TABLE = Path(__file__).with_name("skies.csv")
+COLUMNS = ("wavelength_nm", "direct", "diffuse")
+ALL = "broadband"
+CLOUDY = "_cloudy"
+"""How names of skies end from which all light is diffuse."""
+CLEAR = "clear"
+ASTM = "astm_g173"
+ASTM_ZENITH_DEG, ASTM_TILT_DEG = 48.19, 37.0
+"""Of the sun, and of the surface that ASTM G173 is for."""
+ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
+    "pressure_pa": (101_325.0, (3e4, 1.1e5)),
+    "precipitable_water_cm": (1.0, (0.0, 10.0)),
+    "ozone_atm_cm": (0.3, (0.0, 1.0)),
+    "turbidity_500nm": (0.1, (0.0, 2.0)),
+    "ground_albedo": (0.8, (0.0, 1.0)),
+}
+"""What a clear sky depends on besides the sun: value by default, and range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """Light on a horizontal surface.
+
+    Attributes
+    ----------
+    name, source : str
+    zenith_deg : float
+        Polar angle of the sun.
+    wavelength_nm : float, shape (n,)
+        Strictly increasing (nm).
+    direct, diffuse : float, shape (n,)
+        Spectral irradiance (W m⁻² nm⁻¹); only ratios count for albedos.
+    relative : bool
+        Whether irradiances are in other units, of which nothing is known.
+    sha256 : str
+        Of a user's file.
+    """
+
+    name: str
+    source: str
+    zenith_deg: float
+    wavelength_nm: np.ndarray
+    direct: np.ndarray
+    diffuse: np.ndarray
+    sha256: str = ""
+    relative: bool = False
+
+    @property
+    def total(self) -> np.ndarray:
+        """Direct and diffuse irradiance together."""
+        return self.direct + self.diffuse
+
+    def scaled_to(self, total_w_m2: float | None) -> Sky:
+        """Return this sky with an irradiance over all its wavelengths (W m⁻²), direct and diffuse.
+
+        Raises
+        ------
+        ValueError
+            Where it is left out and must not be, or is out of range.
+        """
+        if total_w_m2 is None:
+            if self.relative:
+                hint = f"irradiances of {self.name} are relative"
+                raise refuse("total_w_m2", None, "given: the irradiance of all light (W m-2)", hint)
+            return self
+        total = in_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
+        factor = total / self.weights(self.wavelength_nm, self.bands(None)[ALL]).sum()
+        direct, diffuse = factor * self.direct, factor * self.diffuse
+        return replace(self, direct=direct, diffuse=diffuse, relative=False)
+
+    def check_covers(self, wavelength_nm: np.ndarray) -> None:
+        """Refuse wavelengths (nm) at which nothing is known of this sky."""
+        first, last = self.wavelength_nm[[0, -1]]
+        outside = wavelength_nm[(wavelength_nm < first) | (wavelength_nm > last)]
+        if outside.size:
+            raise refuse(
+                "wavelength_nm", float(outside[0]), f"in [{first:g}, {last:g}] nm",
+                f"the range of the sky {self.name}",
+            )  # fmt: skip
+
+    def direct_share(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return the part of the light that comes straight from the sun, by wavelength (nm)."""
+        self.check_covers(wavelength_nm)
+        direct, total = (
+            np.interp(wavelength_nm, self.wavelength_nm, values)
+            for values in (self.direct, self.total)
+        )
+        # Where there is no light at all, nothing depends on it.
+        return np.divide(direct, total, out=np.zeros_like(total), where=total > 0.0)
+
+    def bands(self, given: Any) -> dict[str, Band]:
+        """Return the bands that a user names, after the one of all light.
+
+        Raises
+        ------
+        ValueError
+            For a malformed band, or one named like that of all light.
+        """
+        own = bands_of(given)
+        if ALL in own:
+            raise refuse(f"bands.{ALL}", own[ALL].ends, "left out: it is there always")
+        return {ALL: Band.between(*self.wavelength_nm[[0, -1]]), **own}
+
+    def check_bands(self, named: Mapping[str, Band], wavelength_nm: np.ndarray) -> None:
+        """Refuse bands of which no light lies within the wavelengths (nm)."""
+        for name, band in named.items():
+            if not self.weights(wavelength_nm, band).any():
+                first, last = wavelength_nm[[0, -1]]
+                allowed = f"bands with light between {first:g} and {last:g} nm"
+                hint = "ask for more wavelengths, or for some bands of a sensor alone"
+                raise refuse(f"bands.{name}", band.ends, allowed, hint)
+
+    def weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
+        """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.
+
+        Between wavelengths an albedo is taken as linear, beyond them as nothing: weights are the
+        integrals of irradiance times response times hats.
+        """
+        low, high = band.ends
+        nodes = np.concatenate([wavelength_nm, self.wavelength_nm, band.wavelength_nm])
+        inside = (nodes >= max(low, wavelength_nm[0])) & (nodes <= min(high, wavelength_nm[-1]))
+        nodes = np.unique(nodes[inside])
+        if nodes.size < 2 or wavelength_nm.size < 2:
+            return np.zeros(wavelength_nm.size)
+        # All three factors are linear between nodes: Simpson's rule is exact.
+        nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
+        step = nodes[2::2] - nodes[:-2:2]
+        rule = np.zeros(nodes.size)
+        for place, part in (
+            (slice(0, -2, 2), 1.0),
+            (slice(1, -1, 2), 4.0),
+            (slice(2, None, 2), 1.0),
+        ):
+            rule[place] += part * step / 6.0
+        light = rule * np.interp(nodes, self.wavelength_nm, self.total)
+        light *= np.interp(nodes, band.wavelength_nm, band.response)
+        hats = np.array(
+            [np.interp(nodes, wavelength_nm, hat) for hat in np.eye(wavelength_nm.size)]
+        )
+        weights: np.ndarray = hats @ light
+        return weights
+
+
+@cache
+def _known() -> pd.DataFrame:
+    return pd.read_csv(_TABLE, comment="#", dtype=float)
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the skies that need nothing else."""
+    return tuple(name for name in _known().columns if name != "wavelength_nm")
+
+
+def sky(
+    given: Any = "midlatitude_winter", zenith_deg: float | None = None, **atmosphere: float
+) -> Sky:
+    """Return the light of a sky.
+
+    Parameters
+    ----------
+    given : str, mapping or path
+        One of the skies of SNICAR, see `names`: clear ones, for which all light counts as direct
+        and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
+        a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
+        both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
+        ``diffuse``, lists, or the path of a CSV file with these columns (W m⁻² nm⁻¹).
+    zenith_deg : float, optional
+        Polar angle of the sun, 0 to 89 degrees; 60 by default, and 48.19 for ``astm_g173``,
+        which has no other.
+    **atmosphere
+        For ``"clear"`` (Bird & Riordan 1986): ``pressure_pa``, ``precipitable_water_cm``,
+        ``ozone_atm_cm``, ``turbidity_500nm`` (aerosol optical thickness) and ``ground_albedo``, of
+        which light comes back from the sky: 0.8 by default, for snow.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, a malformed table or a value outside its range.
+    ModuleNotFoundError
+        Without pvlib where it is needed.
+    """
+    if given == ASTM and zenith_deg is not None:
+        raise refuse("zenith_deg", zenith_deg, "left out", f"{ASTM} is for {ASTM_ZENITH_DEG}°")
+    zenith = in_range(
+        "zenith_deg", 60.0 if zenith_deg is None else zenith_deg, 0.0, 89.0, "degrees"
+    )
+    if given == CLEAR:
+        return _clear(zenith, _checked(atmosphere))
+    if atmosphere:
+        raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
+    if given == ASTM:
+        return _astm()
+    if isinstance(given, Mapping):
+        if set(given) != set(COLUMNS):
+            raise refuse("sky", sorted(map(str, given)), "a mapping of " + ", ".join(COLUMNS))
+        return _own("table", zenith, [given[name] for name in COLUMNS])
+    if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
+        columns, digest = user_table("sky", Path(given), COLUMNS)
+        return _own(Path(given).name, zenith, columns, digest)
+    if given not in names():
+        known = [*names(), CLEAR, ASTM]
+        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
+        raise refuse("sky", given, allowed, suggestion(given, known))
+    table = _known()
+    light = table[given].to_numpy()
+    none = np.zeros_like(light)
+    cloudy = given.endswith(CLOUDY)
+    parts = (none, light) if cloudy else (light, none)
+    source = "SNICAR-ADv3 (Flanner et al. 2021)"
+    return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
+
+
+def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:
+    w, direct, diffuse = (
+        row_of(f"sky.{key}", column) for key, column in zip(COLUMNS, columns, strict=True)
+    )
+    increasing("sky.wavelength_nm", w)
+    if not w.size == direct.size == diffuse.size >= 2:
+        sizes = f"{w.size}, {direct.size} and {diffuse.size} numbers"
+        raise refuse("sky", sizes, "three lists of the same length, at least 2")
+    for key, values in (("direct", direct), ("diffuse", diffuse)):
+        if values.min() < 0.0:
+            raise refuse(f"sky.{key}", float(values.min()), "at least 0")
+    if not (direct + diffuse).any():
+        raise refuse("sky", "0 everywhere", "light at some wavelength")
+    digest = sha256 or hashlib.sha256(np.stack([w, direct, diffuse]).tobytes()).hexdigest()
+    return Sky(name, "given by the user", zenith, w, direct, diffuse, digest)
+
+
+def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
+    """Return all that a clear sky depends on, or refuse what is given."""
+    for name in atmosphere:
+        if name not in ATMOSPHERE:
+            allowed = "one of " + ", ".join(ATMOSPHERE)
+            raise refuse("atmosphere", name, allowed, suggestion(name, list(ATMOSPHERE)))
+    return {
+        name: in_range(name, atmosphere.get(name, default), *limits)
+        for name, (default, limits) in ATMOSPHERE.items()
+    }
+
+
+def _clear(zenith: float, air: Mapping[str, float]) -> Sky:
+    """Return a clear sky after Bird & Riordan (1986), as pvlib has it."""
+    air_mass = optional("pvlib.atmosphere", "sky", "clear skies need").get_relative_airmass
+    found = optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
+        apparent_zenith=zenith,
+        aoi=zenith,
+        surface_tilt=0.0,
+        ground_albedo=air["ground_albedo"],
+        surface_pressure=air["pressure_pa"],
+        relative_airmass=air_mass(zenith, model="kasten1966"),
+        precipitable_water=air["precipitable_water_cm"],
+        ozone=air["ozone_atm_cm"],
+        aerosol_turbidity_500nm=air["turbidity_500nm"],
+        dayofyear=80,
+    )
+    direct, diffuse = (np.ravel(found[key]) for key in ("dni", "dhi"))
+    direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
+    given = ", ".join(f"{name} {value:g}" for name, value in air.items())
+    source = f"Bird & Riordan (1986), by pvlib: {given}"
+    w = np.ravel(found["wavelength"])
+    return Sky(CLEAR, source, zenith, w, direct, np.maximum(diffuse, 0.0))
+
+
+def _astm() -> Sky:
+    """Return ASTM G173 for a horizontal surface.
+
+    The standard gives the beam, and the light on a surface that leans towards the sun; what that
+    gets besides the beam is taken as diffuse.
+    """
+    spectrum = optional("pvlib.spectrum", "sky", "the standard sky needs")
+    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
+    beam, leaning = table["direct"].to_numpy(), table["global"].to_numpy()
+    facing = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
+    diffuse = np.maximum(leaning - beam * facing, 0.0)
+    direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
+    w = table.index.to_numpy(dtype=float)
+    return Sky(ASTM, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, w, direct, diffuse)

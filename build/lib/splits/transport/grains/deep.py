@@ -1,0 +1,140 @@
+"""Light that gets deep: rays split where they matter, end where they do not.
+
+Rays that reach the bottom of a deep, absorbing sample are too rare to wait for.  What a ray can be
+expected to contribute falls with its weight and grows with its depth.  Where the product,
+weight · exp(κ·depth), exceeds a window the ray is split into several lighter ones, and below it
+Russian roulette ends it or makes it heavier, so that rays of about equal worth are present at all
+depths (weight windows; Booth & Hendricks 1984, Nucl. Technol./Fusion 5, 90-100,
+doi:10.13182/FST84-A23082).  Neither changes the mean; κ only decides how fast it is reached.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.transport.compiling.jit import entry, owner
+from splits.transport.grains.flight import Purse
+from splits.transport.grains.granular import follow, launch
+from splits.transport.grains.scalar import Beam, Ray
+from splits.transport.grains.scene import UNLIMITED
+from splits.transport.grains.window import Window, worth_of
+from splits.transport.numerics.rng import mix64, start_stream, uniform
+from splits.transport.sums.tally import LOST, REFLECTED, TRANSMITTED, TRAVELS, Traced
+
+CAPACITY = 4096
+"""Rays that may wait to be followed; none is split while so many do."""
+UPPER = 2.0
+LOWER = 0.5
+MOST = 16
+"""Largest number of rays that one is split into at a time."""
+
+
+class Member(NamedTuple):
+    """A ray of a family: its weight, absorption not counted, and the start of its stream."""
+
+    ray: Ray
+    weight: float
+    stream: int
+
+
+class Sent(NamedTuple):
+    """What a family sent through, and the legs it took; `lost` where a ray found no grain."""
+
+    reflected: float
+    transmitted: float
+    legs: int
+    lost: bool
+
+
+@owner
+def split(state, member, worth, waiting):
+    """Split a ray that is worth too much; all but one wait."""
+    copies = min(int(worth + 0.5), MOST)
+    weight = member.weight / copies
+    for copy in range(1, copies):
+        stream = mix64(state[0] ^ mix64(np.uint64(copy)))
+        waiting.append(Member(member.ray, weight, stream))
+    # The ray itself goes on in a stream of its own, too: no two may meet.
+    state[0] = mix64(state[0] ^ mix64(np.uint64(0)))
+    return Member(member.ray, weight, member.stream)
+
+
+@owner
+def family(state, first, scene, optics, kappa, profile):
+    """Follow a ray and all that it is split into; see `families`."""
+    length = np.zeros(optics.n.size)
+    reflected, transmitted, legs = 0.0, 0.0, 0
+    waiting = [first]
+    while len(waiting) > 0:
+        member = waiting.pop()
+        state[0] = member.stream
+        ray = member.ray
+        while ray.fate == TRAVELS:
+            window = Window(member.weight, kappa, LOWER, UPPER, profile)
+            before = ray.legs
+            ray = follow(state, ray, scene, optics, length, None, window, None)
+            legs += ray.legs - before
+            if ray.fate != TRAVELS:
+                break
+            member = Member(ray, member.weight, member.stream)
+            worth = worth_of(ray, scene.layers, member.weight, kappa)
+            if worth < LOWER:
+                if uniform(state) >= worth:
+                    break
+                member = Member(ray, member.weight / worth, member.stream)
+            elif worth > UPPER and len(waiting) + MOST < CAPACITY:
+                member = split(state, member, worth, waiting)
+        weight = member.weight * math.exp(-ray.beam.purse.depth)
+        if ray.fate == LOST:
+            return Sent(reflected, transmitted, legs, True)
+        if ray.fate == REFLECTED:
+            reflected += weight
+        elif ray.fate == TRANSMITTED:
+            transmitted += weight
+    return Sent(reflected, transmitted, legs, False)
+
+
+@entry
+def families(seed, work, scene, optics, kappa, moments, profile):
+    """Follow rays and all that they are split into, and add up what each family sends through.
+
+    Parameters
+    ----------
+    seed : int
+    work : int64[3]
+        Ensemble, first ray, number of rays; they name the random streams, as in `granular.batch`.
+    scene, optics
+        See `splits.transport.grains.scene`; `optics.absorption` is that of the wavelength traced.
+    kappa : float
+        Rate at which the window falls with depth (1/m).
+    moments : float64[2, 3]
+        For [reflected, transmitted]: sum, sum of squares and largest of the families' weights,
+        advanced in place.
+    profile : float64[2, slices]
+        See `splits.transport.grains.window.Window`; advanced in place.
+
+    Returns
+    -------
+    Traced
+    """
+    legs = 0
+    state = np.zeros(1, dtype=np.uint64)
+    for number in range(work[1], work[1] + work[2]):
+        start_stream(state, seed, work[0], number)
+        ray = launch(state, scene, optics, None, UNLIMITED)
+        # Where worth decides, roulette does not.
+        beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, Purse(0.0, math.inf, 1.0))
+        ray = Ray(ray.fate, ray.flier, beam, ray.legs, ray.order, ray.most)
+        first = Member(ray, 1.0, state[0])
+        sent = family(state, first, scene, optics, kappa, profile)
+        legs += sent.legs
+        if sent.lost:
+            return Traced(legs, True)
+        for row, weight in ((0, sent.reflected), (1, sent.transmitted)):
+            moments[row, 0] += weight
+            moments[row, 1] += weight * weight
+            moments[row, 2] = max(moments[row, 2], weight)
+    return Traced(legs, False)

@@ -1,0 +1,171 @@
+"""Microfacets: the normal that a ray meets on a rough grain surface.
+
+SPLITS section 4.2.3, Eq 3 and section 4.3.4; SPLITSnow section 3.3, Eqs 3-4: the facet normal n'
+leans from the macroscopic normal n by n·n' = 1 − |ξ|, ξ normal with standard deviation
+facetness/2 and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a ray along d strikes
+one with probability proportional to its projected area |n'·d|, among those facing the ray.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from splits.transport.compiling.jit import HALF, ONE, TWO, ZERO, kernel
+from splits.transport.grains.spheroid import normal_at
+from splits.transport.numerics.arithmetic import fused, precise, reciprocal_root, root
+from splits.transport.numerics.elementary import Angle
+from splits.transport.numerics.vectors import Vector, along, cross, dot, scaled
+
+PROJECTED = 0
+"""Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""
+UNWEIGHTED = 1
+"""Facets facing the ray, each with the same probability."""
+ANY = 2
+"""Any facet; one that faces away acts through its opposite side."""
+
+
+class Choice(NamedTuple):
+    """A facet, accepted or not.
+
+    Attributes
+    ----------
+    accepted : bool
+        False asks for another.
+    cos_azimuth : float
+        Of the facet, counted from the tangential part of −d, with its sign.
+    cos : float
+        Cosine of incidence on the facet, −d·n' (negative only under `ANY`).
+    """
+
+    accepted: bool
+    cos_azimuth: float
+    cos: float
+
+
+class Facet(NamedTuple):
+    """A surface and a facet on it as a ray meets them.
+
+    Attributes
+    ----------
+    normal : Vector
+        Of the macroscopic surface, on the ray's side.
+    cos_i : float
+        Cosine of incidence on it.
+    accepted : bool
+    turned : bool
+        The facet's opposite side is struck.
+    cos : float
+        Cosine of incidence on the facet.
+    leaned, azimuth, cos_lobe
+        See `facet_normal`, for a facet or a lobe; the cosine of the lobe's azimuth, whose
+        sine is the facet's.
+    """
+
+    normal: Vector
+    cos_i: float
+    accepted: bool
+    turned: bool
+    cos: float
+    leaned: Angle
+    azimuth: Angle
+    cos_lobe: float
+
+
+@kernel
+def projected_choice(tilt, cos_azimuth, incidence, u):
+    """Accept or reject a facet in proportion to its projected area, and settle its azimuth.
+
+    Exact rejection sampling of two mirror azimuths at once: for φ and π − φ the weights are
+    max(0, A ± B), A = cosτ cosθ, B = sinτ sinθ |cosφ|; their sum never exceeds max(2 cosθ, 1),
+    and the share of the second decides the sign of cosφ.
+
+    Parameters
+    ----------
+    tilt : Angle
+        τ, from n.
+    cos_azimuth : float
+        |cosφ|.
+    incidence : Angle
+        θ, between −d and n.
+    u : float
+        A uniform random number.
+    """
+    a = tilt.cos * incidence.cos
+    b = tilt.sin * incidence.sin * cos_azimuth
+    opposite = max(ZERO, a - b)
+    variate = u * max(TWO * incidence.cos, ONE)
+    mirror = variate < opposite
+    cos_facet = a - b if mirror else a + b
+    return Choice(variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet)
+
+
+@kernel
+def other_choice(tilt, cos_azimuth, incidence, u, rule):
+    """Return what `projected_choice` does, for the rules `UNWEIGHTED` and `ANY`."""
+    cos_azimuth = -cos_azimuth if u < HALF else cos_azimuth
+    cos_facet = fused(tilt.cos, incidence.cos, tilt.sin * incidence.sin * cos_azimuth)
+    accepted = (cos_facet > ZERO) | ((rule == ANY) & (cos_facet < ZERO))
+    return Choice(accepted, cos_azimuth, cos_facet)
+
+
+@kernel
+def facet_normal(d, n, cos_i, leaned, azimuth):
+    """Return the facet's normal, its azimuth counted from the tangential part of −d.
+
+    c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
+
+    Parameters
+    ----------
+    d, n : Vector
+    cos_i : float
+        cosθ.
+    leaned : Angle
+        Cosine c of the tilt, and s / sinθ in place of its sine.
+    azimuth : Angle
+    """
+    p = leaned.sin * azimuth.cos
+    q = leaned.sin * azimuth.sin
+    a = fused(-p, cos_i, leaned.cos)
+    return along(q, cross(d, n), along(-p, d, scaled(a, n)))
+
+
+@kernel
+def facing(d, grain, side):
+    """Return the smooth surface where a ray along d is, as its own only facet."""
+    normal = scaled(side, normal_at(grain))
+    cos_i = max(-dot(d, normal), precise(d.x).grazing)
+    numbers = precise(d.x)
+    flat = Angle(numbers.one, numbers.zero)
+    return Facet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
+
+
+@kernel
+def rough(d, smooth, roughness, numbers, lobe, rule, variant):
+    """Return a facet of a rough surface, drawn by a rule; by default `PROJECTED`."""
+    normal, cos_i = smooth.normal, smooth.cos_i
+    tangential = along(cos_i, normal, d)
+    square = max(dot(tangential, tangential), precise(d.x).normal)
+    per_sin = reciprocal_root(square)
+    incidence = Angle(cos_i, square * per_sin)
+    # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
+    lean = roughness * numbers.normal
+    # A lobe's sine takes the same root.
+    tilt = Angle(
+        ONE - lean, root(max(ONE - numbers.fresnel if lobe else lean * (TWO - lean), ZERO))
+    )
+    half = numbers.azimuth
+    cos_lobe = -half.cos if numbers.choice < HALF else half.cos
+    if variant is not None and rule != PROJECTED:
+        choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)
+    else:
+        choice = projected_choice(tilt, half.cos, incidence, numbers.choice)
+    return Facet(
+        normal,
+        cos_i,
+        choice.accepted & (lean < ONE),
+        choice.cos < ZERO,
+        max(abs(choice.cos), precise(d.x).grazing),
+        Angle(tilt.cos, tilt.sin * per_sin),
+        Angle(choice.cos_azimuth, half.sin),
+        cos_lobe,
+    )

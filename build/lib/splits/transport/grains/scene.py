@@ -1,0 +1,224 @@
+"""What a kernel is told: plain numbers and arrays, in SI units.
+
+These named tuples are the contract between media and kernels.  Materials are rows of the index
+arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and coatings.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.transport.grains import facets, spheroid
+from splits.transport.optics.light import Light
+
+DRY_PORE = 0
+WET_PORE = 1
+
+GRAINS = -1
+"""In place of a row of particles, for a layer of grains."""
+
+NO_GROUND = -1
+"""In place of the ground's column, where nothing below sends light back."""
+
+UNLIMITED = 2**31 - 1
+"""Grains met after which a ray is given up, where it may meet any number."""
+
+MAX_REJECTIONS = 10_000_000
+"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
+that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
+
+LOBE = 0
+"""A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
+MIRRORED = 1
+"""A ray sent to the wrong side of the macroscopic surface is mirrored in that surface."""
+
+KEPT = 0
+"""A grain that does not fit is taken as it is."""
+REDRAWN = 1
+"""A grain that does not fit is drawn again from the ray's origin, distance included."""
+SKIPPED = 2
+"""A grain that does not fit is left out: the next distance counts from its place."""
+
+ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
+FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
+WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
+FATE = {"reject": REDRAWN, "keep": KEPT, "skip": SKIPPED}
+
+
+class Types(NamedTuple):
+    """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
+
+    A table of distributions has one row per type, or a single row that holds for all of them.
+
+    Attributes
+    ----------
+    shells : int64[types]
+        Number of coatings plus one, the core.
+    material : int64[types, deepest]
+        Rows of the materials from the outermost coating to the core.
+    thickness : float64[types, deepest]
+        Thickness of the coatings as a fraction of the major axis; unused for the core.
+    curvature : float64[rows, m]
+        Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
+        sections make uniform, and is exact in a table whatever the range of sizes.
+    sphericity : float64[rows, m]
+        Inscribed-circle sphericity of struck grains.
+    facetness : float64[rows, m]
+    """
+
+    shells: np.ndarray
+    material: np.ndarray
+    thickness: np.ndarray
+    curvature: np.ndarray
+    sphericity: np.ndarray
+    facetness: np.ndarray
+
+
+class Grains(NamedTuple):
+    """What a medium is made of.
+
+    Attributes
+    ----------
+    attenuation : float
+        Expected number of grains met per metre of pore-space path, all types together.
+    share : float64[types]
+        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
+    types : Types
+    """
+
+    attenuation: float
+    share: np.ndarray
+    types: Types
+
+
+class Layers(NamedTuple):
+    """Media between extended horizontal faces, top first.
+
+    Attributes
+    ----------
+    face : float64[layers + 1]
+        Heights of the faces (m), 0 at the top; where that is rough, a height above all of it.
+    attenuation : float64[layers]
+        Expected number of grains met per metre of pore-space path.
+    saturation : float64[layers]
+        Probability that a leg through the pore space runs in the wet medium.
+    share : float64[layers, most]
+        Cumulative probability that the grain met is of the layer's type 0…i.
+    first : int64[layers]
+        Row of the layer's first type.
+    pore : int64[layers]
+        Material of its dry pores; that of its wet ones follows, then those of others.
+    others : float64[layers, most]
+        Cumulative probabilities, from the saturation on, that a leg runs in one of the other media.
+    particles : int64[layers]
+        Row of `Particles` of a layer that has these and no grains; `GRAINS` of others.
+    """
+
+    face: np.ndarray
+    attenuation: np.ndarray
+    saturation: np.ndarray
+    share: np.ndarray
+    first: np.ndarray
+    pore: np.ndarray
+    others: np.ndarray
+    particles: np.ndarray
+
+
+class Particles(NamedTuple):
+    """Single scattering by the small particles of layers, see `splits.transport.optics.phase`.
+
+    Attributes
+    ----------
+    albedo : float64[rows]
+        Single-scattering albedo.
+    kind : int64[rows]
+    g : float64[rows]
+    size : int64[rows]
+        Length of the table.
+    cosines, density, quantiles : float64[rows, longest]
+    """
+
+    albedo: np.ndarray
+    kind: np.ndarray
+    g: np.ndarray
+    size: np.ndarray
+    cosines: np.ndarray
+    density: np.ndarray
+    quantiles: np.ndarray
+
+
+class Rules(NamedTuple):
+    """Named readings of the papers as the numbers that kernels branch on (see `ENTRY` etc.).
+
+    `analog` turns absorption into a coin toss on every leg; otherwise path lengths are kept and
+    turned into weights when the ray leaves.
+    """
+
+    entry: int
+    facets: int
+    wrong_side: int
+    boundary_fresnel: bool
+    on_last_leg: int
+    across_boundary: int
+    analog: bool
+
+
+class Scene(NamedTuple):
+    """Light on layers of grains over a ground, and how the papers are read.
+
+    Attributes
+    ----------
+    light : Light
+    layers : Layers
+    types : Types
+    rules : Rules
+    particles : Particles
+    ground : int
+        Column among the materials' lengths where meetings with the ground are counted, whose
+        "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
+    listens : bool
+        Whether rays that pass faces between layers are noted.
+    """
+
+    light: Light
+    layers: Layers
+    types: Types
+    rules: Rules
+    particles: Particles
+    ground: int
+    listens: bool
+
+
+class Optics(NamedTuple):
+    """Optical constants of the materials for one ensemble of paths.
+
+    Attributes
+    ----------
+    n, k : float64[materials]
+        Complex refractive index n + i k that decides reflection and refraction.
+    absorption : float64[materials]
+        Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
+        takes them as lower bounds over the wavelengths it serves, for Russian roulette.
+    absorbs : bool[materials]
+        Whether a material absorbs at any of these wavelengths.
+    """
+
+    n: np.ndarray
+    k: np.ndarray
+    absorption: np.ndarray
+    absorbs: np.ndarray
+
+
+def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
+    """Return what paths take that serve several wavelengths.
+
+    Parameters
+    ----------
+    index : complex, shape (materials,)
+    absorption : float, shape (wavelengths, materials)
+        Roulette may only use what holds for every wavelength that listens.
+    """
+    absorbs = absorption.max(axis=0) > 0.0
+    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0), absorbs)

@@ -1,0 +1,128 @@
+"""Whether lanes can serve a scene, and with which features."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import config
+
+from splits.transport.compiling.features import Features
+from splits.transport.compiling.jit import borrower
+from splits.transport.grains import facets, spheroid
+from splits.transport.grains.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
+from splits.transport.optics.fresnel import interface
+
+FAINT = 1e-5
+"""Change of the reflectance of diffuse light up to which extinction coefficients are left out of
+reflection.  They show most where light meets an absorbing medium of lower index."""
+
+GRAZING = 1e-4
+"""Cosine of incidence below which single precision no longer tells whether a grain just below the
+boundary fits."""
+
+LARGEST = 1e3
+"""Refractive index and extinction coefficient whose powers single precision still holds."""
+
+_PLACE, _WEIGHT = np.polynomial.legendre.leggauss(96)
+
+DEEPEST = 1e5
+"""Depth in mean distances between grains up to which single precision places rays well: its
+steps are then below 1 % of that distance."""
+
+
+def features_for(
+    scene: Scene,
+    optics: Optics,
+    positions: bool = False,
+    orders: bool = False,
+) -> Features | None:
+    """Return what a scene has, or None if only the scalar kernel serves it.
+
+    Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
+    more than one coating, samples of more than `DEEPEST` mean distances, extremely grazing beams,
+    and indices beyond `LARGEST`; and they need a compiler.
+
+    Parameters
+    ----------
+    scene, optics
+        See `splits.transport.grains.scene`.
+    positions : bool
+        Whether horizontal positions of exit are wanted.
+    orders : bool
+        Whether the number of grains met is wanted, or limited.
+    """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return None
+    light, layers, types, rules, *_ = scene
+    depth = layers.face[0] - layers.face[-1]
+    if (layers.particles != GRAINS).any() or layers.others.shape[1] > 0:
+        return None
+    if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
+        return None
+    if light.diffuse < 1.0 and light.cos < GRAZING:
+        return None
+    if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
+        return None
+    layered = layers.attenuation.size > 1
+    mixed = layered or types.shells.size > 1 or types.shells.max() > 1
+    absorbing = False
+    if not mixed:
+        core = types.material[0, 0]
+        pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
+        pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
+        absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
+    default = (rules.entry, rules.facets, rules.wrong_side) == (
+        spheroid.UNIFORM,
+        facets.PROJECTED,
+        LOBE,
+    ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
+    return Features(
+        wet=_feature(layers.saturation.max() > 0.0),
+        foggy=_feature(bool(optics.absorbs[layers.pore].any())),
+        faceted=_feature(bool((types.facetness > 0.0).any())),
+        absorbing=_feature(absorbing),
+        mixed=_feature(bool(mixed)),
+        variant=_feature(not default),
+        layered=_feature(layered),
+        positions=_feature(positions),
+        orders=_feature(orders),
+    )
+
+
+def extinction_shows(optics: Optics, near: int, far: int) -> float:
+    """Return by how much the far side's extinction moves the reflectance of diffuse light.
+
+    The integral of 2μ |R(n, k) − R(n, 0)| over the cosine of incidence μ.
+
+    Parameters
+    ----------
+    optics : Optics
+    near, far : int
+        Materials on the side of incidence and beyond.
+    """
+    n1, n2, k2 = float(optics.n[near]), float(optics.n[far]), float(optics.k[far])
+    return float(_shift(n1, n2, k2)) if k2 > 0.0 else 0.0
+
+
+@borrower
+def _shift(n1, n2, k2):
+    """Integrate on both sides of the critical angle, where the difference peaks.
+
+    Towards that angle nodes crowd by a square, for a root that ends there.
+    """
+    critical = math.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0)) if n2 < n1 else 0.0
+    total = 0.0
+    for i in range(_PLACE.size):
+        t = 0.5 * (_PLACE[i] + 1.0)
+        for span in (critical - 1.0, critical):
+            # t² of the way from the critical cosine to 1 or to 0.
+            mu = critical - span * t * t
+            if span != 0.0:
+                moved = interface(n1, n2, k2, mu)[0] - interface(n1, n2, 0.0, mu)[0]
+                total += _WEIGHT[i] * t * abs(span) * 2.0 * mu * abs(moved)
+    return total
+
+
+def _feature(present: bool) -> bool | None:
+    return True if present else None

@@ -1,0 +1,1 @@
+"""Random numbers, vectors and elementary functions, in either precision."""

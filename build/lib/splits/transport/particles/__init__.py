@@ -1,0 +1,1 @@
+"""Layers of small particles, under smooth and rough surfaces, and what detectors are told."""

@@ -1,0 +1,61 @@
+"""A layer of small particles, as kernels take it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from splits.transport.optics.light import Light
+from splits.transport.optics.phase import Phase
+from splits.transport.optics.stokes import Stokes
+from splits.transport.rough.waves import Fields
+
+OPEN = -1.0
+"""In place of the bottom's albedo: the layer ends at a smooth face to the outer medium."""
+
+
+class Turbid(NamedTuple):
+    """The layer between its mean surface z = 0 and z = −depth.
+
+    Attributes
+    ----------
+    depth : float
+        Metres; may be infinite.
+    extinction : float
+        1/m; infinite where nothing comes back from below the surface.
+    albedo : float
+        Of single scattering.
+    n : float
+        Refractive index relative to the outer medium.
+    bottom : float
+        Albedo of the diffuse bottom, or `OPEN`.
+    analog : bool
+        Absorption by coin toss.
+    """
+
+    depth: float
+    extinction: float
+    albedo: float
+    n: float
+    bottom: float
+    analog: bool
+
+
+class Scene(NamedTuple):
+    """What there is.
+
+    Attributes
+    ----------
+    light : Light
+    layer : Turbid
+    phase : Phase
+    fields : Fields or None
+        The rough surface; every ray meets a realisation of its own.
+    stokes : Stokes or None
+        Polarization of the light as it comes, `NATURAL`, or None where nobody asks for it.
+    """
+
+    light: Light
+    layer: Turbid
+    phase: Phase
+    fields: Fields | None
+    stokes: Stokes | None

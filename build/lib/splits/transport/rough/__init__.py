@@ -1,0 +1,1 @@
+"""Randomly rough surfaces: realisations, and where rays meet them."""

@@ -1,0 +1,44 @@
+"""What the commands of the package say of themselves, asked when the site is built."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx.util.docutils import SphinxDirective
+
+LOG = logging.getLogger(__name__)
+ENTRY = "splits.command"
+CODE = f"import sys; from {ENTRY} import main; sys.argv[0] = 'splits'; sys.exit(main())"
+
+
+class CommandHelp(SphinxDirective):
+    """``{command-help} SUBCOMMAND``: the answer to ``splits SUBCOMMAND --help``."""
+
+    optional_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the command and its answer."""
+        if find_spec(ENTRY) is None:
+            return []
+        command = [*self.arguments, "--help"]
+        plain = {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}
+        answer = subprocess.run(
+            [sys.executable, "-c", CODE, *command],
+            capture_output=True, text=True, env=os.environ | plain, check=False,
+        )  # fmt: skip
+        if answer.returncode:
+            LOG.warning("%s: %s", command, answer.stderr, location=self.get_location())
+        text = f"$ splits {' '.join(command)}\n{answer.stdout}"
+        return [nodes.literal_block(text, text, language="console")]
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Offer the directive."""
+    app.add_directive("command-help", CommandHelp)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,140 @@
+"""Pages of the gallery: one per experiment and per figure of a study, and tiles that lead there.
+
+The pages are written below docs/gallery/ before Sphinx reads the folder, from config/ and from
+docs/gallery/images/, which `snakemake documented` fills from a run.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from splits.experiments.load import load_settings
+from splits.experiments.yaml_files import read_yaml, yaml_of
+
+ROOT = Path(__file__).parents[2]
+EXPERIMENTS = ROOT / "config" / "experiments"
+GALLERY = ROOT / "docs" / "gallery"
+STUDIES = "studies"
+CAPTIONS = {
+    "sensitivity": {"figure": "sensitivity"},
+    "agreement": {"figure": "letcher"},
+    "readings": {"figure": "readings_together"},
+    "surface_area": {"figure": "surface_area", "law_figure": "surface_area_law"},
+}
+"""Files of workflow/report/ that describe the figures of studies, by kind and product."""
+TITLES = {
+    "sensitivity": "Mean sensitivity indices",
+    "letcher": "Measured albedo and three kinds of grains",
+    "readings_together": "All combinations of readings",
+    "surface_area": "Surface area of measured snow",
+    "surface_area_law": "Reflectance at 1310 nm and surface area",
+}
+
+
+@dataclass(frozen=True)
+class Page:
+    """What one page of the gallery shows."""
+
+    folder: str
+    name: str
+    title: str
+    caption: str
+    target: str
+    """What snakemake is asked for."""
+    files: dict[str, str] = field(default_factory=dict)
+    """YAML to show, by what it is called."""
+
+    @property
+    def image(self) -> Path:
+        """Where its image is, if there is one."""
+        return GALLERY / "images" / f"{self.name}.webp"
+
+    def text(self) -> str:
+        """Return the page in MyST Markdown."""
+        parts = [f"# {self.title}"]
+        if self.image.exists():
+            parts.append(f"```{{image}} ../images/{self.image.name}\n:alt: {self.title}\n```")
+        parts.append(self.caption)
+        parts.append(f"```console\n$ snakemake --cores 2 {self.target}\n```")
+        parts += [f"{name}:\n\n```yaml\n{text.rstrip()}\n```" for name, text in self.files.items()]
+        return "\n\n".join(part for part in parts if part) + "\n"
+
+
+@functools.cache
+def pages() -> list[Page]:
+    """Return all pages: of the experiments of config/, and of the figures of its studies."""
+    return [_experiment(path) for path in sorted(EXPERIMENTS.rglob("*.yaml"))] + _studies()
+
+
+def _experiment(path: Path) -> Page:
+    content = read_yaml(path)
+    name = str(content.get("name", path.stem))
+    files = {f"`{path.relative_to(ROOT).as_posix()}`": path.read_text(encoding="utf-8")}
+    base = content.get("medium", {}).get("base")
+    if base:
+        start = ROOT / "config" / "media" / f"{base}.yaml"
+        label = f"It starts from `{start.relative_to(ROOT).as_posix()}`"
+        files[label] = start.read_text(encoding="utf-8")
+    title, caption = (str(content.get(key, "")).strip() for key in ("title", "caption"))
+    if content.get("figure") == "none" or content.get("figure", {}).get("kind") == "none":
+        caption += "\n\nIt has no figure of its own."
+    return Page(path.parent.name, name, title or name, caption, name, files)
+
+
+def _studies() -> list[Page]:
+    found = []
+    settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
+    for name, study in settings.studies.items():
+        paths = study.paths(name)
+        section = yaml_of({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
+        for product, report in CAPTIONS.get(study.kind, {}).items():
+            caption = (ROOT / "workflow" / "report" / f"{report}.rst").read_text(encoding="utf-8")
+            files = {"In `config/config.yaml`": section}
+            stem = Path(paths[product][0]).stem
+            found.append(Page(STUDIES, stem, TITLES[report], caption.strip(), name, files))
+    return found
+
+
+def write_pages(app: Sphinx) -> None:
+    """Write all pages that have changed, and delete those of experiments that are gone."""
+    pages.cache_clear()
+    wanted = {GALLERY / page.folder / f"{page.name}.md": page for page in pages()}
+    for path in GALLERY.glob("*/*.md"):
+        if path not in wanted:
+            path.unlink()
+    for path, page in wanted.items():
+        path.parent.mkdir(exist_ok=True)
+        if not path.exists() or path.read_text(encoding="utf-8") != page.text():
+            path.write_text(page.text(), encoding="utf-8")
+
+
+class Tiles(SphinxDirective):
+    """``{gallery-tiles} FOLDER``: the pages of a folder as images with their titles."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the tiles and a table of contents for the sidebar."""
+        folder = self.arguments[0]
+        shown = [page for page in pages() if page.folder == folder]
+        lines = ["````{container} gallery"]
+        for page in shown:
+            picture = f"![](images/{page.image.name})" if page.image.exists() else ""
+            lines.append(f"- [{picture} {page.title}]({folder}/{page.name}.md)")
+            self.env.note_dependency(str(page.image))
+        lines += ["````", "", "```{toctree}", ":hidden:", ""]
+        lines += [f"{page.title} <{folder}/{page.name}>" for page in shown] + ["```"]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Have the pages written before Sphinx looks for documents."""
+    app.connect("builder-inited", write_pages)
+    app.add_directive("gallery-tiles", Tiles)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

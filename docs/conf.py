@@ -1,0 +1,62 @@
+"""How Sphinx builds the site of docs/ (make docs).
+
+Nothing is fetched, neither by the build nor by a browser: no web fonts, no scripts from elsewhere,
+formulas as MathML.
+"""
+
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+from splits.sources import PACKAGE, files_digest
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_ext"))
+
+project = "splits"
+author = "The authors of splits-optics"
+version = release = version_of("splits-optics")
+project_copyright = author
+
+extensions = [
+    "myst_nb", "sphinx.ext.autodoc", "numpydoc",
+    "mathml", "marked_numbers", "gallery", "configuration", "command_help",
+]  # fmt: skip
+exclude_patterns = ["_build", "_ext", "_templates"]
+templates_path = ["_templates"]
+default_role = "code"
+
+html_theme = "furo"
+html_title = f"splits {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_show_copyright = False
+html_math_renderer = "mathml"
+pygments_style = "friendly"
+pygments_dark_style = "monokai"
+
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+myst_update_mathjax = False
+myst_links_external_new_tab = False
+
+# Examples run while the site is built, each page in a folder of its own, and again only when it or
+# the package has changed.
+nb_execution_mode = "cache"
+SOURCES = sorted(p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.[pc]*[yv]"))
+nb_execution_cache_path = str(HERE / "_build" / "cache" / files_digest(PACKAGE, SOURCES))
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_kernel_rgx_aliases = {".*": "python3"}
+nb_output_stderr = "error"
+nb_merge_streams = True
+nb_number_source_lines = False
+nb_ipywidgets_js = {}
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False

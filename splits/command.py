@@ -1,0 +1,166 @@
+"""The command `splits`: one experiment without a workflow, versions, kept kernels, archives."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from splits.extras import optional
+
+ACCURACIES = {"tiny": (0.05, 0.3), "draft": (0.01, 0.05), "standard": (0.002, 0.02),
+              "fine": (0.001, 0.01)}  # fmt: skip
+"""Largest standard error of hemispherical values, and largest relative one of values by direction,
+as in config/config.yaml."""
+SHOWN = (
+    "numpy", "numba", "llvmlite", "xarray", "netCDF4", "pydantic", "scipy", "matplotlib",
+    "snakemake",
+)  # fmt: skip
+"""Packages whose versions `splits versions` prints."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What stands behind `splits`; by default what the shell gave.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 1 after one line that says what is wrong.
+    """
+    given = _parser().parse_args(arguments)
+    try:
+        given.action(given)
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
+        print(f"splits: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="splits", description="Light that snow, sand and rough layers send back."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run one experiment file and draw its figure")
+    run.add_argument("file", type=Path, help="an experiment, YAML")
+    run.add_argument("--output", type=Path, default=Path(), metavar="FOLDER",
+                     help="where the dataset and the figure go (default: here)")  # fmt: skip
+    run.add_argument("--accuracy", choices=ACCURACIES, default="standard",
+                     help="how exact (default: standard)")  # fmt: skip
+    run.add_argument("--seed", type=int, default=1, help="of the random numbers (default: 1)")
+    run.add_argument("--threads", type=int, help="default: all processors")
+    run.add_argument("--media", type=Path, default=Path("config/media"), metavar="FOLDER",
+                     help="where `base: NAME` finds NAME.yaml (default: config/media)")  # fmt: skip
+    run.set_defaults(action=_run)
+
+    versions = commands.add_parser("versions", help="print versions of this and what it uses")
+    versions.set_defaults(action=_versions)
+
+    cache = commands.add_parser("cache", help="say where compiled kernels are kept")
+    cache.add_argument("--clear", action="store_true", help="delete them")
+    cache.set_defaults(action=_cache)
+
+    unpack = commands.add_parser(
+        "unpack", help="verify an archive of results, byte by byte, and unpack it"
+    )
+    unpack.add_argument("archive", type=Path, help="a zip file that `snakemake archive` made")
+    unpack.add_argument("folder", type=Path, nargs="?",
+                        help="where to; new or empty (default: only verify)")  # fmt: skip
+    unpack.set_defaults(action=_unpack)
+    return parser
+
+
+def _run(given: argparse.Namespace) -> None:
+    """Run an experiment; its dataset and figure appear whole or not at all."""
+    optional("pydantic", "experiments", "experiment files need")
+    optional("yaml", "experiments", "experiment files need")
+    from splits.analysis.measured import read_measured
+    from splits.dataset import save
+    from splits.experiments.load import load_experiment
+    from splits.experiments.run import run
+    from splits.experiments.run_fit import run_fit
+    from splits.experiments.settings import Accuracy
+    from splits.experiments.simulation import Simulation
+    from splits.instruments.arguments import check_threads, check_whole
+    from splits.interrupts import end_on_signals
+
+    seed = check_whole("--seed", given.seed, 0)
+    threads = check_threads(given.threads)
+    experiment = load_experiment(given.file, given.media)
+    measured = given.media.parent / "measured"
+    max_stderr, relative_stderr = ACCURACIES[given.accuracy]
+    accuracy = Accuracy(max_stderr=max_stderr, relative_stderr=relative_stderr)
+    end_on_signals("splits run")
+    simulation = Simulation.model_validate(experiment.simulation())
+    if experiment.fit:
+        table = read_measured(measured / experiment.fit.measured)
+        dataset = run_fit(simulation, accuracy, table, seed, threads, _say)
+    else:
+        dataset = run(simulation, accuracy, seed, threads, _say)
+    target = given.output / f"{experiment.name}.nc"
+    save(dataset, target)
+    print(target)
+    if experiment.figure.kind != "none":
+        optional("matplotlib", "figures", "figures need")
+        optional("seaborn", "figures", "figures need")
+        from splits.figures import draw, save_figure
+
+        shown = experiment.figure.measured
+        beside = [read_measured(measured / shown)] if shown else []
+        save_figure(draw(dataset, experiment.drawing(), *beside), target.with_suffix(""))
+        print(target.with_suffix(".png"))
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _versions(given: argparse.Namespace) -> None:
+    """Print what a report of a problem should hold."""
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
+    from splits.extras import DISTRIBUTION
+    from splits.schema import VERSION
+    from splits.versions import commit, package_version
+
+    print(f"{DISTRIBUTION} {package_version()} (commit {commit()})")
+    print(f"schema of datasets {VERSION}")
+    print(f"python {platform.python_version()} on {platform.platform()}")
+    for name in SHOWN:
+        try:
+            print(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            print(f"{name} not installed")
+
+
+def _cache(given: argparse.Namespace) -> None:
+    """Say what is kept where, or delete it."""
+    from splits.transport.compiling.cache import folders
+
+    for folder in folders():
+        kept = sorted(folder.path.glob("*.nbc"))
+        size = sum(path.stat().st_size for path in kept) / 1e6
+        print(f"{folder.path}: {len(kept)} compiled kernels, {size:.1f} MB")
+        if given.clear:
+            for path in kept:
+                folder.drop(path.name)
+            print(f"deleted {len(kept)}")
+
+
+def _unpack(given: argparse.Namespace) -> None:
+    """Verify an archive and, where a folder is given, unpack it."""
+    from splits.unpacking import unpack, verify
+
+    print(unpack(given.archive, given.folder) if given.folder else verify(given.archive))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

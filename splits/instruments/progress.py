@@ -1,0 +1,139 @@
+"""What a running simulation has reached, and a bar that shows it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from importlib.util import find_spec
+from types import TracebackType
+from typing import Any, ParamSpec, TypeVar
+
+from tqdm import tqdm
+
+from splits.checks import refuse
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a running simulation has reached.
+
+    Attributes
+    ----------
+    rays : int
+        Rays of the present round.
+    stderr : float
+        Largest standard error so far; 1 or more before the first round is over.  Relative, where
+        an instrument works to a relative error.
+    target : float
+        Error asked for.
+    seconds, seconds_left : float
+        Time since the start, and about as much still to go (s).
+    """
+
+    rays: int
+    stderr: float
+    target: float
+    seconds: float
+    seconds_left: float
+
+    @property
+    def share(self) -> float:
+        """Part of the whole time that is over, 0 to 1."""
+        whole = self.seconds + self.seconds_left
+        return self.seconds / whole if whole > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        left = f"{self.seconds_left:.0f} s left"
+        if self.stderr >= 1.0:
+            return f"first round, {left}"
+        return f"error {self.stderr:.2g}, wanted {self.target:g}, {left}"
+
+
+Report = Callable[[Progress], None] | bool | None
+"""What instruments take as `progress`: a function, True for a bar, or nothing."""
+
+
+_FORMAT = "{desc}{percentage:3.0f}%|{bar}|"
+
+
+class ProgressBar:
+    """A bar in the terminal, or in a notebook, for the `progress` of an instrument.
+
+    Parameters
+    ----------
+    description : str
+        Stands before the bar.
+
+    Examples
+    --------
+    One bar for each call is what ``progress=True`` gives.  A bar of your own serves several:
+
+    >>> import splits
+    >>> with splits.ProgressBar("dry snow") as bar:
+    ...     ds = splits.spectrophotometer(splits.Snow(), [800], max_stderr=0.05, progress=bar)
+    """
+
+    def __init__(self, description: str = "") -> None:
+        before = f"{description}: " if description else ""
+        self._bar = _kind()(total=1.0, desc=before, bar_format=f"{_FORMAT} starting")
+
+    def __call__(self, progress: Progress) -> None:
+        """Show what has been reached."""
+        self._show(progress.share, str(progress))
+
+    def close(self, *, done: bool = True) -> None:
+        """Leave the bar as it is, full if the simulation is done."""
+        if done and not self._bar.disable:
+            self._show(1.0, "done")
+        self._bar.close()
+
+    def _show(self, share: float, text: str) -> None:
+        self._bar.n = share
+        self._bar.bar_format = f"{_FORMAT} {text}"
+        self._bar.refresh()
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(done=kind is None)
+
+
+def _kind() -> type[tqdm]:
+    """Return the bar of notebooks where there is one, the terminal's elsewhere."""
+    if "ipykernel" in sys.modules and find_spec("ipywidgets"):
+        from tqdm.notebook import tqdm as in_notebooks
+
+        kind: type[tqdm] = in_notebooks
+        return kind
+    return tqdm
+
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def shows_progress(instrument: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Let ``progress=True`` of an instrument stand for a bar, and refuse what is no function."""
+
+    @wraps(instrument)
+    def measured(*args: Given.args, **given: Given.kwargs) -> Result:
+        progress: Any = given.get("progress")
+        if progress is True:
+            with ProgressBar(instrument.__name__) as bar:
+                return instrument(*args, **{**given, "progress": bar})  # type: ignore[arg-type]
+        if progress is False:
+            return instrument(*args, **{**given, "progress": None})  # type: ignore[arg-type]
+        if progress is not None and not callable(progress):
+            allowed = "True for a bar, or a function that takes a splits.Progress"
+            raise refuse("progress", progress, allowed)
+        return instrument(*args, **given)
+
+    return measured

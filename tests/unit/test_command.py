@@ -1,0 +1,97 @@
+"""The command `splits`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import yaml
+from chi2 import NEEDS_JIT
+
+import splits
+from splits import command
+from splits.transport.compiling import cache
+
+SMALL = """
+title: Small
+medium: {kind: snow, depth_m: 0.005}
+instrument: {wavelength_nm: [800, 1300]}
+grid: {saturation: [0, 0.5]}
+"""
+
+
+def test_accuracies_are_those_of_the_shipped_configuration(pytestconfig):
+    shipped = yaml.safe_load((pytestconfig.rootpath / "config" / "config.yaml").read_text("utf-8"))
+    ours = {
+        name: {"max_stderr": absolute, "relative_stderr": relative}
+        for name, (absolute, relative) in command.ACCURACIES.items()
+    }
+    assert ours == shipped["accuracies"]
+
+
+@NEEDS_JIT
+def test_an_experiment_becomes_a_dataset_and_a_figure(tmp_path, capsys):
+    file = tmp_path / "small.yaml"
+    file.write_text(SMALL, encoding="utf-8")
+    code = subprocess.run(
+        [sys.executable, "-m", "splits.command", "run", file, "--output", tmp_path / "made",
+         "--accuracy", "tiny", "--seed", "3", "--threads", "1"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert code.returncode == 0, code.stderr
+    made = splits.load(tmp_path / "made" / "small.nc")
+    assert made.reflectance.dims == ("saturation", "wavelength")
+    assert made.attrs["seed"] == 3
+    assert (tmp_path / "made" / "small.png").is_file()
+    assert code.stdout.splitlines() == [
+        str(tmp_path / "made" / "small.nc"), str(tmp_path / "made" / "small.png"),
+    ]  # fmt: skip
+    assert "small 1/2 saturation=0: done" in code.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("medium: {saturation: 2}\n", [], "medium.saturation = 2: must be in [0, 1]"),
+        (SMALL, ["--seed", "-1"], "--seed = -1: must be a whole number of at least 0"),
+        (SMALL, ["--threads", "0"], "threads = 0: must be a whole number of at least 1"),
+    ],
+)
+def test_what_cannot_be_run_is_one_line(tmp_path, capsys, text, options, said):
+    file = tmp_path / "bad.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert command.main(["run", str(file), "--output", str(tmp_path / "made"), *options]) == 1
+    line = capsys.readouterr().err
+    assert line.startswith("splits: ") and said in line and line.count("\n") == 1
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
+    assert command.main(["run", str(tmp_path / "none.yaml")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pydantic", None)
+    assert command.main(["run", str(tmp_path / "any.yaml")]) == 1
+    said = "experiment files need the package pydantic: pip install 'splits-optics[experiments]'"
+    assert said in capsys.readouterr().err
+
+
+def test_versions_name_this_and_what_it_uses(capsys):
+    assert command.main(["versions"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"splits-optics {splits.__version__} (commit ")
+    assert {"numba", "xarray"} <= {line.split()[0] for line in lines}
+
+
+def test_kept_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
+    kept = cache.Folder(tmp_path / "kernels", True)
+    kept.write("a.nbc", b"x" * 2000)
+    monkeypatch.setattr(cache, "folders", lambda: (kept,))
+    assert command.main(["cache"]) == 0
+    assert capsys.readouterr().out == f"{kept.path}: 1 compiled kernels, 0.0 MB\n"
+    assert command.main(["cache", "--clear"]) == 0
+    assert capsys.readouterr().out.endswith("deleted 1\n")
+    assert list(kept.path.iterdir()) == []

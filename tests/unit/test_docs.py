@@ -1,0 +1,172 @@
+"""The site of docs/: what it has to show is there, and stays small and self-contained."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import splits
+from splits.experiments import load_settings
+from splits.experiments.model import Experiment
+from splits.experiments.sections import FigureSection, FitSection, Instrument
+from splits.experiments.settings import Accuracy, Settings
+from splits.experiments.studies import SensitivityPair, Study
+from splits.experiments.yaml_files import read_yaml
+from splits.figures.gallery import BYTES, WIDTH, small, write_gallery
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+IMAGES = DOCS / "gallery" / "images"
+
+for package in ("sphinx", "latex2mathml"):
+    pytest.importorskip(package, reason="comes with the extra docs")
+sys.path.insert(0, str(DOCS / "_ext"))
+import configuration  # noqa: E402
+import gallery  # noqa: E402
+import marked_numbers  # noqa: E402
+import mathml  # noqa: E402
+
+
+def pages():
+    return [p for p in sorted(DOCS.rglob("*.md")) if not {"_build", "gallery"} & set(p.parts)]
+
+
+# --- reference ------------------------------------------------------------------------------------
+
+
+def test_every_public_name_is_documented():
+    text = "".join(p.read_text(encoding="utf-8") for p in (DOCS / "reference/api").glob("*.md"))
+    shown = re.findall(r"^\.\. auto(?:class|function|data):: splits\.(\w+)$", text, re.M)
+    assert sorted(set(splits.__all__) - {"__version__"}) == sorted(shown)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [Experiment, Instrument, FitSection, FigureSection, Settings, Accuracy, Study, SensitivityPair],
+)
+def test_every_key_of_a_model_has_a_meaning(model):
+    page = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")
+    table = re.search(rf"```{{config-keys}} [\w.]+\.{model.__name__}\n(.*?)```", page, re.S)[1]
+    assert set(re.findall(r"^(\w+):", table, re.M)) == set(model.model_fields)
+
+
+def test_limits_and_defaults_of_keys_are_the_models():
+    fields = Instrument.model_fields
+    assert configuration.allowed(fields["target"]) == "`brdf`, `btdf`"
+    assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
+    assert configuration.allowed(fields["cells"]) == "2 numbers"
+    assert configuration.default(fields["kind"]) == "`spectrophotometer`"
+    assert configuration.default(fields["error_factor"]) == "`1.0`"
+    assert configuration.default(fields["rays"]) == "none"
+    limits = Accuracy.model_fields["relative_stderr"]
+    assert configuration.allowed(limits) == "a number, at least 0.0001, at most 0.5"
+    assert configuration.default(Accuracy.model_fields["max_stderr"]) == "needed"
+
+
+# --- gallery --------------------------------------------------------------------------------------
+
+
+def test_every_experiment_has_a_page_and_an_image():
+    shown = {page.name: page for page in gallery.pages()}
+    assert len(shown) == len(gallery.pages())
+    for path in (ROOT / "config" / "experiments").rglob("*.yaml"):
+        page, figure = shown[path.stem], read_yaml(path).get("figure", {})
+        assert path.read_text(encoding="utf-8").rstrip() in page.text()
+        assert f"snakemake --cores 2 {path.stem}\n" in page.text()
+        assert page.image.exists() == (figure not in ("none", {"kind": "none"})), path.stem
+
+
+def test_every_figure_of_a_study_has_a_page_and_an_image():
+    shown = {page.name: page for page in gallery.pages() if page.folder == gallery.STUDIES}
+    studies = load_settings(read_yaml(ROOT / "config" / "config.yaml")).studies
+    for name, study in studies.items():
+        for paths in study.paths(name).values():
+            for path in paths:
+                if path.endswith(".png"):
+                    page = shown.pop(Path(path).stem)
+                    assert page.image.exists() and f"--cores 2 {name}\n" in page.text()
+    assert not shown
+
+
+def test_images_of_the_gallery_are_small_and_used():
+    image = pytest.importorskip("PIL.Image")
+    names = {page.image.name for page in gallery.pages()}
+    for path in IMAGES.iterdir():
+        assert path.name in names
+        assert path.stat().st_size <= BYTES
+        with image.open(path) as picture:
+            assert picture.width <= WIDTH
+
+
+def test_index_of_the_gallery_shows_every_folder():
+    text = (DOCS / "gallery" / "index.md").read_text(encoding="utf-8")
+    folders = re.findall(r"{gallery-tiles} (\w+)", text)
+    assert sorted(folders) == sorted({page.folder for page in gallery.pages()})
+
+
+def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    figures, folder = tmp_path / "figures", tmp_path / "images"
+    figures.mkdir()
+    for name, width in {"wide": 2 * WIDTH, "narrow": 100}.items():
+        image.effect_noise((width, 50), 40).save(figures / f"{name}.png")
+    with pytest.raises(ValueError, match=r"gone\.png'.*must be there"):
+        write_gallery(figures, ["wide", "gone"], folder)
+    assert not folder.exists()
+    assert write_gallery(figures, ["wide", "narrow"], folder) == (
+        [folder / "wide.webp", folder / "narrow.webp"],
+        [],
+    )
+    with image.open(folder / "wide.webp") as copy:
+        assert copy.size == (WIDTH, 25)
+    assert write_gallery(figures, ["narrow"], folder) == ([], [folder / "wide.webp"])
+    assert [path.name for path in folder.iterdir()] == ["narrow.webp"]
+
+
+def test_a_figure_that_cannot_be_small_is_refused(tmp_path, monkeypatch):
+    image = pytest.importorskip("PIL.Image")
+    image.effect_noise((100, 100), 90).save(tmp_path / "noise.png")
+    monkeypatch.setattr("splits.figures.gallery.BYTES", 100)
+    with pytest.raises(ValueError, match="fits into 100 bytes"):
+        small(tmp_path / "noise.png")
+
+
+# --- pages ----------------------------------------------------------------------------------------
+
+
+def test_marks_of_numbers_do_not_reach_the_site():
+    source = ["| 0.8 ± 0.1<!--a.b--> | 10⁷<!--c--> |"]
+    marked_numbers.without_marks(None, "page", source)
+    assert source == ["| 0.8 ± 0.1 | 10⁷ |"]
+
+
+def test_formulas_that_are_not_understood_are_warnings(caplog):
+    formula = mathml.nodes.math("", r"\frac{a}{b} \le \mathrm{e}^{-\alpha \ell}")
+    assert mathml.mathml(formula, "inline").startswith("<math")
+    assert not caplog.records
+    for text, message in {
+        r"\unheardof{x}": "unheardof is not known",
+        r"x_": "MissingSuperScr",
+    }.items():
+        mathml.mathml(mathml.nodes.math("", text), "block")
+        assert message in caplog.text
+        caplog.clear()
+
+
+def test_notebooks_are_stored_without_outputs():
+    notebooks = sorted((DOCS / "notebooks").glob("*.ipynb"))
+    assert notebooks
+    for path in notebooks:
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            assert not cell.get("outputs") and cell.get("execution_count") is None, path.name
+
+
+def test_pages_that_run_say_so():
+    for path in pages():
+        text = path.read_text(encoding="utf-8")
+        if "{code-cell}" in text:
+            assert text.startswith("---\nfile_format: mystnb\n"), path

@@ -1,0 +1,73 @@
+"""Progress of a running simulation, and the bar that shows it."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.instruments.progress import shows_progress
+
+WITH_PROGRESS = (
+    "spectrophotometer", "spectra", "goniophotometer", "bssrdf", "deep_transmittance", "profile",
+    "albedo", "hdrf", "light_inside",
+)  # fmt: skip
+HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
+
+
+@shows_progress
+def instrument(*, progress=None):
+    """Report once."""
+    if progress:
+        progress(HALF)
+    return progress
+
+
+@pytest.mark.parametrize("name", WITH_PROGRESS)
+def test_long_instruments_take_progress(name):
+    assert "progress" in inspect.signature(getattr(splits, name)).parameters
+
+
+def test_progress_says_how_far_and_how_good():
+    assert HALF.share == 0.75
+    assert str(HALF) == "error 0.004, wanted 0.002, 1 s left"
+    assert str(splits.Progress(10, 1.0, 0.1, 0.0, 0.0)).startswith("first round")
+    assert splits.Progress(10, 1.0, 0.1, 0.0, 0.0).share == 0.0
+
+
+def test_true_shows_a_bar_that_ends_full(capsys):
+    assert isinstance(instrument(progress=True), splits.ProgressBar)
+    said = capsys.readouterr().err
+    assert "instrument:  75%" in said and "error 0.004, wanted 0.002" in said
+    assert "100%" in said and "done" in said
+
+
+def test_a_failure_leaves_the_bar_where_it_was(capsys):
+    with pytest.raises(KeyError), splits.ProgressBar("mine") as bar:
+        bar(HALF)
+        raise KeyError
+    said = capsys.readouterr().err
+    assert "mine:  75%" in said and "100%" not in said
+
+
+def test_nothing_and_false_show_nothing(capsys):
+    assert instrument() is None
+    assert instrument(progress=False) is None
+    assert capsys.readouterr().err == ""
+
+
+def test_what_is_no_function_is_refused():
+    with pytest.raises(ValueError, match=r"progress = 'yes': must be True for a bar, or a func"):
+        instrument(progress="yes")
+
+
+@NEEDS_JIT
+def test_an_instrument_reports_to_a_function():
+    seen = []
+    splits.spectrophotometer(
+        splits.Snow(depth_m=0.01), [1300], max_stderr=0.01, progress=seen.append
+    )
+    assert seen and all(isinstance(one, splits.Progress) for one in seen)
+    assert seen[0].target == 0.01

@@ -1,0 +1,56 @@
+"""Datasets of every older layout can be read; those of newer ones are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits import schema
+
+OLD = Path(__file__).parent / "data"
+
+
+@pytest.mark.parametrize("number", range(schema.VERSION))
+def test_a_file_of_every_older_schema_is_read(number):
+    found = splits.load(OLD / f"schema_{number}.nc")
+    assert found.attrs["splits_schema"] == schema.VERSION
+    assert found.attrs["splits_version"] == "0.1.0"
+    assert found.reflectance.dims == ("wavelength",)
+    assert np.isfinite(found.reflectance_stderr).all()
+
+
+def test_every_older_schema_has_a_reader():
+    assert sorted(schema.READERS) == list(range(schema.VERSION))
+
+
+def test_readers_are_applied_one_after_the_other(monkeypatch):
+    steps = {
+        n: lambda ds, n=n: ds.assign_attrs(seen=[*ds.attrs.get("seen", []), n]) for n in (0, 1)
+    }
+    monkeypatch.setattr(schema, "READERS", steps)
+    monkeypatch.setattr(schema, "VERSION", 2)
+    assert schema.upgraded(xr.Dataset(), "a.nc").attrs == {"seen": [0, 1], "splits_schema": 2}
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (99, r"a\.nc: splits_schema = 99: must be at most \d+; a newer version .* \(3\.0\)"),
+        ("x", r"a\.nc: splits_schema = 'x': must be a whole number"),
+        (-1, r"a\.nc: splits_schema = -1: must be a whole number"),
+    ],
+)
+def test_other_numbers_are_refused(number, said):
+    attributes = {"splits_schema": number, "splits_version": "3.0"}
+    with pytest.raises(ValueError, match=said):
+        schema.upgraded(xr.Dataset(attrs=attributes), "a.nc")
+
+
+def test_new_files_carry_the_number():
+    from splits.dataset import provenance
+
+    assert provenance()["splits_schema"] == schema.VERSION

@@ -1,0 +1,350 @@
+"""Archives that someone else made: refused in one line, or unpacked as they were packed."""
+
+from __future__ import annotations
+
+import json
+import random
+import stat
+import subprocess
+import sys
+import warnings
+import zipfile
+from hashlib import sha256
+
+import pytest
+
+import splits.unpacking
+from splits.archive import pack
+from splits.crate import METADATA
+from splits.unpacking import ArchiveError, unpack, verify
+
+DATA = "data/a.nc"
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """Return an archive as the workflow packs it."""
+    root = tmp_path_factory.mktemp("packed")
+    for name in (DATA, "figures/a.png", "tables/deep/with a space.csv"):
+        path = root / "out" / name
+        path.parent.mkdir(parents=True)
+        path.write_bytes(name.encode() * 100)
+    results = [path for path in (root / "out").rglob("*") if path.is_file()]
+    pack(results, {"config/config.yaml": b"seed: 1\n"}, root / "out" / "archive" / "made.zip")
+    return root / "out" / "archive" / "made.zip"
+
+
+@pytest.fixture
+def members(packed):
+    with zipfile.ZipFile(packed) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """Return a function that asserts that a zip file is refused, and that nothing is left."""
+
+    def check(path, match):
+        before = sorted(tmp_path.rglob("*"))
+        for attempt in (verify, lambda archive: unpack(archive, tmp_path / "target")):
+            with pytest.raises(ArchiveError, match=match) as caught:
+                attempt(path)
+            assert "\n" not in str(caught.value)
+            assert str(caught.value).startswith(f"{path}: refused, ")
+        assert sorted(tmp_path.rglob("*")) == before
+
+    return check
+
+
+def listed(members, add=(), change=None):
+    """Return members whose metadata list further files, or are changed besides."""
+    crate = json.loads(members[METADATA])
+    graph = {entity["@id"]: entity for entity in crate["@graph"]}
+    for name, content in dict(add).items():
+        graph[name] = {
+            "@id": name, "@type": "File", "contentSize": str(len(content)),
+            "sha256": sha256(content).hexdigest(),
+        }  # fmt: skip
+        graph["./"]["hasPart"].append({"@id": name})
+    crate["@graph"] = list(graph.values())
+    if change:
+        change(crate, graph)
+    return members | dict(add) | {METADATA: json.dumps(crate).encode()}
+
+
+def zipped(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
+    """Write a zip file of plain files; `edit` takes it before its directory is written."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of names that come twice
+        with zipfile.ZipFile(path, "w") as file:
+            for name, content in members.items() if isinstance(members, dict) else members:
+                info = zipfile.ZipInfo(name)
+                info.compress_type = method
+                info.external_attr = (stat.S_IFREG | 0o644) << 16
+                file.writestr(info, content)
+            if edit:
+                edit(file)
+    return path
+
+
+def test_what_was_packed_is_unpacked(packed, members, tmp_path):
+    report = unpack(packed, tmp_path / "target")
+    found = {
+        path.relative_to(tmp_path / "target").as_posix(): path.read_bytes()
+        for path in (tmp_path / "target").rglob("*")
+        if path.is_file()
+    }
+    assert found == members
+    assert report == verify(packed)
+    assert report.sha256 == sha256(packed.read_bytes()).hexdigest()
+    assert report.files == len(members)
+    assert report.size == sum(map(len, members.values()))
+    assert report.license == "https://spdx.org/licenses/MIT"
+    assert f"{len(members)} files" in str(report) and report.sha256 in str(report)
+    assert [path.name for path in tmp_path.iterdir()] == ["target"]
+    assert not any(path.stat().st_mode & 0o111 for path in tmp_path.rglob("*") if path.is_file())
+
+
+def test_an_empty_folder_is_filled_and_another_one_is_not(packed, tmp_path):
+    (tmp_path / "empty").mkdir()
+    unpack(packed, tmp_path / "empty")
+    assert (tmp_path / "empty" / DATA).is_file()
+    (tmp_path / "link").symlink_to(tmp_path / "empty")
+    (tmp_path / "file").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    for taken in ("empty", "link", "file"):
+        with pytest.raises(ValueError, match=r"^folder = .*: must be a new or an empty folder$"):
+            unpack(packed, tmp_path / taken)
+    with pytest.raises(ValueError, match=r"^folder = .*: must be in a folder that exists$"):
+        unpack(packed, tmp_path / "none" / "target")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_unpacking_needs_no_more_than_the_core():
+    lacking = ("pydantic", "yaml", "rocrate", "snakemake", "scipy")
+    code = f"import sys\nfor name in {lacking}: sys.modules[name] = None\nimport splits.unpacking"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("/etc/passwd", "an absolute path"),
+        ("C:/x.nc", "an absolute path"),
+        ("c:x.nc", "an absolute path"),
+        ("../x.nc", r"a path with \.\."),
+        ("data/../../x.nc", r"a path with \.\."),
+        ("data/..", r"a path with \.\."),
+        ("data\\x.nc", "a path with a backslash"),
+        ("..\\x.nc", "a path with a backslash"),
+        ("\\\\server\\x.nc", "a path with a backslash"),
+        ("data/folder/", "a folder"),
+        ("data//x.nc", "a name that not all systems have"),
+        ("./README.md", "a name that not all systems have"),
+        ("data/x.nc.", "a name that not all systems have"),
+        ("data/x.nc ", "a name that not all systems have"),
+        ("data/nul.nc", "a name that not all systems have"),
+        ("data/x.nc:stream", "a name with characters that not all systems have"),
+        ("data/\x1b[2J.nc", "a name with characters that not all systems have"),
+        ("data/\u202ecn.exe", "a name with characters that not all systems have"),
+        ("data/" + "x" * 256, "too long a name"),
+        ("data/" + "x/" * 600 + "x", "too long a name"),
+        ("profiles/default/config.yaml", "no file that archives have"),
+        (".snakemake/x", "no file that archives have"),
+        ("yaml.py", "no file that archives have"),
+        ("data", "no file that archives have"),
+        ("config/__init__.py", "a program"),
+        ("data/x.SO", "a program"),
+    ],
+)
+def test_names_that_lead_elsewhere_are_refused(name, why, members, tmp_path, refused):
+    path = zipped(tmp_path / "bad.zip", listed(members, {name: b"x"}))
+    refused(path, why)
+
+
+def test_a_name_that_is_cut_short_is_refused(members, tmp_path, refused):
+    path = zipped(tmp_path / "bad.zip", listed(members, {"data/xy.nc": b"x"}))
+    path.write_bytes(path.read_bytes().replace(b"data/xy.nc", b"data/x\0.nc"))
+    refused(path, "a name with characters")
+
+
+@pytest.mark.parametrize(
+    ("attributes", "why"),
+    [
+        ((stat.S_IFLNK | 0o777) << 16, "a symbolic link"),
+        ((stat.S_IFIFO | 0o644) << 16, "no plain file"),
+        ((stat.S_IFCHR | 0o644) << 16, "no plain file"),
+        ((stat.S_IFBLK | 0o644) << 16, "no plain file"),
+        ((stat.S_IFSOCK | 0o644) << 16, "no plain file"),
+        ((stat.S_IFDIR | 0o755) << 16, "no plain file"),
+        (0x10, "no plain file"),
+        ((stat.S_IFREG | 0o744) << 16, "an executable file"),
+        (0o611 << 16, "an executable file"),
+        ((stat.S_IFREG | 0o4644) << 16, "an executable file"),
+    ],
+)
+def test_what_is_no_plain_file_is_refused(attributes, why, members, tmp_path, refused):
+    def edit(file):
+        file.NameToInfo[DATA].external_attr = attributes
+
+    refused(zipped(tmp_path / "bad.zip", members, edit), f"'{DATA}' is {why}")
+
+
+@pytest.mark.parametrize(
+    "more", [DATA, "data/A.nc", "data/a.nc/b.nc", "data/ａ.nc", "Config/config.yaml"]
+)
+def test_names_that_are_the_same_somewhere_are_refused(more, members, tmp_path, refused):
+    both = [*listed(members, {more: b"x"}).items()]
+    both += [(DATA, b"x")] if more == DATA else []
+    why = "no file" if more.startswith("C") else "is there twice, or its name differs in case only"
+    refused(zipped(tmp_path / "bad.zip", both), why)
+
+
+def test_folders_that_differ_in_case_are_refused(members, tmp_path, refused):
+    more = {"tables/Deep/other.csv": b"x"}
+    refused(zipped(tmp_path / "bad.zip", listed(members, more)), "differs in case only")
+
+
+def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
+    bomb = listed(members, {"data/bomb.nc": bytes(2**25)})
+    refused(zipped(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
+    path = zipped(tmp_path / "large.zip", members)
+    with monkeypatch.context() as patch:
+        patch.setattr(splits.unpacking, "MOST_BYTES", 1000)
+        refused(path, "it would unpack to more than")
+    with monkeypatch.context() as patch:
+        patch.setattr(splits.unpacking, "MOST_METADATA", 1000)
+        refused(path, "has more than")
+    with monkeypatch.context() as patch:
+        patch.setattr(splits.unpacking, "MOST_MEMBERS", 3)
+        refused(path, "more than 3 members")
+    assert verify(path).files == len(members)
+
+
+@pytest.mark.parametrize("declared", [10, 10**6])
+def test_sizes_that_are_not_declared_are_refused(declared, members, tmp_path, refused):
+    def edit(file):
+        file.NameToInfo[DATA].file_size = declared
+
+    refused(zipped(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
+
+
+def test_members_that_share_bytes_are_refused(members, tmp_path, refused):
+    def edit(file):
+        again = zipfile.ZipInfo("data/again.nc")
+        first = file.NameToInfo[DATA]
+        for key in ("header_offset", "file_size", "compress_size", "CRC", "compress_type"):
+            setattr(again, key, getattr(first, key))
+        file.filelist.append(again)
+
+    more = listed(members, {"data/again.nc": members[DATA]})
+    more.pop("data/again.nc")
+    refused(zipped(tmp_path / "bad.zip", more, edit), "shares bytes|no sound zip file")
+
+
+def test_encrypted_and_unusual_members_are_refused(members, tmp_path, refused):
+    def encrypt(file):
+        file.NameToInfo[DATA].flag_bits |= 1
+
+    refused(zipped(tmp_path / "secret.zip", members, encrypt), "is encrypted")
+    odd = zipped(tmp_path / "odd.zip", members, method=zipfile.ZIP_LZMA)
+    refused(odd, "is compressed in an unusual way")
+
+
+def test_members_missing_unlisted_or_changed_are_refused(members, tmp_path, refused):
+    path = tmp_path / "bad.zip"
+    less = {name: content for name, content in members.items() if name != DATA}
+    refused(zipped(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
+    refused(zipped(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)")
+    other = members | {DATA: members[DATA][:-1] + b"!"}
+    refused(zipped(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists")
+    longer = members | {DATA: members[DATA] + b"!"}
+    refused(zipped(path, longer), r"data/a\.nc is not the file that")
+    less = {name: content for name, content in members.items() if name != METADATA}
+    refused(zipped(path, less), "no RO-Crate, ro-crate-metadata.json is missing")
+
+
+def _drop(identifier, key):
+    return lambda crate, graph: graph[identifier].pop(key)
+
+
+def _set(identifier, key, value):
+    return lambda crate, graph: graph[identifier].__setitem__(key, value)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda crate, graph: crate.pop("@graph"), r"has no @graph"),
+        (lambda crate, graph: crate["@graph"].append("x"), r"has no @graph"),
+        (lambda crate, graph: crate.pop("@context"), r"another @context"),
+        (lambda crate, graph: crate["@graph"].append({"@id": DATA}), r"an @id of their own"),
+        (lambda crate, graph: crate["@graph"].append({"@type": "File"}), r"an @id of their own"),
+        (_set(METADATA, "about", {"@id": "data/"}), "does not describe itself"),
+        (_set(METADATA, "conformsTo", {"@id": "https://example.org"}), "does not describe itself"),
+        (_set("./", "@type", "File"), "no root dataset"),
+        (_drop("./", "name"), "has no name"),
+        (_drop("./", "description"), "has no description"),
+        (_drop("./", "datePublished"), "has no datePublished"),
+        (_set("./", "license", 3), "has no license"),
+        (_set("./", "hasPart", {"@id": DATA}), "no part of the root dataset"),
+        (_drop(DATA, "sha256"), "listed without sha256"),
+        (_set(DATA, "sha256", "a" * 63), "listed without sha256"),
+        (_drop(DATA, "contentSize"), "listed without contentSize"),
+        (_set(DATA, "contentSize", "-1"), "listed without contentSize"),
+        (_set(DATA, "@type", "Thing"), "is not listed"),
+        (_set(DATA, "@id", "data/%61.nc"), "no part of the root dataset"),
+    ],
+)
+def test_metadata_that_are_no_crate_are_refused(change, why, members, tmp_path, refused):
+    refused(zipped(tmp_path / "bad.zip", listed(members, change=change)), why)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff", b"{", b"[" * 100_000, b'{"a": 1, "a": 2}', b"[]", b"9" * 5000]
+)
+def test_metadata_that_are_no_json_are_refused(content, members, tmp_path, refused):
+    refused(zipped(tmp_path / "bad.zip", members | {METADATA: content}), "is not JSON|no RO-Crate")
+
+
+def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
+    path = tmp_path / "bad.zip"
+    content = packed.read_bytes()
+    for part in (b"", b"x" * 100, content[:-1], content[: len(content) // 2], content[1:]):
+        path.write_bytes(part)
+        refused(path, "no sound zip file")
+    path.write_bytes(b"#!/bin/sh\n" + content)
+    refused(path, "no sound zip file")
+    with pytest.raises(ValueError, match=r"^archive = .*must be a zip file$"):
+        verify(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        verify(tmp_path / "none.zip")
+
+
+def test_no_damage_gets_through(packed, members, tmp_path):
+    """One byte is changed: the archive is refused in one line, or holds the same files."""
+    content = packed.read_bytes()
+    path = tmp_path / "damaged.zip"
+    draw = random.Random(20)
+    refusals = 0
+    for attempt in range(300):
+        # Half of them in the directory at the end, which steers the reading.
+        first = 0 if attempt % 2 else content.index(b"PK\1\2")
+        place = draw.randrange(first, len(content))
+        damaged = bytearray(content)
+        damaged[place] ^= draw.randrange(1, 256)
+        path.write_bytes(damaged)
+        try:
+            report = verify(path)
+        except ArchiveError as error:
+            assert "\n" not in str(error)
+            refusals += 1
+        else:
+            assert (report.files, report.size) == (len(members), sum(map(len, members.values())))
+    assert refusals > 150
+
+
+def test_words_of_the_metadata_cannot_steer_a_terminal(members, tmp_path):
+    named = listed(members, change=_set("./", "name", "\x1b[2J\nall is well"))
+    report = verify(zipped(tmp_path / "odd.zip", named))
+    assert "\x1b" not in str(report) and len(str(report).splitlines()) == 3

@@ -178,6 +178,8 @@ def test_grains_far_apart_reflect_as_discrete_ordinates_say(thickness, incidence
 
 @pytest.mark.parametrize("error", [0.04, pytest.param(0.02, marks=pytest.mark.long)])
 def test_expansion_agrees_with_cells(error):
+    # Of 20 times the rays the expansion's error is a fifth of that of cells: more tell no more,
+    # and the dark sample would take 300 times as many.
     shape, rays = (12, 24), 300_000
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES[:7:2]):
@@ -187,7 +189,7 @@ def test_expansion_agrees_with_cells(error):
         fine = np.degrees(np.arccos((np.arange(12 * 8)[::-1] + 0.5) / (12 * 8)))
         ds = splits.goniophotometer(
             medium, [wavelength], incidence, seed=50 + number, relative_stderr=error,
-            polar_deg=fine, azimuth_deg=np.arange(0.0, 360.0, 5.0),
+            polar_deg=fine, azimuth_deg=np.arange(0.0, 360.0, 5.0), max_rays=20 * rays,
         )  # fmt: skip
         weight = np.cos(np.radians(fine)).reshape(12, 8)
 

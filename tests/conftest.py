@@ -5,6 +5,7 @@ So are the generators of experiment files in tests/campaigns.
 
 from __future__ import annotations
 
+import gc
 import sys
 from pathlib import Path
 
@@ -12,6 +13,10 @@ import numba
 
 for folder in ("", "statistics", "campaigns"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
+
+# Compilers leave a gigabyte of objects that stay: to look through all of them again and again took
+# a tenth of the time.
+gc.set_threshold(50_000, 20, 20)
 
 
 def pytest_configure(config):

@@ -21,8 +21,7 @@ def test_grains_without_contrast_leave_beers_law():
             depth_m=depth,
             refractive_index={"ice": index, "water": index},
         )
-        # All paths are alike: a few tell to 1e-9, whatever error is asked for.
-        ds = splits.deep_transmittance(snow, [800.0], relative_stderr=0.05, seed=3)
+        ds = splits.deep_transmittance(snow, [800.0], relative_stderr=0.01, seed=3)
         exact = np.exp(-4.0 * np.pi * 2e-6 / 800e-9 * depth)
         assert exact == pytest.approx(np.exp(-alpha_d), rel=1e-2)
         value, error = float(ds.transmittance[0]), float(ds.transmittance_stderr[0])
@@ -38,17 +37,14 @@ def test_as_much_comes_through_as_by_brute_force():
         snow = splits.Snow(depth_m=depth)
         deep = splits.deep_transmittance(snow, wavelengths, relative_stderr=0.05, seed=number)
         assert (deep.transmittance_stderr <= 0.05 * deep.transmittance).all()
-        # About the error of splitting where least light comes through; it is the larger elsewhere.
-        brute = splits.spectrophotometer(snow, wavelengths, max_stderr=0.002, seed=50 + number)
+        brute = splits.spectrophotometer(snow, wavelengths, max_stderr=0.0015, seed=50 + number)
         error = np.hypot(deep.transmittance_stderr, brute.transmittance_stderr)
         z.extend(((deep.transmittance - brute.transmittance) / error).values)
     judge_z(z, "splitting against brute force", independent=2)
 
 
-@pytest.mark.parametrize("error", [0.3, pytest.param(0.1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("error", [0.2, pytest.param(0.1, marks=pytest.mark.long)])
 def test_stated_errors_are_the_scatter_between_seeds(error):
-    # Twenty runs see errors that are half or twice what they should be in 9 of 10 cases, however
-    # large these are.
     snow = splits.Snow(depth_m=0.06, saturation=0.0)
     runs = [
         splits.deep_transmittance(snow, [950.0], relative_stderr=error, seed=seed)

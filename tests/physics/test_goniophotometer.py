@@ -41,17 +41,18 @@ CASES = [
 
 
 def test_integrals_are_the_spectrophotometers_reflectance_and_transmittance():
+    """A reflectance that is off by 0.01 is seen in 99 of 100 cases: 5.5 errors of 0.0018."""
     polar, weights = quadrature()
     azimuth = np.arange(0.0, 360.0, 10.0)
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES):
         # Seeds of their own: both instruments name their random streams alike.
         ds = splits.goniophotometer(
-            medium, [wavelength], incidence, 400_000, seed=100 + number,
+            medium, [wavelength], incidence, 200_000, seed=100 + number,
             polar_deg=polar, azimuth_deg=azimuth,
         )  # fmt: skip
         total = splits.spectrophotometer(
-            medium, [wavelength], incidence, max_stderr=0.001, seed=number
+            medium, [wavelength], incidence, max_stderr=0.0015, seed=number
         )
         for name, function, straight in (
             ("reflectance", "brdf", "specular_reflectance"),
@@ -177,6 +178,8 @@ def test_grains_far_apart_reflect_as_discrete_ordinates_say(thickness, incidence
 
 @pytest.mark.parametrize("error", [0.04, pytest.param(0.02, marks=pytest.mark.long)])
 def test_expansion_agrees_with_cells(error):
+    # Of 20 times the rays the expansion's error is a fifth of that of cells: more tell no more,
+    # and the dark sample would take 300 times as many.
     shape, rays = (12, 24), 300_000
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES[:7:2]):
@@ -186,7 +189,7 @@ def test_expansion_agrees_with_cells(error):
         fine = np.degrees(np.arccos((np.arange(12 * 8)[::-1] + 0.5) / (12 * 8)))
         ds = splits.goniophotometer(
             medium, [wavelength], incidence, seed=50 + number, relative_stderr=error,
-            polar_deg=fine, azimuth_deg=np.arange(0.0, 360.0, 5.0),
+            polar_deg=fine, azimuth_deg=np.arange(0.0, 360.0, 5.0), max_rays=20 * rays,
         )  # fmt: skip
         weight = np.cos(np.radians(fine)).reshape(12, 8)
 

@@ -49,12 +49,16 @@ def test_bits_do_not_depend_on_who_else_shares_the_paths(place, kernel):
 @NEEDS_JIT
 @pytest.mark.parametrize("place", PLACES)
 def test_twenty_concentrations_against_runs_of_their_own(place):
-    """Each with a seed of its own; those that share paths go together, so they count as one."""
+    """Each with a seed of its own; those that share paths go together, so they count as one.
+
+    A single reflectance that is off by 0.04 is seen, and all of them by 0.009, in 99 of 100 cases:
+    what they share, with the smaller error, is told far better than what twenty runs add to it.
+    """
     where = PLACES[place]
-    together = splits.spectra(soiled(CONCENTRATIONS, **where), WAVELENGTHS, max_stderr=0.004)
+    together = splits.spectra(soiled(CONCENTRATIONS, **where), WAVELENGTHS, max_stderr=0.003)
     z = []
     for number, (name, medium) in enumerate(soiled(CONCENTRATIONS, **where).items()):
-        own = splits.spectrophotometer(medium, WAVELENGTHS, max_stderr=0.004, seed=100 + number)
+        own = splits.spectrophotometer(medium, WAVELENGTHS, max_stderr=0.006, seed=100 + number)
         shared = together.sel(medium=name)
         error = np.hypot(shared.reflectance_stderr, own.reflectance_stderr)
         z.append(((shared.reflectance - own.reflectance) / error).values)

@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 from splits.checks import refuse
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
-from splits.figures.directions import NAMES, collectors, principal_planes
+from splits.figures.directions import collectors, principal_planes
 from splits.figures.fits import fits
+from splits.figures.hemispheres import hemispheres
 from splits.figures.lobes import lobes
 from splits.figures.measured import measured_albedo
+from splits.figures.planes import NAMES
 from splits.figures.points import points
 from splits.figures.polarization import polarization
 from splits.figures.readings import readings_map
@@ -32,6 +34,7 @@ __all__ = [
     "draw",
     "fits",
     "fitted_spectra",
+    "hemispheres",
     "lens",
     "lobes",
     "measured_albedo",
@@ -82,9 +85,11 @@ def draw(
     if section["kind"] == "fit":
         return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":
-        return swatches(at_points(dataset, section["at"]))
+        return swatches(dataset, section["at"])
+    quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]
+    if section["kind"] == "hemisphere":
+        return hemispheres(dataset, quantity, section["at"])
     if section["kind"] == "principal_plane":
-        quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]
         return principal_planes(
             dataset, quantity, section["at"], section["legend"], section["ylim"]
         )

@@ -1,0 +1,89 @@
+"""Wavelengths at which a coarse table of refractive indices has its rows, where spectra may kink."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from splits.materials import Tabulated, dataset_names, refractive_index
+
+COARSE = 2.0
+"""A table is coarse where its rows are farther apart than so many steps of the wavelengths."""
+_NAMED = re.compile(r"(?P<medium>\w+?)_refractive_index_(?P<material>[a-z]+)")
+_SHARES = {"water": ("saturation",), "hematite": ("iron_oxide", "hematite_ratio"),
+           "magnetite": ("magnetite",)}  # fmt: skip
+"""Parameters of which none may be 0 where a material is in use."""
+
+
+def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the rows of coarse tables within a spectrum.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Over wavelength; its attributes name the tables in use.  Tables of users are not known by
+        their name.
+
+    Returns
+    -------
+    dict
+        Wavelengths (nm) by material and table, such as ``"water (Hale Querry 1973)"``.
+    """
+    x = dataset.wavelength.values
+    if x.size < 3:
+        return {}
+    step = float(np.median(np.diff(x)))
+    found = {}
+    for key, name in dataset.attrs.items():
+        named = _NAMED.fullmatch(str(key))
+        if named is None or not _in_use(dataset, named["medium"], named["material"]):
+            continue
+        table = _table(named["material"], str(name))
+        if table is None:
+            continue
+        rows = table.wavelength_nm
+        wide = np.diff(rows) > COARSE * step
+        beside = np.concatenate([[False], wide]) | np.concatenate([wide, [False]])
+        rows = rows[beside & (rows >= x[0]) & (rows <= x[-1])]
+        if rows.size:
+            words = str(name).partition(",")[0].replace("_", " ").title()
+            found[f"{named['material']} ({words})"] = rows
+    return found
+
+
+def _in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
+    """Return whether a medium has some of a material, as far as its attributes say."""
+    shares = [dataset.attrs.get(f"{medium}_{key}") for key in _SHARES.get(material, ())]
+    return all(share is None or float(share) > 0.0 for share in shares)
+
+
+def _table(material: str, name: str) -> Tabulated | None:
+    """Return a table of the datasets by its name, whatever its k is multiplied with."""
+    plain = name.partition(", k x")[0]
+    try:
+        known = dataset_names(material)
+    except ValueError:
+        return None
+    index = refractive_index(material, plain) if plain in known else None
+    return index if isinstance(index, Tabulated) else None
+
+
+def mark_nodes(axes: Axes, nodes: dict[str, np.ndarray]) -> None:
+    """Draw a tick upwards from the wavelength axis at every row of the tables."""
+    for rows in nodes.values():
+        axes.plot(
+            rows, np.zeros(rows.size), "|", transform=axes.get_xaxis_transform(), color="0.45",
+            ms=7, mew=0.7, clip_on=True, zorder=1.0, label="_nodes",
+        )  # fmt: skip
+
+
+def nodes_note(nodes: dict[str, np.ndarray]) -> str:
+    """Return what the ticks are."""
+    if not nodes:
+        return ""
+    names = " and ".join(nodes)
+    rows = "table's rows" if len(nodes) == 1 else "tables' rows"
+    return f"Ticks inside the wavelength axis: the {rows} of {names}; spectra may kink there."

@@ -60,6 +60,8 @@ SAID: dict[str, dict[str, Callable[[Any], str]]] = {
 """What figures say of a medium, by its kind, and how."""
 _BELOW = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
 """What counts for nothing where nothing comes back from below a layer's surface."""
+_SURFACES = ("surface", "lens")
+"""Instruments that look at a rough surface alone."""
 
 
 def conditions(
@@ -85,7 +87,9 @@ def conditions(
     if dataset.sizes.get("wavelength") == 1:
         items.append(f"{float(dataset.wavelength.values[0]):g} nm")
     items.append(_error(dataset, band))
-    return ", ".join(item.replace(" ", "\u00a0") for item in items if item)
+    told = ", ".join(item.replace(" ", "\u00a0").replace(";\u00a0", "; ") for item in items if item)
+    told = told if dataset.attrs.get("medium") else ""
+    return told[:1].upper() + told[1:]
 
 
 def _of_medium(facts: Facts, at: dict[str, Any]) -> list[str]:
@@ -95,9 +99,10 @@ def _of_medium(facts: Facts, at: dict[str, Any]) -> list[str]:
         return []
     own = {key: facts[f"{kind}_{key}"] for key in SAID[kind] if f"{kind}_{key}" in facts} | at
     opaque = facts.get(f"{kind}_opaque") == "true"
+    alone = opaque or facts.get("instrument") in _SURFACES
     items = [kind.replace("_", " ")]
     for key, said in SAID[kind].items():
-        if key in own and not (opaque and key in _BELOW):
+        if key in own and not (alone and key in _BELOW):
             items.append(said(own.pop(key)))
     if opaque:
         items.append("nothing below the surface")
@@ -125,4 +130,4 @@ def _error(dataset: xr.Dataset, band: str) -> str:
         if reached is not None:
             text = f"{words} ≤ {float(f'{float(reached):.1g}'):g}"
             return f"{band}: {BAND:g} standard errors; {text}" if band else text
-    return ""
+    return f"{band}: {BAND:g} standard errors" if band else ""

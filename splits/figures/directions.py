@@ -14,12 +14,13 @@ from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merged_cells, principal_plane
 from splits.figures.conditions import conditions
-from splits.figures.hemispheres import draw_maps, draw_parts, legend_of, mappable
+from splits.figures.hemispheres import draw_maps, draw_parts, legend_of
 from splits.figures.lines import Lines
 from splits.figures.notes import finished
 from splits.figures.planes import (
     INSIDE,
     NAMES,
+    NARROW,
     VIEWING,
     directions,
     half_circle,
@@ -41,6 +42,7 @@ from splits.figures.style import (
     style,
     value_label,
 )
+from splits.panels import mappable
 
 BESIDE = 4
 """Up to so many points of a grid have maps of the hemisphere beside their principal planes."""
@@ -56,8 +58,8 @@ def principal_planes(
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
     Maps of the hemisphere stand beside those of few points whose directions lie all around.  Light
-    that is transmitted goes down in the polar plot.  Where one value of the grid's only parameter is
-    labelled ``default``, panels show how far the others lie from it.
+    that is transmitted goes down in the polar plot.  Where one value of the grid's only parameter
+    is labelled ``default``, panels show how far the others lie from it.
 
     Parameters
     ----------
@@ -78,8 +80,10 @@ def principal_planes(
     lines = lines_of(plane, quantity[0])
     if dim := read_against(plane, lines.dims):
         labels = [NAMES[name] for name in quantity]
-        return shifts(plane, quantity, dim, "angle", (VIEWING, labels), note)
-    maps = len(lines.all) if mappable(dataset) and len(lines.all) <= BESIDE else 0
+        note += "; viewing angles are positive forward"
+        return shifts(plane, quantity, dim, "angle", (NARROW, labels), note)
+    around = mappable(dataset.polar.values, dataset.azimuth.values)
+    maps = len(lines.all) if around and len(lines.all) <= BESIDE else 0
     with style():
         figure = Drawing(TWO_COLUMNS, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity))
         grid = figure.add_gridspec(len(quantity) * (2 if maps > 1 else 1), 12)
@@ -92,7 +96,7 @@ def principal_planes(
         for row, (name, *pair) in enumerate(planes):
             shown += pair
             if maps:
-                shown += draw_maps(figure, _map_places(grid, row, maps), dataset, name)
+                shown += draw_maps(figure, _map_places(grid, row, maps), dataset, name, legend)
         lines.legend(figure, [flat for _, _, flat in planes], legend, INSIDE)
         return finished(figure, shown, note, legend_of(quantity) if maps else "")
 
@@ -108,8 +112,10 @@ def _map_places(grid: GridSpec, row: int, maps: int) -> list[Any]:
     """Return where the maps of a quantity go."""
     if maps == 1:
         return [grid[row, 8:]]
-    width = 12 // maps
-    return [grid[2 * row + 1, i * width : (i + 1) * width] for i in range(maps)]
+    width = min(12 // maps, 4)
+    first = (12 - maps * width) // 2
+    starts = range(first, first + maps * width, width)
+    return [grid[2 * row + 1, start : start + width] for start in starts]
 
 
 def _plane(
@@ -220,7 +226,8 @@ def _beams(axes: Axes, plane: xr.Dataset, lines: Lines, down: bool) -> None:
     told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_beam(down))
     told.set_label("straight on" if down else "towards the source")
     axes.legend(
-        handles=[told], frameon=False, fontsize=SMALLEST, loc="lower center" if down else "upper center",
+        handles=[told], frameon=False, fontsize=SMALLEST,
+        loc="lower center" if down else "upper center",
         bbox_to_anchor=(0.5, 0.92) if down else (0.5, 0.08),
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
+from matplotlib.ticker import LogLocator
 
 from splits.figures.conditions import conditions
 from splits.figures.notes import finished
@@ -25,27 +26,20 @@ from splits.figures.style import (
 )
 
 COLUMNS = 4
-FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG = 8, 3, 60.0
-"""Directions that a map needs: so many, with no larger gap around."""
 CIRCLES_DEG = (30.0, 60.0)
 _LOGARITHMIC = 10.0
 """Values that span a larger factor have a logarithmic scale."""
 _MAP_INCHES = 1.75
+_ROUND = 180
+"""Cells around from which on their borders look round."""
 _MARK: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
-
-
-def mappable(dataset: xr.Dataset) -> bool:
-    """Return whether directions lie all around, so that a map can show them."""
-    if dataset.sizes["azimuth"] < FEWEST_AZIMUTHS or dataset.sizes["polar"] < FEWEST_POLAR:
-        return False
-    around = np.sort(dataset.azimuth.values)
-    return bool(np.diff(around, append=around[0] + 360.0).max() <= WIDEST_GAP_DEG)
 
 
 def hemispheres(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("brdf",),
     at: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
 ) -> Figure:
     """Draw a map of the hemisphere for every point of a grid.
 
@@ -57,6 +51,8 @@ def hemispheres(
         Of `splits.figures.planes.NAMES`, a block of maps each with a scale of its own.
     at : mapping, optional
         Grid labels to hold fixed.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
     """
     dataset = part_at(dataset, at)
     count = len(lines_of(dataset, quantity[0]).all)
@@ -70,7 +66,7 @@ def hemispheres(
         panels = []
         for number, name in enumerate(quantity):
             places = [grid[number * rows + i // columns, i % columns] for i in range(count)]
-            panels += draw_maps(figure, places, dataset, name)
+            panels += draw_maps(figure, places, dataset, name, legend)
         return finished(figure, panels, conditions(dataset, at, ""), legend_of(quantity))
 
 
@@ -85,7 +81,11 @@ def legend_of(quantity: Sequence[str]) -> str:
 
 
 def draw_maps(
-    figure: Figure, places: Sequence[SubplotSpec], dataset: xr.Dataset, name: str
+    figure: Figure,
+    places: Sequence[SubplotSpec],
+    dataset: xr.Dataset,
+    name: str,
+    legend: str | None = None,
 ) -> list[Axes]:
     """Draw the maps of a quantity for every point of a grid, with one scale.
 
@@ -98,6 +98,8 @@ def draw_maps(
         See `splits.figures.planes.part_at`.
     name : str
         The quantity.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
 
     Returns
     -------
@@ -107,9 +109,14 @@ def draw_maps(
     shown = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
     points = lines_of(dataset, name).all
     parts = [part_of(shown, one.labels) for one in points]
-    titles = ["\n".join(f"{parameter_label(d)}: {value_label(v, d)}" for d, v in one.labels.items())
-              for one in points]  # fmt: skip
+    titles = [_title(one.labels, legend) for one in points]
     return draw_parts(figure, places, parts, titles, name)
+
+
+def _title(labels: Mapping[str, Any], legend: str | None) -> str:
+    """Return what a map says of its point."""
+    names = {d: legend if legend and len(labels) == 1 else parameter_label(d) for d in labels}
+    return "\n".join(f"{names[d]}: {value_label(v, d)}" for d, v in labels.items())
 
 
 def draw_parts(
@@ -119,7 +126,7 @@ def draw_parts(
     titles: Sequence[str],
     name: str,
 ) -> list[Axes]:
-    """Draw maps of datasets over ``polar`` and ``azimuth`` alone, with one scale; see `draw_maps`."""
+    """Draw maps of datasets over ``polar`` and ``azimuth`` alone, see `draw_maps`."""
     norm = _scale(np.concatenate([part[name].values.ravel() for part in parts]))
     panels = []
     for place, part, title in zip(places, parts, titles, strict=True):
@@ -128,7 +135,11 @@ def draw_parts(
         axes.set_title(title)
         panels.append(axes)
     label = NAMES[name]
-    figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
+    bar = figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
+    if isinstance(norm, LogNorm):
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+        bar.minorticks_off()
     return panels
 
 
@@ -143,26 +154,33 @@ def _scale(values: np.ndarray) -> Normalize:
     return Normalize(low, high)
 
 
-def _edges(dataset: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return the borders of cells around the azimuths (radians) and polar angles (degrees)."""
-    azimuth, polar = dataset.azimuth.values, dataset.polar.values
+def _cells(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the borders of cells around (radians) and down (degrees), and their values.
+
+    Wide cells are cut so that their borders are round.
+    """
+    part = part.sortby("azimuth").sortby("polar")
+    azimuth, polar = part.azimuth.values, part.polar.values
+    cuts = -(-_ROUND // azimuth.size)
     gap = np.diff(azimuth, append=azimuth[0] + 360.0)
-    around = np.concatenate([[azimuth[0] - 0.5 * gap[-1]], azimuth + 0.5 * gap])
+    first = azimuth[0] - 0.5 * gap[-1]
+    ends = np.append(first, azimuth + 0.5 * gap)
+    around = np.interp(np.arange(cuts * gap.size + 1) / cuts, np.arange(ends.size), ends)
     middle = 0.5 * (polar[1:] + polar[:-1])
     last = min(90.0, polar[-1] + 0.5 * (polar[-1] - polar[-2]))
-    return np.radians(around), np.concatenate([[0.0], middle, [last]])
+    values = part[name].transpose("polar", "azimuth").values
+    down = np.concatenate([[0.0], middle, [last]])
+    return np.radians(around), down, np.repeat(values, cuts, axis=1)
 
 
 def _map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
     """Draw one map, forward to the right, and the directions that belong to the beam."""
-    part = part.sortby("azimuth").sortby("polar")
-    values = part[name].transpose("polar", "azimuth").values
+    around, down, values = _cells(part, name)
     axes.grid(False)
     image = axes.pcolormesh(
-        *_edges(part), np.clip(values, norm.vmin, norm.vmax), norm=norm, cmap="cividis",
+        around, down, np.clip(values, norm.vmin, norm.vmax), norm=norm, cmap="cividis",
         rasterized=True,
     )  # fmt: skip
-    around = np.linspace(0.0, 2.0 * np.pi, 181)
     for circle in CIRCLES_DEG:
         axes.plot(around, np.full(around.size, circle), color="white", lw=0.5, alpha=0.7)
     incidence = incidence_of(part)

@@ -123,7 +123,7 @@ class Lines:
         self, figure: Figure, axes: Sequence[Axes], title: str | None = None, few: int = FEW,
         extra: Sequence[Artist] = (),
     ) -> None:  # fmt: skip
-        """Say which line is which: on the first axes where it covers nothing, or beside all.
+        """Say which line is which: on the first axes where it covers nothing, above, or beside all.
 
         Parameters
         ----------
@@ -153,7 +153,10 @@ class Lines:
                 if not covers(legend, panel):
                     return
                 legend.remove()
-        beside(figure, handles, head)
+        if len(handles) <= FEW and not self.bar:
+            above(figure, handles, head)
+        else:
+            beside(figure, handles, head)
 
     def _handles(self, title: str | None) -> list[Artist]:
         """Return an entry per line, or of many lines per value of each parameter."""
@@ -214,6 +217,28 @@ def covers(legend: Legend, axes: Axes) -> bool:
         if path.intersects_bbox(box, filled=False):
             return True
     return False
+
+
+def above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
+    """Put a legend of few entries above all axes; the figure grows by its height.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        With constrained layout.
+    handles : sequence of artists
+    title : str or None
+    """
+    for columns in range(len(handles), 0, -1):
+        legend = figure.legend(
+            handles=list(handles), title=title, frameon=False, loc="outside upper center",
+            ncols=columns,
+        )  # fmt: skip
+        box = legend.get_window_extent()
+        if columns == 1 or box.width < figure.bbox.width:
+            break
+        legend.remove()
+    figure.set_figheight(figure.get_figheight() + box.height / figure.dpi)
 
 
 def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:

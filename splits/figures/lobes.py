@@ -63,8 +63,8 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     columns = min(COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
     with style():
-        figure = Drawing(ONE_COLUMN if columns == 1 else TWO_COLUMNS, 0.3 + 3.1 * rows)
-        panels = []
+        figure = Drawing(ONE_COLUMN if columns == 1 else TWO_COLUMNS, 0.3 + 2.8 * rows)
+        surfaces, planes = [], []
         for number, one in enumerate(lines):
             row, column = divmod(number, columns)
             place = 2 * row * columns + column + 1
@@ -96,6 +96,13 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
             flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
             flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=0.7, ls="--")
             half_circle(flat, top)
-            panels += [axes, flat]
+            surfaces.append(axes)
+            planes.append(flat)
         figure.suptitle(NAMES["brdf"] + ", dashed: towards the source")
+        panels = [
+            axes
+            for first in range(0, len(lines), columns)
+            for row in (surfaces, planes)
+            for axes in row[first : first + columns]
+        ]
         return finished(figure, panels, conditions(dataset, at))

@@ -1,4 +1,4 @@
-"""Wavelengths at which a coarse table of refractive indices has its rows, where spectra may kink."""
+"""Rows of coarse tables of refractive indices, at whose wavelengths spectra may kink."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ _SHARES = {"water": ("saturation",), "hematite": ("iron_oxide", "hematite_ratio"
 """Parameters of which none may be 0 where a material is in use."""
 
 
+_LOOKS = {
+    "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
+}  # fmt: skip
+_LENGTHS = (8.0, 5.0, 3.0, 2.0)
+"""Lengths (points) of the ticks of one table after the other: half of it is above the axis."""
+
+
 def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     """Return the rows of coarse tables within a spectrum.
 
@@ -30,7 +37,8 @@ def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     Returns
     -------
     dict
-        Wavelengths (nm) by material and table, such as ``"water (Hale Querry 1973)"``.
+        Wavelengths (nm) by material and table, such as ``"water (Hale & Querry 1973)"``, those of the
+        largest gaps first.
     """
     x = dataset.wavelength.values
     if x.size < 3:
@@ -49,9 +57,14 @@ def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
         beside = np.concatenate([[False], wide]) | np.concatenate([wide, [False]])
         rows = rows[beside & (rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
-            words = str(name).partition(",")[0].replace("_", " ").title()
-            found[f"{named['material']} ({words})"] = rows
-    return found
+            found[f"{named['material']} ({_in_words(str(name))})"] = rows
+    return dict(sorted(found.items(), key=lambda one: -float(np.diff(one[1]).max(initial=0.0))))
+
+
+def _in_words(name: str) -> str:
+    """Return the name of a table as a reader knows it: Hale & Querry 1973."""
+    authors = re.sub(r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", name.partition(",")[0])
+    return authors.replace("_", " ").title()
 
 
 def _in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
@@ -73,10 +86,10 @@ def _table(material: str, name: str) -> Tabulated | None:
 
 def mark_nodes(axes: Axes, nodes: dict[str, np.ndarray]) -> None:
     """Draw a tick upwards from the wavelength axis at every row of the tables."""
-    for rows in nodes.values():
+    for (name, rows), length in zip(nodes.items(), _LENGTHS, strict=False):
         axes.plot(
-            rows, np.zeros(rows.size), "|", transform=axes.get_xaxis_transform(), color="0.45",
-            ms=7, mew=0.7, clip_on=True, zorder=1.0, label="_nodes",
+            rows, np.zeros(rows.size), "|", transform=axes.get_xaxis_transform(), ms=length,
+            color=_look(name)[0], mew=0.7, zorder=1.0, label="_nodes",
         )  # fmt: skip
 
 
@@ -84,6 +97,12 @@ def nodes_note(nodes: dict[str, np.ndarray]) -> str:
     """Return what the ticks are."""
     if not nodes:
         return ""
-    names = " and ".join(nodes)
-    rows = "table's rows" if len(nodes) == 1 else "tables' rows"
-    return f"Ticks inside the wavelength axis: the {rows} of {names}; spectra may kink there."
+    tables = ", ".join(
+        name.replace(")", f", {_look(name)[1]})") if len(nodes) > 1 else name for name in nodes
+    )
+    return f"Ticks above the axis: rows of coarse tables, where spectra may kink: {tables}."
+
+
+def _look(name: str) -> tuple[str, str]:
+    """Return the colour of a material's ticks, and the colour's name."""
+    return _LOOKS.get(name.partition(" ")[0], ("#666666", "grey"))

@@ -13,6 +13,8 @@ from splits.figures.style import SMALLEST
 _MARGIN_INCHES = 0.05
 _LINE = 1.25
 """Line spacing of notes."""
+FOOT = "foot"
+"""What the notes' text is called in a figure."""
 
 
 def finished(figure: Figure, panels: Iterable[Axes], *notes: str) -> Figure:
@@ -37,8 +39,7 @@ def finished(figure: Figure, panels: Iterable[Axes], *notes: str) -> Figure:
         title = axes.get_title()
         axes.set_title("")
         axes.set_title(f"({letter(number)}) {title}".rstrip(), loc="left")
-    if any(notes):
-        _foot(figure, [note for note in notes if note])
+    add_notes(figure, *notes)
     return figure
 
 
@@ -48,25 +49,33 @@ def letter(number: int) -> str:
     return (letter(rounds - 1) if rounds else "") + chr(ord("a") + rest)
 
 
-def _foot(figure: Figure, notes: list[str]) -> None:
-    """Write notes below all else; the figure grows by their height."""
-    inches = figure.get_figwidth()
-    text = figure.text(
-        _MARGIN_INCHES / inches, 0.0, "", va="bottom", ha="left", fontsize=SMALLEST,
-        color="0.3", linespacing=_LINE,
-    )  # fmt: skip
-    # The layout would make room for it inside of the axes.
-    text.set_in_layout(False)
-    widest = (inches - 2.0 * _MARGIN_INCHES) * figure.dpi
-    lines = [line for note in notes for line in _broken(text, note, widest)]
-    text.set_text("\n".join(lines))
-    grown = text.get_window_extent().height / figure.dpi + 2.0 * _MARGIN_INCHES
-    height = figure.get_figheight() + grown
-    figure.set_figheight(height)
-    text.set_y(_MARGIN_INCHES / height)
+def add_notes(figure: Figure, *notes: str) -> None:
+    """Write notes below all else and below earlier ones; the figure grows by their height."""
+    inches, dpi = figure.get_figwidth(), figure.dpi
+    if not any(notes):
+        return
+    text = next((one for one in figure.texts if one.get_gid() == FOOT), None)
+    height, earlier = figure.get_figheight(), ""
+    if text is None:
+        text = figure.text(
+            _MARGIN_INCHES / inches, 0.0, "", va="bottom", ha="left", fontsize=SMALLEST,
+            color="0.3", linespacing=_LINE, gid=FOOT,
+        )  # fmt: skip
+        # The layout would make room for it inside of the axes.
+        text.set_in_layout(False)
+    else:
+        earlier = text.get_text() + "\n"
+        height -= text.get_window_extent().height / dpi + 2.0 * _MARGIN_INCHES
+    widest = (inches - 2.0 * _MARGIN_INCHES) * dpi
+    lines = [line for note in notes if note for line in _broken(text, note, widest)]
+    text.set_text(earlier + "\n".join(lines))
+    grown = text.get_window_extent().height / dpi + 2.0 * _MARGIN_INCHES
+    figure.set_figheight(height + grown)
+    share = grown / (height + grown)
+    text.set_y(_MARGIN_INCHES / (height + grown))
     engine = figure.get_layout_engine()
     assert engine is not None
-    engine.set(rect=(0.0, grown / height, 1.0, 1.0 - grown / height))  # type: ignore[call-arg]
+    engine.set(rect=(0.0, share, 1.0, 1.0 - share))  # type: ignore[call-arg]
 
 
 def _broken(text: Text, note: str, widest: float) -> list[str]:

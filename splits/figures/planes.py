@@ -24,6 +24,8 @@ NAMES = {
     "anisotropy_factor": "anisotropy factor",
 }
 VIEWING = "viewing angle, forward positive (°)"
+NARROW = "viewing angle (°)"
+"""Label of the axis of angles where there is room, and where there is not."""
 INSIDE = 4
 """Up to so many lines have their legend on the axes."""
 

@@ -28,7 +28,7 @@ from splits.figures.style import (
     value_label,
 )
 
-_DODGE = 0.4
+_DODGE = 0.6
 """Part of a row over which the series are spread."""
 _MOST_STATED = 4
 """Of more series than these, the default's values are stated as a range."""
@@ -82,7 +82,7 @@ def points(
             axes.spines[["top", "right"]].set_visible(False)
         first = panels[0, 0]
         first.set_yticks(range(len(names)), names)
-        first.set_ylabel(legend or " · ".join(map(parameter_label, dims)))
+        first.set_ylabel(legend or "\n".join(map(parameter_label, dims)))
         handles: list[Artist] = []
         for axes in panels[0]:
             handles = handles or axes.get_legend_handles_labels()[0]

@@ -39,10 +39,8 @@ def shift_of(dataset: xr.Dataset, name: str, dim: str) -> tuple[xr.DataArray, xr
     """
     default = dataset.sel({dim: DEFAULT})
     error = f"{name}_stderr"
-    return (
-        dataset[name] - default[name],
-        np.sqrt(dataset[error] ** 2 + default[error] ** 2),
-    )
+    square = dataset[error] ** 2 + default[error] ** 2
+    return dataset[name] - default[name], square**0.5
 
 
 def shifts(
@@ -95,7 +93,7 @@ def shifts(
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
             shown[-1].set_xlabel(labels[0])
-        told = f"Panels of shifts: from the default, by absolute amount; {INDEPENDENT}."
+        told = f"Shifts: value minus the default's, which panel (a) shows; {INDEPENDENT}."
         return finished(figure, panels.flat, note, told, nodes_note(nodes))
 
 
@@ -105,7 +103,7 @@ def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: s
     default = dataset.sel({dim: DEFAULT})
     _curve(panels[0], x, default[name].values, default[f"{name}_stderr"].values, "black")
     panels[0].set_ylim(0.0, None)
-    panels[0].set_title("default, absolute")
+    panels[0].set_title("default")
     shift, error = shift_of(dataset, name, dim)
     others = [v for v in dataset[dim].values if str(v) != DEFAULT]
     reach = 1.05 * float((np.abs(shift) + BAND * error).max()) or 1.0

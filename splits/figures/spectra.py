@@ -31,6 +31,8 @@ MATERIAL_COLOURS = {
     "kaolinite": "#7fb069",
 }
 """Materials that figures of refractive indices show; mixtures follow from them."""
+_LONGEST_LINE = 30
+"""Letters that fit along an axis."""
 
 
 def spectra(
@@ -81,8 +83,8 @@ def spectra(
         return faceted(dataset, quantity, apart, legend, ylim, note)
     dim = None if measured is not None else read_against(dataset, dims)
     if dim:
-        labels = [_label(dataset[name]) for name in quantity]
-        return shifts(dataset, quantity, dim, "wavelength", ("wavelength (nm)", labels), note)
+        labels = ("wavelength (nm)", quantity)
+        return shifts(dataset, quantity, dim, "wavelength", labels, note)
     lines = Lines(dataset, dims)
     nodes = coarse_nodes(dataset)
     with style():
@@ -126,7 +128,10 @@ def _measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
 
 
 def _label(variable: xr.DataArray) -> str:
-    return str(variable.attrs.get("long_name", variable.name))
+    """Return what an axis shows, on two lines if it is long."""
+    words = str(variable.attrs.get("long_name", variable.name))
+    first, _, last = words.rpartition(" ")
+    return f"{first}\n{last}" if first and len(words) > _LONGEST_LINE else words
 
 
 def refractive_indices(dataset: xr.Dataset) -> Figure:
@@ -159,8 +164,8 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
             if not str(one.get_label()).startswith("_")
         ]  # fmt: skip
         figure.legend(handles=lines, frameon=False, loc="outside upper center", ncols=4)
-        names = " and ".join(nodes)
-        told = f"Dots: rows of the coarse tables of {names}; k is interpolated between them."
+        names = ", ".join(nodes)
+        told = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
         return finished(figure, [left], told if nodes else "")
 
 

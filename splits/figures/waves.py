@@ -134,5 +134,5 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
         )  # fmt: skip
         dense.set(xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size")
         dense.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
-        band = f"band: {BAND:g} standard errors" if "concentration_stderr" in dataset else ""
-        return finished(figure, [rays, screen, dense], ", ".join([conditions(dataset, at), band]))
+        band = "band" if "concentration_stderr" in dataset else ""
+        return finished(figure, [rays, screen, dense], conditions(dataset, at, band))

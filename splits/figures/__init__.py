@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from splits.checks import refuse
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
+from splits.figures.conditions import conditions
 from splits.figures.directions import collectors, principal_planes
 from splits.figures.fits import fits
 from splits.figures.hemispheres import hemispheres
@@ -32,6 +33,7 @@ from splits.figures.waves import lens, surface
 __all__ = [
     "area_law",
     "collectors",
+    "conditions",
     "draw",
     "fits",
     "fitted_spectra",

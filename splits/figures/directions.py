@@ -112,10 +112,8 @@ def _map_places(grid: GridSpec, row: int, maps: int) -> list[Any]:
     """Return where the maps of a quantity go."""
     if maps == 1:
         return [grid[row, 8:]]
-    width = min(12 // maps, 4)
-    first = (12 - maps * width) // 2
-    starts = range(first, first + maps * width, width)
-    return [grid[2 * row + 1, start : start + width] for start in starts]
+    width = 12 // maps
+    return [grid[2 * row + 1, i * width : (i + 1) * width] for i in range(maps)]
 
 
 def _plane(

@@ -37,8 +37,8 @@ def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     Returns
     -------
     dict
-        Wavelengths (nm) by material and table, such as ``"water (Hale & Querry 1973)"``, those of the
-        largest gaps first.
+        Wavelengths (nm) by material and table, such as ``"water (Hale & Querry 1973)"``; those of
+        the largest gaps first.
     """
     x = dataset.wavelength.values
     if x.size < 3:

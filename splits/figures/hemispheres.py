@@ -29,7 +29,11 @@ COLUMNS = 4
 CIRCLES_DEG = (30.0, 60.0)
 _LOGARITHMIC = 10.0
 """Values that span a larger factor have a logarithmic scale."""
+_FAINTEST = 0.01
+"""What is fainter than this part of the brightest has the darkest colour."""
 _MAP_INCHES = 1.75
+_LONGEST_TITLE = 24
+"""Letters of a parameter and its value that fit above a map."""
 _ROUND = 180
 """Cells around from which on their borders look round."""
 _MARK: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
@@ -116,7 +120,9 @@ def draw_maps(
 def _title(labels: Mapping[str, Any], legend: str | None) -> str:
     """Return what a map says of its point."""
     names = {d: legend if legend and len(labels) == 1 else parameter_label(d) for d in labels}
-    return "\n".join(f"{names[d]}: {value_label(v, d)}" for d, v in labels.items())
+    said = [(names[d], value_label(v, d)) for d, v in labels.items()]
+    long = any(len(name + value) > _LONGEST_TITLE for name, value in said)
+    return "\n".join(f"{name}:\n{value}" if long else f"{name}: {value}" for name, value in said)
 
 
 def draw_parts(
@@ -150,7 +156,7 @@ def _scale(values: np.ndarray) -> Normalize:
         return Normalize(0.0, 1.0)
     low, high = float(np.quantile(lit, 0.01)), float(lit.max())
     if high > _LOGARITHMIC * low:
-        return LogNorm(max(low, 1e-4 * high), high)
+        return LogNorm(max(low, _FAINTEST * high), high)
     return Normalize(low, high)
 
 

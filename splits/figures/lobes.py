@@ -33,7 +33,7 @@ from splits.figures.style import (
     value_label,
 )
 
-COLUMNS = 4
+COLUMNS = 3
 
 
 def _paler(colour: Colour) -> Colour:

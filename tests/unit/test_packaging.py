@@ -28,7 +28,9 @@ def needed(*extras):
     for extra in extras:
         for text in PROJECT["optional-dependencies"][extra]:
             own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
-            wanted += [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+            wanted += (
+                [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+            )
     return bounds(wanted)
 
 

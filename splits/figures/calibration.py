@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, style, subplots
+from splits.figures.style import BAND, TWO_COLUMNS, colours, style, subplots
 
 ALLOWED = (0.85, 1.15)
 """Ratios of scatter to stated error that are shaded."""
@@ -27,7 +27,7 @@ def calibration_figure(table: pd.DataFrame) -> Figure:
     parts = table[(table.medium != ALL) & (table.quantity != ALL)]
     shade, faint = colours(2, "sample")
     with style():
-        figure, axes = subplots(figsize=(6.4, 1.3 + 0.3 * len(names)), layout="constrained")
+        figure, axes = subplots(height=1.3 + 0.3 * len(names), width=TWO_COLUMNS)
         axes.axvspan(*ALLOWED, color="0.92", zorder=0)
         axes.axvline(1.0, color="0.5", lw=0.8, zorder=1)
         axes.plot(

@@ -192,6 +192,17 @@ def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
     assert left == {"numba-recent", "numba-new", "notes"}
 
 
+def test_what_killed_writers_left_is_removed(tmp_path):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    host = cache._host()
+    stay = {f".{host}.{os.getpid()}.x", f".other_{host}.{dead.pid}.x", ".x", ".y.z"}
+    for name in (*stay, f".{host}.{dead.pid}.x"):
+        (tmp_path / name).write_text("half")
+    Folder(tmp_path, True).write("kernel", b"content")
+    assert {path.name for path in tmp_path.iterdir()} == stay | {"kernel"}
+
+
 def plant(places):
     """Put a file with a fitting checksum in place of the kernel."""
     compiled()(1)

@@ -17,6 +17,7 @@ import logging
 import os
 import pickle
 import shutil
+import socket
 import stat
 import sys
 import tempfile
@@ -93,7 +94,8 @@ class Folder:
                 self._sweep()
         if not self._own():
             raise PermissionError("not a folder of the user's own")
-        handle, aside = tempfile.mkstemp(prefix=".", dir=self.path)
+        self._tidy()
+        handle, aside = tempfile.mkstemp(prefix=f".{_host()}.{os.getpid()}.", dir=self.path)
         try:
             with open(handle, "wb") as file:
                 file.write(content)
@@ -106,6 +108,14 @@ class Folder:
         """Remove a file, if that is possible."""
         with suppress(OSError):
             (self.path / name).unlink()
+
+    def _tidy(self) -> None:
+        """Remove what processes of this host that were killed have left half written."""
+        for left in self.path.glob(f".{glob.escape(_host())}.*"):
+            process = left.name.split(".")[2]
+            with suppress(OSError):
+                if process.isdigit() and not _runs(int(process)):
+                    left.unlink()
 
     def _sweep(self) -> None:
         """Remove what other versions have kept here and not added to for `KEPT_S`."""
@@ -128,6 +138,22 @@ class Folder:
 def _user() -> int:
     """Return the number of the user who runs this; 0, as files have it, on Windows."""
     return os.getuid() if hasattr(os, "getuid") else 0
+
+
+def _host() -> str:
+    """Return the name of this machine, without dots."""
+    return socket.gethostname().replace(".", "_")
+
+
+def _runs(process: int) -> bool:
+    """Tell whether a process of that number runs on this host; on Windows nobody can be asked."""
+    if os.name == "nt":
+        return True
+    try:
+        os.kill(process, 0)
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
+    return True
 
 
 @functools.cache

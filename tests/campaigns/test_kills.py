@@ -1,0 +1,218 @@
+"""Kills: whatever a run was at, nothing is half, nothing is lost, and the next leaves nothing.
+
+One of five kills hits a whole workflow, the others one process that does what its jobs do,
+compiling included.  Five by default.  The campaign proper is ``make campaign``, or
+
+    KILLS=200 python -m pytest -s tests/campaigns/test_kills.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import time
+import zipfile
+
+import killed
+import matplotlib.image
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.dataset import without_volatile
+
+pytestmark = [NEEDS_JIT, pytest.mark.slow]
+
+KILLS = int(os.environ.get("KILLS", "5"))
+WORKFLOWS = max(1, KILLS // 5)
+RESULTS = "results/tiny"
+EXPERIMENTS = {
+    "one": "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n",
+    "two": "medium: {kind: layer, optical_thickness: 2}\ninstrument: {wavelength_nm: [550]}\n",
+}
+ARCHIVE = "archive/splits-results.zip"
+MADE = [
+    *(f"data/{name}.nc" for name in EXPERIMENTS),
+    *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg")),
+    ARCHIVE,
+]
+STAGES = {
+    "simulation": ("data/two.nc", "logs/simulate/two.log"),
+    "save": ("data/one.nc", "data/.aside.*"),
+    "figure": ("figures/two.png", "figures/.aside.*"),
+    "archive": (ARCHIVE, "archive/.aside.*"),
+    "any moment": ("data/one.nc", None),
+}
+"""For each stage what is missing when a run starts, and what appears when it is there."""
+STEPS = {
+    "any moment": (killed.MADE, None),
+    "compiling": (("cache", *killed.MADE), None),
+    "kernel": (("waves", *killed.MADE), "cache/splits/*/.*"),
+    "save": (killed.MADE, "results/data/.aside.*"),
+    "table": (killed.MADE[1:], "results/tables/.aside.*"),
+    "png": (killed.MADE[2:], "results/figures/.aside.*.png"),
+    "svg": (killed.MADE[2:], "results/figures/.aside.*.svg"),
+    "archive": (killed.MADE[-1:], "results/archive/.aside.*"),
+}
+"""The same for the steps of one process; "cache" are all kernels, "waves" those of one file."""
+_LONGEST_S = 300.0
+
+
+def check_whole(folder):
+    """Assert that every file that is there under its own name is whole."""
+    for path in folder.rglob("*"):
+        if path.name.startswith("."):
+            continue
+        if path.suffix == ".nc":
+            splits.load(path)
+        elif path.suffix == ".png":
+            assert matplotlib.image.imread(path).size
+        elif path.suffix == ".svg":
+            assert path.read_text(encoding="utf-8").rstrip().endswith("</svg>")
+        elif path.suffix == ".csv":
+            assert path.read_text(encoding="utf-8").endswith("\n")
+        elif path.suffix == ".nbc":
+            content = path.read_bytes()
+            assert hashlib.sha256(content[32:]).digest() == content[:32]
+        elif path.suffix == ".zip":
+            with zipfile.ZipFile(path) as file:
+                assert file.testzip() is None
+
+
+def contents(folder):
+    """Return all files of a folder and what they hold."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def leftovers(folder):
+    return [p for p in folder.rglob(".*") if p.is_file() and not p.name.startswith(".snakemake")]
+
+
+def wait(running, folder, pattern, pause_s):
+    """Wait until a file appears, if any is waited for, and so long; tell if it did."""
+    end = time.monotonic() + _LONGEST_S
+    seen = pattern is None
+    while running() and not seen and time.monotonic() < end:
+        seen = any(folder.glob(pattern))
+        time.sleep(0.0002)
+    time.sleep(pause_s)
+    return seen and running()
+
+
+def kill_workflow(project, pattern, pause_s):
+    """Start the workflow, kill all of its processes at a moment, and tell if that was in time."""
+    command = project.command("all", "archive", "--cores", 2)
+    process = subprocess.Popen(
+        command, env=project.environment, cwd=project.folder,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    hit = wait(lambda: process.poll() is None, project.folder / RESULTS, pattern, pause_s)
+    # Jobs are in the session of their snakemake.
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    return hit
+
+
+@pytest.fixture(scope="module")
+def finished(make_project, tmp_path_factory):
+    """Return a project whose archive is there, and how long it took (s)."""
+    project = make_project(tmp_path_factory.mktemp("finished"))
+    for name, text in EXPERIMENTS.items():
+        project.put(name, text)
+    begun = time.monotonic()
+    run = project.snakemake("all", "archive", "--cores", 2)
+    assert run.code == 0, run.text
+    return project, time.monotonic() - begun
+
+
+@pytest.mark.parametrize("number", range(WORKFLOWS))
+def test_a_killed_workflow_leaves_nothing_half(finished, tmp_path, number, counted):
+    chance = random.Random(number)
+    stage = list(STAGES)[number % len(STAGES)]
+    missing, appears = STAGES[stage]
+    before, whole_run = finished
+    project = before.copy(tmp_path / "project")
+    results = project.folder / RESULTS
+    if stage == "any moment":
+        shutil.rmtree(results / "data")
+    else:
+        (results / missing).unlink()
+    shutil.rmtree(results / "logs")
+    longest = {"simulation": 0.5, "any moment": 0.8 * whole_run}.get(stage, 0.02)
+    pause = chance.uniform(0.0, longest)
+    hit = kill_workflow(project, appears, pause)
+    counted("kills of workflows", number, f"{stage} {'hit' if hit else 'too late'}")
+    check_whole(results)
+    unlocked = project.snakemake("--unlock")
+    assert unlocked.code == 0, unlocked.text
+    run = project.snakemake("all", "archive", "--cores", 2)
+    assert run.code == 0, run.text
+    assert leftovers(results) == []
+    assert set(MADE) <= set(project.results(RESULTS))
+    check_whole(results)
+    for name in EXPERIMENTS:
+        ours, reference = (
+            splits.load(one.folder / RESULTS / "data" / f"{name}.nc") for one in (project, before)
+        )
+        xr.testing.assert_identical(*map(without_volatile, (ours, reference)))
+
+
+@pytest.fixture(scope="module")
+def worked(tmp_path_factory):
+    """Return a folder in which all steps are done, and how long they and compiling take (s)."""
+    folder = tmp_path_factory.mktemp("worked")
+    times = []
+    for missing in ("cache", "results"):
+        shutil.rmtree(folder / missing, ignore_errors=True)
+        shutil.rmtree(folder / "results", ignore_errors=True)
+        begun = time.monotonic()
+        done(folder)
+        times.append(time.monotonic() - begun)
+    return folder, {"compiling": times[0], "any moment": times[1]}
+
+
+def done(folder):
+    """Do all steps in a process of their own."""
+    process = killed.started(folder / "results", folder / "cache")
+    process.join(_LONGEST_S)
+    assert process.exitcode == 0
+
+
+@pytest.mark.parametrize("number", range(KILLS - WORKFLOWS))
+def test_a_killed_process_leaves_nothing_half(worked, tmp_path, number, counted):
+    chance = random.Random(number)
+    step = list(STEPS)[number % len(STEPS)]
+    missing, appears = STEPS[step]
+    before, longest = worked
+    folder = tmp_path / "folder"
+    shutil.copytree(before, folder)
+    for name in missing:
+        if name == "cache":
+            shutil.rmtree(folder / name)
+        elif name == "waves":
+            for path in folder.glob("cache/splits/*/waves.*"):
+                path.unlink()
+        else:
+            (folder / "results" / name).unlink()
+    there = contents(folder)
+    process = killed.started(folder / "results", folder / "cache")
+    hit = wait(process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005)))
+    process.kill()
+    process.join()
+    counted("kills of processes", number, f"{step} {'hit' if hit else 'too late'}")
+    assert contents(folder).items() >= there.items()
+    check_whole(folder)
+    done(folder)
+    assert leftovers(folder) == []
+    check_whole(folder)
+    assert all((folder / "results" / name).exists() for name in killed.MADE)
+    kept = [sorted(p.name for p in one.glob("cache/splits/*/*")) for one in (folder, before)]
+    assert kept[0] == kept[1]
+    data = [splits.load(one / "results" / killed.DATA) for one in (folder, before)]
+    xr.testing.assert_identical(*map(without_volatile, data))

@@ -34,7 +34,7 @@ EXPERIMENTS = {
 ARCHIVE = "archive/splits-results.zip"
 MADE = [
     *(f"data/{name}.nc" for name in EXPERIMENTS),
-    *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg")),
+    *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg", ".pdf")),
     ARCHIVE,
 ]
 STAGES = {
@@ -58,6 +58,8 @@ def check_whole(folder):
             assert matplotlib.image.imread(path).size
         elif path.suffix == ".svg":
             assert path.read_text(encoding="utf-8").rstrip().endswith("</svg>")
+        elif path.suffix == ".pdf":
+            assert path.read_bytes().rstrip().endswith(b"%%EOF")
         elif path.suffix == ".zip":
             with zipfile.ZipFile(path) as file:
                 assert file.testzip() is None

@@ -130,14 +130,14 @@ def ranges_said(pairs: Mapping[str, Mapping[str, Any]]) -> str:
         Per parameter ``low``, ``high`` and ``range``, ``"stated"`` by the paper or ``"chosen"``.
     """
     parts = []
-    for origin, words in (("stated", "stated by SPLITSnow"), ("chosen", "chosen here")):
+    for origin, words in (("stated", "stated by the paper"), ("chosen", "chosen here, not stated")):
         own = [
-            f"{name.replace('_', ' ')} {pair['low']} and {pair['high']}"
+            f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
             for name, pair in pairs.items()
             if pair["range"] == origin
         ]
-        parts += [f"{', '.join(own)} ({words})"] if own else []
-    return f"Between {'; '.join(parts)}."
+        parts += [f"{words}: {', '.join(own)}"] if own else []
+    return f"Ranges {'; '.join(parts)}."
 
 
 def _same(value: Any, label: Any) -> bool:

@@ -22,7 +22,7 @@ def _quantity(words: str, unit: str = "") -> Callable[[Any], str]:
             text = "–".join(value_label(float(f"{x:.4g}")) for x in values)
         else:
             text = value_label(str(value))
-        return f"{words} {text} {unit}".strip()
+        return f"{words} {text} {'' if text == '∞' else unit}".strip()
 
     return said
 

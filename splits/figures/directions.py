@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merged_cells, principal_plane
@@ -86,34 +85,26 @@ def principal_planes(
     maps = len(lines.all) if around and len(lines.all) <= BESIDE else 0
     with style():
         figure = Drawing(TWO_COLUMNS, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity))
-        grid = figure.add_gridspec(len(quantity) * (2 if maps > 1 else 1), 12)
-        planes = [
-            (name, *_plane_panels(figure, grid, row, maps)) for row, name in enumerate(quantity)
-        ]
-        for name, polar, flat in planes:
+        per = 2 if maps > 1 else 1
+        grid = figure.add_gridspec(len(quantity) * per, 1)
+        planes = []
+        for row, name in enumerate(quantity):
+            places = grid[per * row].subgridspec(1, 3 if maps == 1 else 2)
+            polar = figure.add_subplot(places[0], projection="polar")
+            planes.append((name, polar, figure.add_subplot(places[1]), places))
+        for name, polar, flat, _ in planes:
             _plane(plane, name, polar, flat, lines, ylim)
         shown = []
-        for row, (name, *pair) in enumerate(planes):
-            shown += pair
-            if maps:
-                shown += draw_maps(figure, _map_places(grid, row, maps), dataset, name, legend)
-        lines.legend(figure, [flat for _, _, flat in planes], legend, INSIDE)
+        for row, (name, polar, flat, places) in enumerate(planes):
+            shown += [polar, flat]
+            if maps == 1:
+                shown += draw_maps(figure, [places[2]], dataset, name, legend)
+            elif maps:
+                below = grid[per * row + 1].subgridspec(1, maps)
+                cells = [below[i] for i in range(maps)]
+                shown += draw_maps(figure, cells, dataset, name, legend)
+        lines.legend(figure, [flat for _, _, flat, _ in planes], legend, INSIDE)
         return finished(figure, shown, note, legend_of(quantity) if maps else "")
-
-
-def _plane_panels(figure: Figure, grid: GridSpec, row: int, maps: int) -> tuple[Axes, Axes]:
-    """Return the half circle and the panel of a quantity; one map stands to their right."""
-    row, width = (2 * row, 6) if maps > 1 else (row, 4 if maps else 6)
-    polar = figure.add_subplot(grid[row, :width], projection="polar")
-    return polar, figure.add_subplot(grid[row, width : 2 * width])
-
-
-def _map_places(grid: GridSpec, row: int, maps: int) -> list[Any]:
-    """Return where the maps of a quantity go."""
-    if maps == 1:
-        return [grid[row, 8:]]
-    width = 12 // maps
-    return [grid[2 * row + 1, i * width : (i + 1) * width] for i in range(maps)]
 
 
 def _plane(

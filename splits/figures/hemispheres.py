@@ -15,15 +15,16 @@ from matplotlib.ticker import LogLocator
 
 from splits.figures.conditions import conditions
 from splits.figures.notes import finished
-from splits.figures.planes import NAMES, STEEPEST_DEG, incidence_of, lines_of, part_at, part_of
-from splits.figures.style import (
-    ONE_COLUMN,
-    TWO_COLUMNS,
-    Drawing,
-    parameter_label,
-    style,
-    value_label,
+from splits.figures.planes import (
+    NAMES,
+    STEEPEST_DEG,
+    incidence_of,
+    lines_of,
+    part_at,
+    part_of,
+    title_of,
 )
+from splits.figures.style import ONE_COLUMN, TWO_COLUMNS, Drawing, style
 
 COLUMNS = 4
 CIRCLES_DEG = (30.0, 60.0)
@@ -32,8 +33,6 @@ _LOGARITHMIC = 10.0
 _FAINTEST = 0.01
 """What is fainter than this part of the brightest has the darkest colour."""
 _MAP_INCHES = 1.75
-_LONGEST_TITLE = 24
-"""Letters of a parameter and its value that fit above a map."""
 _ROUND = 180
 """Cells around from which on their borders look round."""
 _MARK: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
@@ -113,16 +112,8 @@ def draw_maps(
     shown = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
     points = lines_of(dataset, name).all
     parts = [part_of(shown, one.labels) for one in points]
-    titles = [_title(one.labels, legend) for one in points]
+    titles = [title_of(one.labels, legend) for one in points]
     return draw_parts(figure, places, parts, titles, name)
-
-
-def _title(labels: Mapping[str, Any], legend: str | None) -> str:
-    """Return what a map says of its point."""
-    names = {d: legend if legend and len(labels) == 1 else parameter_label(d) for d in labels}
-    said = [(names[d], value_label(v, d)) for d, v in labels.items()]
-    long = any(len(name + value) > _LONGEST_TITLE for name, value in said)
-    return "\n".join(f"{name}:\n{value}" if long else f"{name}: {value}" for name, value in said)
 
 
 def draw_parts(

@@ -21,6 +21,7 @@ from splits.figures.planes import (
     part_at,
     part_of,
     plane_of,
+    title_of,
 )
 from splits.figures.style import (
     BAND,
@@ -28,9 +29,7 @@ from splits.figures.style import (
     TWO_COLUMNS,
     Colour,
     Drawing,
-    parameter_label,
     style,
-    value_label,
 )
 
 COLUMNS = 3
@@ -86,8 +85,7 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
             incidence = np.radians(incidence_of(line))
             arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
             axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=0.7, ls="--")
-            title = (f"{parameter_label(d)}: {value_label(v, d)}" for d, v in one.labels.items())
-            axes.set_title("\n".join(title))
+            axes.set_title(title_of(one.labels))
             flat = figure.add_subplot(2 * rows, columns, place + columns, projection="polar")
             angle = directions(line.angle.values)
             value, error = line.brdf.values, BAND * line.brdf_stderr.values

@@ -44,7 +44,7 @@ def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     if x.size < 3:
         return {}
     step = float(np.median(np.diff(x)))
-    found = {}
+    found: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
         named = _NAMED.fullmatch(str(key))
         if named is None or not _in_use(dataset, named["medium"], named["material"]):
@@ -54,11 +54,14 @@ def coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
             continue
         rows = table.wavelength_nm
         wide = np.diff(rows) > COARSE * step
+        widest = np.diff(rows)[(rows[1:] > x[0]) & (rows[:-1] < x[-1])].max(initial=0.0)
         beside = np.concatenate([[False], wide]) | np.concatenate([wide, [False]])
         rows = rows[beside & (rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
-            found[f"{named['material']} ({_in_words(str(name))})"] = rows
-    return dict(sorted(found.items(), key=lambda one: -float(np.diff(one[1]).max(initial=0.0))))
+            words = f"{named['material']} ({_in_words(str(name))})"
+            found[words] = (float(widest), rows)
+    order = sorted(found, key=lambda words: -found[words][0])
+    return {words: found[words][1] for words in order}
 
 
 def _in_words(name: str) -> str:

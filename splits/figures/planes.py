@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from splits.analysis.directions import principal_plane
 from splits.dataset import at_points
 from splits.figures.lines import Lines
-from splits.figures.style import SMALLEST
+from splits.figures.style import SMALLEST, parameter_label, value_label
 
 STEEPEST_DEG = 82.5
 """Angle from the normal up to which directions are drawn; errors are held up to there."""
@@ -26,6 +26,8 @@ NAMES = {
 VIEWING = "viewing angle, forward positive (°)"
 NARROW = "viewing angle (°)"
 """Label of the axis of angles where there is room, and where there is not."""
+_LONGEST_TITLE = 24
+"""Letters that fit above a small panel."""
 INSIDE = 4
 """Up to so many lines have their legend on the axes."""
 
@@ -63,6 +65,24 @@ def part_of(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Datase
     """Return what one line shows."""
     dataset = dataset.sel(labels)
     return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
+
+
+def title_of(labels: Mapping[str, float | str], legend: str | None = None) -> str:
+    """Return what a small panel says of its point, a line per parameter, two where it is long.
+
+    Parameters
+    ----------
+    labels : mapping
+        Of the grid.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+    """
+    said = []
+    for parameter, given in labels.items():
+        name = legend if legend and len(labels) == 1 else parameter_label(parameter)
+        value = value_label(given, parameter)
+        said.append(f"{name}:{chr(10) if len(name + value) > _LONGEST_TITLE else ' '}{value}")
+    return "\n".join(said)
 
 
 def directions(angle_deg: np.ndarray, down: bool = False) -> np.ndarray:

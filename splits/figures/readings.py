@@ -41,7 +41,7 @@ def readings_shifts(statements: pd.DataFrame, default: str = "splitsnow_2021") -
             squeeze=False, width_ratios=[2.2, *[1.0] * len(shown)],
         )  # fmt: skip
         _strip(panels[0, 0], base.distance.to_numpy(), base.stderr / base.bar, "black")
-        panels[0, 0].set_title(f"{default if len(named) else 'nearest'}")
+        panels[0, 0].set_title("default" if len(named) else "nearest")
         panels[0, 0].set_xlabel("ours − stated (bars)")
         for axes, (number, part) in zip(panels[0, 1:], shown.items(), strict=True):
             part = part.set_index("statement").loc[base.index]
@@ -54,7 +54,10 @@ def readings_shifts(statements: pd.DataFrame, default: str = "splitsnow_2021") -
                   for name, row in base.iterrows()]  # fmt: skip
         panels[0, 0].set_yticks(rows, labels, fontsize=SMALLEST)
         panels[0, 0].set_ylim(rows.size - 0.5, -0.5)
-        return finished(figure, panels[0], *_notes(base, shown))
+        notes = _notes(base, shown, default if len(named) else "nearest")
+        left_out = len(parts) - len(shown)
+        rest = f"{left_out} more stand in the table of statements." if left_out else ""
+        return finished(figure, panels[0], *notes, rest)
 
 
 def _strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, colour: str) -> None:
@@ -71,13 +74,14 @@ def _strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, colour:
         far = rows[side * value > LIMIT]
         axes.plot(np.full(far.size, side * LIMIT), far, marker, ms=3, color=colour)
     axes.set_xlim(-1.15 * LIMIT, 1.15 * LIMIT)
-    axes.set_xticks([-0.5 * LIMIT, 0.0, 0.5 * LIMIT])
+    axes.set_xticks([-0.5 * LIMIT, 0.0, 0.5 * LIMIT], [f"−{0.5 * LIMIT:g}", "", f"{0.5 * LIMIT:g}"])
+    axes.tick_params(axis="x", labelsize=SMALLEST)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", alpha=0.25)
     axes.spines[["top", "right", "left"]].set_visible(False)
 
 
-def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame]) -> list[str]:
+def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame], called: str) -> list[str]:
     """Return what the columns are, and what their errors."""
     own = dict(part.split(": ") for part in base.readings.iloc[0].split(", "))
     lines = []
@@ -89,6 +93,6 @@ def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame]) -> list[str]:
     bars = f"bars of errors: {BAND:g} standard errors; {INDEPENDENT}"
     said = "; ".join(f"{key} {value}".replace("_", " ") for key, value in own.items())
     return [
-        f"Numbers behind the statements: values of the default. Default: {said}; {bars}.",
+        f"Numbers behind the statements: values of the default ({called}: {said}); {bars}.",
         "Others, nearest first, by what they change. " + "; ".join(lines) + ".",
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 import xarray as xr
@@ -22,6 +23,8 @@ INDEPENDENT = (
 )
 """What errors of shifts are: points of a grid have the same seed, but not the same rays."""
 _PANEL_INCHES = 1.2
+_LONGEST_TITLE = 22
+"""Letters that fit above a panel."""
 
 
 def read_against(dataset: xr.Dataset, dims: Sequence[str]) -> str | None:
@@ -112,7 +115,7 @@ def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: s
         _curve(axes, x, shift.sel(at).values, error.sel(at).values, SHADE)
         axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
         axes.set_ylim(-reach, reach)
-        axes.set_title(value_label(other, dim))
+        axes.set_title(fill(value_label(other, dim), _LONGEST_TITLE))
     for axes in panels[1 + len(others) :]:
         axes.set_visible(False)
 

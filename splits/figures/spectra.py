@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from splits.dataset import at_points
 from splits.figures.conditions import conditions
 from splits.figures.facets import faceted
-from splits.figures.lines import Lines
+from splits.figures.lines import Lines, above
 from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
 from splits.figures.notes import finished
 from splits.figures.shifts import read_against, shifts
@@ -150,20 +150,16 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
             if material not in dataset.material.values:
                 continue
             part = dataset.sel(material=material)
-            left.plot(part.wavelength, part.n, color=colour, label=f"n, {material}")
+            left.plot(part.wavelength, part.n, color=colour, label=material)
             if float(part.k.max()) > 0.0:
-                right.plot(part.wavelength, part.k, color=colour, ls="--", label=f"k, {material}")
+                right.plot(part.wavelength, part.k, color=colour, ls="--")
                 _rows(right, part, nodes, colour)
         right.set_yscale("log")
         left.set_xlabel("wavelength (nm)")
         left.set_ylabel("refractive index n (solid)")
         right.set_ylabel("extinction coefficient k (dashed)")
         left.margins(x=0.01)
-        lines = [
-            one for one in (*left.get_lines(), *right.get_lines())
-            if not str(one.get_label()).startswith("_")
-        ]  # fmt: skip
-        figure.legend(handles=lines, frameon=False, loc="outside upper center", ncols=4)
+        above(figure, left.get_lines(), None)
         names = ", ".join(nodes)
         told = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
         return finished(figure, [left], told if nodes else "")
@@ -174,4 +170,4 @@ def _rows(axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: st
     for name, rows in nodes.items():
         if name.startswith(str(part.material.values)):
             k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
-            axes.plot(rows, k, ".", color=colour, ms=4, label="_rows")
+            axes.plot(rows, k, ".", color=colour, ms=4)

@@ -22,7 +22,7 @@ from splits.figures.style import (
     value_label,
 )
 
-_WIDE = 4
+_WIDE = 3
 """More patches of colour than these side by side take the width of two columns."""
 _MOST = 9
 """More than these side by side have no numbers on them."""

@@ -19,7 +19,8 @@ from splits.transport.compiling import cache as kernels
 
 DATA, TABLE, FIGURE = "data/made.nc", "tables/made.csv", "figures/made"
 ARCHIVE = "archive/made.zip"
-MADE = (DATA, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg", ARCHIVE)
+DRAWN = tuple(f"{FIGURE}{suffix}" for suffix in (".png", ".svg", ".pdf"))
+MADE = (DATA, TABLE, *DRAWN, ARCHIVE)
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload([__name__, "splits.instruments.surface_map"])
@@ -38,7 +39,7 @@ def work(results: Path, cache: Path) -> None:
     if not table.exists():
         with whole(table) as aside:
             dataset.height.to_dataframe().to_csv(aside)
-    if not all(path.exists() for path in (results / name for name in MADE[2:4])):
+    if not all(path.exists() for path in (results / name for name in DRAWN)):
         save_figure(surface(dataset), results / FIGURE)
     if not archive.exists():
         pack([results / name for name in MADE[:-1]], {}, archive)

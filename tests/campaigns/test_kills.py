@@ -38,7 +38,7 @@ EXPERIMENTS = {
 ARCHIVE = "archive/splits-results.zip"
 MADE = [
     *(f"data/{name}.nc" for name in EXPERIMENTS),
-    *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg")),
+    *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg", ".pdf")),
     ARCHIVE,
 ]
 STAGES = {
@@ -57,6 +57,7 @@ STEPS = {
     "table": (killed.MADE[1:], "results/tables/.aside.*"),
     "png": (killed.MADE[2:], "results/figures/.aside.*.png"),
     "svg": (killed.MADE[2:], "results/figures/.aside.*.svg"),
+    "pdf": (killed.MADE[2:], "results/figures/.aside.*.pdf"),
     "archive": (killed.MADE[-1:], "results/archive/.aside.*"),
 }
 """The same for the steps of one process; "cache" are all kernels, "waves" those of one file."""
@@ -74,6 +75,8 @@ def check_whole(folder):
             assert matplotlib.image.imread(path).size
         elif path.suffix == ".svg":
             assert path.read_text(encoding="utf-8").rstrip().endswith("</svg>")
+        elif path.suffix == ".pdf":
+            assert path.read_bytes().rstrip().endswith(b"%%EOF")
         elif path.suffix == ".csv":
             assert path.read_text(encoding="utf-8").endswith("\n")
         elif path.suffix == ".nbc":

@@ -142,7 +142,7 @@ def test_titles_of_lobes_do_not_overlap():
     titles = [axes._left_title for axes in figure.axes if ":" in axes.get_title(loc="left")]
     assert len(titles) == 12
     assert titles[0].get_text().splitlines() == [
-        "(a) grain size (µm): 100–200", "hematite and goethite by mass: 0.01",
+        "(a) grain size (µm): 100–200", "hematite and goethite by mass:", "0.01",
         "wavelength (nm): 600",
     ]  # fmt: skip
     boxes = [title.get_window_extent() for title in titles]

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from test_figure_directions import dataset as directions
 
 from splits.figures import draw, save_figure
 
@@ -58,15 +59,18 @@ def test_a_notebook_shows_a_figure():
     assert draw(spectrum(), SECTION)._repr_png_().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("kind", ["spectra", "points"])
+@pytest.mark.parametrize("kind", ["spectra", "points", "hemisphere"])
 def test_the_same_data_gives_the_same_bytes(kind, tmp_path):
     section = SECTION | {"kind": kind}
+    made_of = directions() if kind == "hemisphere" else spectrum()
     stems = (tmp_path / "one", tmp_path / "two")
     made = [
-        [path.read_bytes() for path in save_figure(draw(spectrum(), section), stem)]
-        for stem in stems
+        [path.read_bytes() for path in save_figure(draw(made_of, section), stem)] for stem in stems
     ]
     assert made[0] == made[1]
     svg = made[0][1].decode()
-    assert "wavelength (nm)" in svg, "text stays text"
+    words = "forward" if kind == "hemisphere" else "wavelength (nm)"
+    assert words in svg, "text stays text"
     assert "<dc:date>" not in svg
+    pdf = made[0][2]
+    assert pdf.startswith(b"%PDF") and b"CreationDate" not in pdf

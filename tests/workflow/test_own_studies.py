@@ -25,9 +25,10 @@ def test_a_study_of_ones_own(project):
     run = project.snakemake("--cores", 1)
     assert run.code == 0, run.text
     assert project.results("results/tiny") == [
-        "data/cold.nc", "data/warming_index.nc", "figures/cold.png", "figures/cold.svg",
-        "figures/warming_index.png", "figures/warming_index.svg", "tables/warming.csv",
-        "tables/warming_chosen.csv",
+        "data/cold.nc", "data/warming_index.nc",
+        "figures/cold.pdf", "figures/cold.png", "figures/cold.svg",
+        "figures/warming_index.pdf", "figures/warming_index.png", "figures/warming_index.svg",
+        "tables/warming.csv", "tables/warming_chosen.csv",
     ]  # fmt: skip
     table = pd.read_csv(project.folder / "results" / "tiny" / "tables" / "warming_chosen.csv")
     assert set(table.parameter) == {"temperature"} and "published" not in table

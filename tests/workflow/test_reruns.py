@@ -35,7 +35,7 @@ RESULTS = "results/tiny"
 
 
 def made_by(name):
-    return [f"data/{name}.nc", f"figures/{name}.png", f"figures/{name}.svg"]
+    return [f"data/{name}.nc", *(f"figures/{name}.{kind}" for kind in ("pdf", "png", "svg"))]
 
 
 def data_file(project, name):

@@ -120,7 +120,7 @@ def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
     project, run = finished
     results = project.folder / "results" / "tiny"
     assert (results / "data" / f"{name}.nc").is_file(), run.text[-3000:]
-    for suffix in (".png", ".svg"):
+    for suffix in (".png", ".svg", ".pdf"):
         assert (results / "figures" / f"{name}{suffix}").is_file(), run.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name

@@ -28,7 +28,7 @@ def few(shipped):
     run = shipped.snakemake(*FEW, "--cores", 2)
     assert run.code == 0, run.text
     for name in FEW:
-        for suffix in (".png", ".svg"):
+        for suffix in (".png", ".svg", ".pdf"):
             figure = shipped.folder / "results" / "tiny" / "figures" / f"{name}{suffix}"
             assert figure.stat().st_size > 1000
     data = shipped.folder / "results" / "tiny" / "data"

@@ -1,0 +1,270 @@
+"""Every figure is one or two columns wide, has letters on its panels, and says its conditions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from test_figure_directions import CELLS
+from test_figure_directions import dataset as directions
+from test_figure_lines import X
+from test_figure_lines import dataset as spectral
+
+from splits.analysis.sensitivity_tables import ranges_said
+from splits.experiments import Experiment
+from splits.figures import (
+    area_law,
+    conditions,
+    draw,
+    fits,
+    fitted_spectra,
+    measured_albedo,
+    readings_shifts,
+    sensitivity_bars,
+)
+from splits.figures.efficiency import speed_against_error
+from splits.figures.nodes import coarse_nodes
+from splits.figures.notes import letter
+from splits.figures.style import ONE_COLUMN, SMALLEST, TWO_COLUMNS
+
+FACTS = {
+    "medium": "snow", "instrument": "spectrophotometer", "snow_grain_size_um": np.array([300, 750]),
+    "snow_density_kg_m3": 275.0, "snow_saturation": 0.05, "snow_depth_m": 0.12,
+    "snow_ground": "open", "snow_refractive_index_water": "hale_querry_1973",
+    "snow_refractive_index_ice": "warren_brandt_2008", "incidence_deg": 30.0,
+    "max_stderr_reached": 0.0019,
+}  # fmt: skip
+SECTION = {
+    "quantity": ["reflectance"], "at": {}, "legend": None, "ylim": None, "wavelength_nm": None,
+}  # fmt: skip
+INFRARED = np.arange(1000.0, 2001.0, 10.0)
+
+
+def foot(figure):
+    """Return the notes of a figure on one line."""
+    text = next(one.get_text() for one in figure.texts if one.get_gid() == "foot")
+    return text.replace("\n", " ").replace("\u00a0", " ")
+
+
+def beam():
+    radius, side = np.geomspace(1e-4, 1e-1, 8), ["reflected", "transmitted"]
+    shape = (1, 2, 8)
+    return xr.Dataset(
+        {
+            "profile": (("wavelength", "side", "radius"), np.ones(shape)),
+            "profile_stderr": (("wavelength", "side", "radius"), np.full(shape, 0.01)),
+            "profile_map": (("wavelength", "side", "x", "y"), np.ones((1, 2, 3, 3))),
+        },
+        {"wavelength": [600.0], "side": side, "radius": radius, "x": np.arange(3.0),
+         "y": np.arange(3.0)},
+    )  # fmt: skip
+
+
+def many_cells():
+    around = np.arange(0.0, 360.0, 10.0)
+    return directions(polar=CELLS, estimator="cells", azimuth=around)
+
+
+def found():
+    made = spectral({"refractive_index": ["as modelled", "other"]}).expand_dims(sample=["a", "b"])
+    made["measured"] = made.reflectance + 0.01
+    made["rmse"] = made.reflectance.mean("wavelength")
+    return made
+
+
+def minerals():
+    shape = (X.size, 2)
+    index = {name: (("wavelength", "material"), np.full(shape, 0.1)) for name in "nk"}
+    return xr.Dataset(index, {"wavelength": X, "material": ["ice", "water"]})
+
+
+def surface_areas():
+    row = {"spectrum": "A@10", "area": 20.0, "measured": 0.5, "model": 0.5, "stderr": 0.01,
+           "difference": 0.0, "fitted": True}  # fmt: skip
+    return pd.DataFrame([row | {"wavelength_nm": x} for x in X])
+
+
+def statements():
+    rows = [
+        {"combination": number, "readings": f"entry: {word}", "set": name, "statement": said,
+         "place": "Fig 1", "nearest_water": True, "ours": value, "stderr": 0.01, "bar": 0.1,
+         "distance": 10.0 * value}
+        for number, (word, name, value) in enumerate(
+            [("uniform", "", 0.2), ("projected", "splitsnow_2021", 0.1)], start=1
+        )
+        for said in ("one", "two")
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def indices():
+    over = ("quantity", "parameter")
+    return xr.Dataset(
+        {name: (over, np.full((2, 2), 0.1)) for name in ("msi", "msi_stderr")},
+        {"quantity": ["reflectance", "transmittance"], "parameter": ["grain_size", "density"]},
+    )
+
+
+ALBEDO = pd.DataFrame(
+    {"depth_m": [0.3, 0.3, 0.05, 0.05], "snow": "natural", "wavelength_nm": [500.0, 600.0] * 2,
+     "measured": 0.9, "model": 0.9, "stderr": 0.01, "difference": 0.0}
+)  # fmt: skip
+LAW = pd.DataFrame({"snow": ["ours", "theirs"], "area": 20.0, "reflectance": 0.3,
+                    "stderr": [0.01, np.nan]})  # fmt: skip
+SPEED = pd.DataFrame(
+    {"method": "lanes", "medium": "snow", "how": "measured", "error": [0.01, 0.001],
+     "seconds": [1.0, 10.0], "deviation_largest": 0.0, "stderr_largest": [0.01, 0.001]}
+)  # fmt: skip
+
+
+def drawn(kind, made, **section):
+    return lambda: draw(made(), SECTION | {"kind": kind} | section)
+
+
+FIGURES = {
+    "spectra": drawn("spectra", lambda: spectral({"saturation": [0.0, 1.0]})),
+    "many spectra": drawn("spectra", lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
+    "facets": drawn("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
+                                                 "depth_m": [0.1, 0.2]})),
+    "colour bar": drawn("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
+    "shifts": drawn("spectra", lambda: spectral({"readings": ["default", "a"]})),
+    "points": drawn("points", lambda: spectral({"depth_m": [0.1, 0.2]}, [500.0])),
+    "points of many": drawn("points", lambda: spectral({"depth_m": [0.1, 0.2]}, X)),
+    "swatches": drawn("swatches", lambda: spectral({"depth_m": [0.1, 0.2]},
+                                                   np.arange(400.0, 781.0, 10.0))),
+    "refractive_index": drawn("refractive_index", minerals),
+    "principal_plane": drawn("principal_plane", directions, quantity=["brdf", "btdf"]),
+    "plane of two": drawn("principal_plane", lambda: directions({"depth_m": [0.1, 0.2]})),
+    "hemisphere": drawn("hemisphere", directions),
+    "hemispheres": drawn("hemisphere", lambda: directions({"depth_m": [0.1, 0.2]})),
+    "lobes": drawn("lobes", directions),
+    "cells": drawn("cells", many_cells),
+    "polarization": drawn("polarization", directions),
+    "spread": drawn("spread", beam),
+    "fit": lambda: fits(found()),
+    "measured": lambda: measured_albedo(ALBEDO),
+    "surface area": lambda: fitted_spectra(surface_areas()),
+    "law": lambda: area_law(LAW),
+    "readings": lambda: readings_shifts(statements()),
+    "sensitivity": lambda: sensitivity_bars(indices()),
+    "speed": lambda: speed_against_error(SPEED),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
+    figure = FIGURES[kind]()
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() in (ONE_COLUMN, TWO_COLUMNS)
+    texts = [one for one in figure.findobj(lambda a: hasattr(a, "get_fontsize")) if one.get_text()]
+    assert min(one.get_fontsize() for one in texts) >= SMALLEST
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    letters = [title[:3] for title in titles if title.startswith("(")]
+    assert letters == sorted({f"({letter(i)})" for i in range(len(letters))})
+    bars = [axes for axes in figure.axes if hasattr(axes, "_colorbar") or axes.get_label() ==
+            "<colorbar>"]  # fmt: skip
+    panels = [axes for axes in figure.axes if axes.get_visible() and axes not in bars]
+    assert len(letters) in (len(panels), 0)
+    assert letters or len(panels) == 1 or kind == "refractive_index"
+
+
+def test_letters_go_on_after_z():
+    assert [letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
+
+
+def test_conditions_say_what_is_held_fixed():
+    made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(FACTS)
+    assert conditions(made).replace("\u00a0", " ") == (
+        "Snow, grains 300–750 µm, density 275 kg m⁻³, water saturation 0.05, depth 0.12 m, "
+        "incidence 30°, 600 nm, bands: 2 standard errors; standard error ≤ 0.002"
+    )
+    at = {"depth_m": 0.02, "saturation": 0.0, "incidence_deg": "diffuse", "medium": "dune"}
+    said = conditions(made, at, "").replace("\u00a0", " ")
+    assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
+    assert conditions(spectral({})) == ""
+    opaque = {"medium": "layer", "layer_opaque": "true", "layer_refractive_index": 1.5,
+              "layer_optical_thickness": 10.0}  # fmt: skip
+    said = conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
+    assert said.startswith("Layer, index 1.5, nothing below the surface")
+    assert "thickness" not in said
+
+
+@pytest.mark.parametrize("kind", ["spectra", "hemisphere", "principal_plane", "points"])
+@pytest.mark.parametrize("count", [1, 3, 9])
+def test_notes_overlap_nothing(kind, count):
+    grid = {"density_kg_m3": np.linspace(100.0, 900.0, count)}
+    directed = kind in ("hemisphere", "principal_plane")
+    made = directions(grid) if directed else spectral(grid, INFRARED[::10])
+    long = "a sentence that is far longer than a line of a figure of one column can be " * 2
+    figure = draw(made.assign_attrs(FACTS), SECTION | {"kind": kind, "note": long})
+    figure.draw_without_rendering()
+    text = next(one for one in figure.texts if one.get_gid() == "foot")
+    assert long.strip() in foot(figure)
+    box = text.get_window_extent()
+    assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= figure.bbox.x1
+    others = [*figure.legends, *figure.axes]
+    assert not any(box.overlaps(one.get_tightbbox()) for one in others)
+
+
+def test_rows_of_coarse_tables_are_marked():
+    made = spectral({}, INFRARED).assign_attrs(FACTS)
+    nodes = coarse_nodes(made)
+    assert list(nodes) == ["water (Hale & Querry 1973)", "ice (Warren & Brandt 2008)"]
+    np.testing.assert_allclose(nodes["water (Hale & Querry 1973)"], np.arange(1000, 2001, 200))
+    assert (np.diff(nodes["ice (Warren & Brandt 2008)"]) > 0.0).all()
+    figure = draw(made, SECTION | {"kind": "spectra"})
+    (marks, _) = (one for one in figure.axes[0].lines if one.get_marker() == "|")
+    np.testing.assert_allclose(marks.get_xdata(), np.arange(1000, 2001, 200))
+    assert "water (Hale & Querry 1973, red)" in foot(figure)
+
+
+def test_rows_of_tables_that_change_nothing_are_not_marked():
+    dry = spectral({}, INFRARED).assign_attrs(FACTS | {"snow_saturation": 0.0})
+    assert "water (Hale & Querry 1973)" not in coarse_nodes(dry)
+    rough = spectral({}, INFRARED[::20]).assign_attrs(FACTS)
+    assert coarse_nodes(rough) == {}
+    own = {"snow_refractive_index_water": "my.csv", "snow_refractive_index_ice": "1.3+0j"}
+    assert coarse_nodes(spectral({}, INFRARED).assign_attrs(FACTS | own)) == {}
+    assert coarse_nodes(spectral({}, [500.0]).assign_attrs(FACTS)) == {}
+
+
+def test_ranges_that_a_paper_does_not_state_are_said():
+    pairs = {
+        "grain_size": {"low": "100-200", "high": "900-1000", "range": "stated"},
+        "density": {"low": 100, "high": 500, "range": "chosen"},
+    }
+    said = ranges_said(pairs)
+    assert said == (
+        "Ranges stated by the paper: grain size 100-200 to 900-1000; "
+        "chosen here, not stated: density 100 to 500."
+    )
+    assert said in foot(sensitivity_bars(indices(), said))
+
+
+def test_readings_are_shifts_from_the_default_set():
+    default, other = readings_shifts(statements()).axes
+    assert default.get_title(loc="left") == "(a) default"
+    np.testing.assert_allclose(default.containers[0].lines[0].get_xdata(), 1.0)
+    np.testing.assert_allclose(other.containers[0].lines[0].get_xdata(), 1.0)
+    assert [t.get_text() for t in default.get_yticklabels()] == [
+        "one · Fig 1: 0.1", "two · Fig 1: 0.1",
+    ]  # fmt: skip
+
+
+def experiment(**given):
+    instrument = {"kind": "goniophotometer", "wavelength_nm": [600]} | given
+    return Experiment(name="made", instrument=instrument, figure={"kind": "hemisphere"})
+
+
+def test_maps_need_directions_all_around():
+    assert experiment().drawing()["kind"] == "hemisphere"
+    assert experiment(estimator="cells", cells=[18, 72])
+    for given, key in (
+        ({"azimuth_deg": [0, 90, 180, 270]}, "azimuth_deg"),
+        ({"azimuth_deg": [0, *range(100, 181, 10)]}, "azimuth_deg"),
+        ({"polar_deg": [0, 30]}, "polar_deg"),
+        ({"estimator": "cells", "cells": [6, 6]}, "cells"),
+    ):
+        with pytest.raises(ValueError, match=rf"instrument\.{key} = .*: must be at least 3 polar"):
+            experiment(**given)

@@ -20,11 +20,12 @@ project_copyright = author
 
 extensions = [
     "myst_nb", "sphinx.ext.autodoc", "numpydoc",
-    "mathml", "marked_numbers", "gallery", "configuration", "command_help",
+    "mathml", "marked_numbers", "gallery", "configuration", "command_help", "signatures",
 ]  # fmt: skip
 exclude_patterns = ["_build", "_ext", "_templates"]
 templates_path = ["_templates"]
-default_role = "code"
+# What stands in single backticks in a docstring is a link where there is something to link to.
+default_role = "py:obj"
 
 html_theme = "furo"
 html_title = f"splits {release}"
@@ -58,5 +59,6 @@ nb_ipywidgets_js = {}
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+python_maximum_signature_line_length = 80
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False

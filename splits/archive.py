@@ -32,7 +32,7 @@ Packed on {date} from commit {commit}. Licence of the results: {licence}. Author
 | file or folder | what |
 |---|---|
 | `data/` | datasets, netCDF with CF attributes; all inputs stand in their attributes |
-| `figures/` | figures of these datasets, PNG and SVG |
+| `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
 | `config/` | what made them: settings in force (those of the command line, too), experiments, \
 media, measured and published tables, refractive indices of one's own |

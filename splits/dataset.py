@@ -144,6 +144,9 @@ def _read(path: str | Path) -> xr.Dataset:
         check(path)
         with xr.open_dataset(path, engine="netcdf4") as file:
             dataset = file.load()
+    for variable in dataset.variables.values():
+        # Or it would be written again, whatever coordinates there are by then.
+        variable.encoding.pop("coordinates", None)
     dotted = {_without_dots(name): name for name in str(dataset.attrs.pop(DOTTED, "")).split()}
     there = {*dataset.variables, *dataset.dims}
     dataset = dataset.rename({name: own for name, own in dotted.items() if name in there})

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from splits.checks import refuse
 
 MOST_LINES = 60
@@ -18,6 +20,8 @@ MOST_ROWS = 80
 """Rows of points, and of patches of colour, that one can look up."""
 MOST_COLUMNS = 16
 """Patches of colour side by side."""
+FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG = 8, 3, 60.0
+"""Directions that a map of the hemisphere needs: so many, and no larger gap around."""
 HOW = "the dataset holds all; figure: none draws nothing"
 
 
@@ -75,3 +79,17 @@ def facets(
         )
         raise too_many(what, count, MOST_LINES, at or {})
     return others
+
+
+def mappable(polar_deg: np.ndarray, azimuth_deg: np.ndarray) -> bool:
+    """Return whether directions lie all around, so that a map of the hemisphere can show them.
+
+    Parameters
+    ----------
+    polar_deg, azimuth_deg : float, shape (angles,)
+        All combinations are directions.
+    """
+    if np.size(azimuth_deg) < FEWEST_AZIMUTHS or np.size(polar_deg) < FEWEST_POLAR:
+        return False
+    around = np.sort(azimuth_deg)
+    return bool(np.diff(around, append=around[0] + 360.0).max() <= WIDEST_GAP_DEG)

@@ -89,7 +89,6 @@ class Keys(SphinxDirective):
     """
 
     required_arguments = 1
-    option_spec = {"prefix": str}  # noqa: RUF012 - as docutils wants it
     has_content = True
 
     def run(self) -> list[nodes.Node]:
@@ -105,7 +104,7 @@ class Keys(SphinxDirective):
             said = given[key] if isinstance(given[key], dict) else {"meaning": given[key]}
             rows.append(
                 [
-                    f"`{self.options.get('prefix', '')}{key}`",
+                    f"`{key}`",
                     said["meaning"],
                     said.get("allowed", allowed(fields[key])),
                     str(said.get("default", default(fields[key]))),

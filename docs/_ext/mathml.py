@@ -13,6 +13,9 @@ from sphinx.writers.html5 import HTML5Translator
 LOG = logging.getLogger(__name__)
 LEFT_OVER = re.compile(r"\\[A-Za-z]+")
 """A command that the converter does not know stands in its answer as it was written."""
+UPRIGHT = re.compile(r'(?:<mi mathvariant="normal">[A-Za-z]</mi>)+')
+ONE_UPRIGHT = re.compile(r"<mi>&#x000([0-9A-F]{2});</mi>")
+"""Upright letters as the converter writes several of them, and one alone."""
 
 
 def mathml(node: nodes.Element, display: str) -> str:
@@ -25,7 +28,13 @@ def mathml(node: nodes.Element, display: str) -> str:
         return ""
     if unknown := LEFT_OVER.search(made):
         LOG.warning("formula %r: %s is not known", text, unknown[0], location=node)
-    return made
+    return upright(made)
+
+
+def upright(made: str) -> str:
+    """Return MathML with words as words: browsers slant every letter that stands for itself."""
+    made = ONE_UPRIGHT.sub(lambda found: f"<mtext>{chr(int(found[1], 16))}</mtext>", made)
+    return UPRIGHT.sub(lambda f: f"<mtext>{re.sub('<[^>]*>', '', f[0])}</mtext>", made)
 
 
 def inline(self: HTML5Translator, node: nodes.math) -> None:
@@ -35,14 +44,14 @@ def inline(self: HTML5Translator, node: nodes.math) -> None:
 
 
 def block(self: HTML5Translator, node: nodes.math_block) -> None:
-    """Write a formula on lines of its own, with its number where it has a label."""
+    """Write a formula on lines of its own, with its number beside it where it has a label."""
     self.body.append(self.starttag(node, "div", CLASS="math"))
+    self.body.append(f'<div class="formula">{mathml(node, "block")}</div>')
     if node["number"]:
-        number = f'<span class="eqno">({node["number"]})'
-        self.body.append(number)
+        self.body.append(f'<span class="eqno">({node["number"]})')
         self.add_permalink_ref(node, "Link to this equation")
         self.body.append("</span>")
-    self.body.append(mathml(node, "block") + "</div>\n")
+    self.body.append("</div>\n")
     raise nodes.SkipNode
 
 

@@ -121,6 +121,25 @@ def chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = N
     )
 
 
+def ranges_said(pairs: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in words between which values of each parameter the index is taken, and who says so.
+
+    Parameters
+    ----------
+    pairs : mapping
+        Per parameter ``low``, ``high`` and ``range``, ``"stated"`` by the paper or ``"chosen"``.
+    """
+    parts = []
+    for origin, words in (("stated", "stated by SPLITSnow"), ("chosen", "chosen here")):
+        own = [
+            f"{name.replace('_', ' ')} {pair['low']} and {pair['high']}"
+            for name, pair in pairs.items()
+            if pair["range"] == origin
+        ]
+        parts += [f"{', '.join(own)} ({words})"] if own else []
+    return f"Between {'; '.join(parts)}."
+
+
 def _same(value: Any, label: Any) -> bool:
     if isinstance(value, (int, float, np.number)):
         return bool(np.isclose(float(value), float(label)))

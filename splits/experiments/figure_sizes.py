@@ -32,7 +32,9 @@ def check_size(experiment: Experiment) -> None:
         return
     sizes = {name: len(values) for name, values in experiment.grid.items() if name not in at}
     points = math.prod(sizes.values())
-    several = kind in ("points", "principal_plane", "polarization", "lobes", "spread")
+    several = kind in (
+        "points", "principal_plane", "hemisphere", "polarization", "lobes", "spread"
+    )  # fmt: skip
     wavelengths = experiment.instrument.wavelengths().size if several else 1
     if kind == "spectra":
         facets(sizes, len(figure.quantity), at)
@@ -46,6 +48,10 @@ def check_size(experiment: Experiment) -> None:
     elif kind == "lobes":
         _check_wavelengths(wavelengths, MOST_PANELS)
         check_count("surfaces", points * wavelengths, MOST_PANELS, at)
+    elif kind == "hemisphere":
+        _check_wavelengths(wavelengths, MOST_PANELS)
+        maps = points * wavelengths * len(figure.quantity)
+        check_count("maps", maps, MOST_PANELS, at)
     elif kind == "spread":
         _check_wavelengths(wavelengths, MOST_LINES // 2)
     elif kind in ("principal_plane", "polarization"):

@@ -13,9 +13,11 @@ from splits.experiments.grids import label_at
 from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.scenes import ground_of
 from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
+from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
 
 RULES = (
     "all", "archive", "benchmark_kernels", "benchmarks", "documented", "figure",
@@ -83,6 +85,8 @@ class Experiment(Simulation):
         if "quantity" in self.figure.model_fields_set:
             for quantity in self.figure.quantity:
                 one_of("figure.quantity", quantity, QUANTITIES.get(instrument.kind, ()))
+        if self.figure.kind == "hemisphere":
+            self._check_around()
         turned = instrument.azimuth_deg
         if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
             raise refuse(
@@ -98,6 +102,25 @@ class Experiment(Simulation):
             raise refuse(
                 "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
             )
+
+    def _check_around(self) -> None:
+        """Refuse a map of the hemisphere where directions do not lie all around."""
+        instrument = self.instrument
+        polar = np.asarray(instrument.polar_deg or POLAR_DEG)
+        azimuth = np.asarray(instrument.azimuth_deg or AZIMUTH_DEG)
+        key = "azimuth_deg" if instrument.azimuth_deg is not None else "polar_deg"
+        given: Any = getattr(instrument, key)
+        if instrument.cells is not None:
+            key, given = "cells", instrument.cells
+            rows, columns = given
+            polar = np.linspace(0.0, 90.0, rows)
+            azimuth = np.linspace(0.0, 360.0, columns, endpoint=False)
+        if not mappable(polar, azimuth):
+            raise refuse(
+                f"instrument.{key}", given,
+                f"at least {FEWEST_POLAR} polar angles and {FEWEST_AZIMUTHS} azimuths at most "
+                f"{WIDEST_GAP_DEG:g} degrees apart, all around, for figure.kind = 'hemisphere'",
+            )  # fmt: skip
 
     def _check_points(self) -> None:
         """Refuse figures of one point of a grid that do not say which."""

@@ -99,7 +99,8 @@ def statements(
             value, error = found[water].values[name]
             rows.append(
                 {
-                    "combination": number, "readings": label, "water": WATERS[water],
+                    "combination": number, "readings": label, "set": one.set_name(),
+                    "water": WATERS[water],
                     "nearest_water": place < len(stated),
                     "statement": name, "place": statement.place,
                     "published": "above 0" if statement.trend else f"{statement.published:g}",

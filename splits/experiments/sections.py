@@ -10,13 +10,25 @@ from pathlib import PurePath
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from splits.checks import in_range, refuse, under
 from splits.experiments.grids import evenly_spaced
 from splits.experiments.parameters import checked_ranges
-from splits.experiments.texts import LONGEST_LABEL, check_mathematics, check_text
+from splits.experiments.texts import (
+    LONGEST_LABEL,
+    LONGEST_TITLE,
+    check_mathematics,
+    check_text,
+)
 from splits.instruments.arguments import (
     check_angles,
     check_cells,
@@ -61,7 +73,7 @@ REQUIRED = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")
 """Settings that an instrument cannot do without."""
 FIGURES = {
     "spectrophotometer": ("spectra", "points", "swatches", "fit"),
-    "goniophotometer": ("principal_plane", "lobes", "cells", "polarization"),
+    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "cells", "polarization"),
     "bssrdf": ("spread",),
     "refractive_index": ("refractive_index",),
     "surface": ("surface",),
@@ -254,7 +266,7 @@ class FigureSection(Section):
     quantity: tuple[Quantity, ...] = ("reflectance",)
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
-        "principal_plane", "lobes", "cells", "spread", "surface", "lens",
+        "principal_plane", "hemisphere", "lobes", "cells", "spread", "surface", "lens",
         "polarization", "none",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
@@ -262,6 +274,7 @@ class FigureSection(Section):
     measured: str | None = None
     legend: str | None = None
     ylim: tuple[float, float] | None = None
+    note: str | None = None
 
     @field_validator("quantity", mode="before")
     @classmethod
@@ -281,12 +294,14 @@ class FigureSection(Section):
     def _file(cls, value: str | None) -> str | None:
         return value if value is None else check_file("figure.measured", value)
 
-    @field_validator("legend")
+    @field_validator("legend", "note")
     @classmethod
-    def _legend(cls, value: str | None) -> str | None:
+    def _words_shown(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value is None:
             return None
-        return check_mathematics("figure.legend", check_text("figure.legend", value, LONGEST_LABEL))
+        key = f"figure.{info.field_name}"
+        longest = LONGEST_LABEL if info.field_name == "legend" else LONGEST_TITLE
+        return check_mathematics(key, check_text(key, value, longest))
 
     @model_validator(mode="after")
     def _fitting(self) -> FigureSection:

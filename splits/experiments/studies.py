@@ -27,7 +27,8 @@ from splits.experiments.simulation import NAME
 from splits.experiments.yaml_files import ConfigError
 from splits.media.readings import CHOICES, Readings
 
-FIGURE = (".png", ".svg")
+FIGURE = (".png", ".svg", ".pdf")
+"""What names of figures end in; the report shows the first."""
 
 
 class Product(NamedTuple):
@@ -96,6 +97,7 @@ class SensitivityPair(Section):
     """Two values of a parameter between which a spectrum's sensitivity is taken.
 
     `experiment` varies the parameter, and `readings` besides it the readings of the papers.
+    `range` says whether the paper states the two values or they were chosen here.
     """
 
     parameter: str
@@ -103,6 +105,7 @@ class SensitivityPair(Section):
     readings: str | None = None
     low: float | str
     high: float | str
+    range: Literal["stated", "chosen"] = "chosen"
 
 
 class Study(Section):

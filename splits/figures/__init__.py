@@ -12,16 +12,20 @@ from matplotlib.figure import Figure
 from splits.checks import refuse
 from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
-from splits.figures.directions import NAMES, collectors, principal_planes
+from splits.figures.conditions import conditions
+from splits.figures.directions import collectors, principal_planes
 from splits.figures.fits import fits
+from splits.figures.hemispheres import hemispheres
 from splits.figures.lobes import lobes
 from splits.figures.measured import measured_albedo
+from splits.figures.notes import add_notes
+from splits.figures.planes import NAMES
 from splits.figures.points import points
 from splits.figures.polarization import polarization
-from splits.figures.readings import readings_map
+from splits.figures.readings import readings_shifts
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
-from splits.figures.style import save_figure
+from splits.figures.style import save_figure, style
 from splits.figures.surface_area import area_law, fitted_spectra
 from splits.figures.swatches import swatches
 from splits.figures.waves import lens, surface
@@ -29,16 +33,18 @@ from splits.figures.waves import lens, surface
 __all__ = [
     "area_law",
     "collectors",
+    "conditions",
     "draw",
     "fits",
     "fitted_spectra",
+    "hemispheres",
     "lens",
     "lobes",
     "measured_albedo",
     "points",
     "polarization",
     "principal_planes",
-    "readings_map",
+    "readings_shifts",
     "refractive_indices",
     "save_figure",
     "sensitivity_bars",
@@ -75,6 +81,16 @@ def draw(
     """
     if section["kind"] == "none":
         raise refuse("figure.kind", "none", "a kind of figure")
+    figure = _drawn(dataset, section, measured)
+    with style():
+        add_notes(figure, section.get("note") or "")
+    return figure
+
+
+def _drawn(
+    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None
+) -> Figure:
+    """Draw a dataset; see `draw`."""
     if section["kind"] == "refractive_index":
         return refractive_indices(dataset)
     if section["kind"] == "points":
@@ -82,9 +98,11 @@ def draw(
     if section["kind"] == "fit":
         return fits(at_points(dataset, section["at"]), section["legend"])
     if section["kind"] == "swatches":
-        return swatches(at_points(dataset, section["at"]))
+        return swatches(dataset, section["at"])
+    quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]
+    if section["kind"] == "hemisphere":
+        return hemispheres(dataset, quantity, section["at"], section["legend"])
     if section["kind"] == "principal_plane":
-        quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]
         return principal_planes(
             dataset, quantity, section["at"], section["legend"], section["ylim"]
         )

@@ -6,10 +6,11 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.figures.notes import finished
 from splits.figures.style import BAND, colours, style, subplots
 
 
-def sensitivity_bars(dataset: xr.Dataset) -> Figure:
+def sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
     """Draw the mean sensitivity index of each parameter, ours and, where there are, published ones.
 
     Parameters
@@ -17,9 +18,11 @@ def sensitivity_bars(dataset: xr.Dataset) -> Figure:
     dataset : xarray.Dataset
         Variables ``msi``, ``msi_stderr`` and optionally ``published`` over ``quantity`` and
         ``parameter``.
+    note : str
+        For the foot, such as `splits.analysis.sensitivity_tables.ranges_said`.
     """
     with style():
-        figure, axes = subplots(figsize=(6.4, 3.9))
+        figure, axes = subplots(height=2.5)
         x = np.arange(dataset.sizes["parameter"])
         width = 0.36
         for i, quantity in enumerate(dataset.quantity.values):
@@ -28,17 +31,19 @@ def sensitivity_bars(dataset: xr.Dataset) -> Figure:
             colour = colours(2, "sample")[i]
             axes.bar(at, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
             axes.errorbar(
-                at, part.msi, BAND * part.msi_stderr, fmt="none", ecolor="black", capsize=3
+                at, part.msi, BAND * part.msi_stderr, fmt="none", ecolor="black", elinewidth=0.8
             )
             if "published" in part:
                 axes.plot(
-                    at, part.published, "D", color="white", mec="black", ms=6, ls="none",
+                    at, part.published, "D", color="white", mec="black", mew=0.7, ms=4, ls="none",
                     label="published" if i == 0 else None,
                 )  # fmt: skip
         axes.set_xticks(x, [str(p).replace("_", " ") for p in dataset.parameter.values])
         axes.set_ylabel("mean sensitivity index")
         axes.set_ylim(0, 1.05)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.13))
-        figure.tight_layout()
-    return figure
+        figure.legend(
+            *axes.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside upper center"
+        )
+        errors = f"Bars of errors: {BAND:g} standard errors."
+        return finished(figure, [axes], " ".join([note, errors]).strip())

@@ -9,26 +9,43 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.directions import merged_cells, principal_plane
-from splits.dataset import at_points
+from splits.figures.conditions import conditions
+from splits.figures.hemispheres import draw_maps, draw_parts, legend_of
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, Colour, Drawing, colours, style, subplots, value_label
+from splits.figures.notes import finished
+from splits.figures.planes import (
+    INSIDE,
+    NAMES,
+    NARROW,
+    VIEWING,
+    directions,
+    half_circle,
+    incidence_of,
+    lines_of,
+    part_at,
+    part_of,
+    plane_of,
+    with_gap,
+)
+from splits.figures.shifts import read_against, shifts
+from splits.figures.style import (
+    BAND,
+    SMALLEST,
+    TWO_COLUMNS,
+    Colour,
+    Drawing,
+    colours,
+    style,
+    value_label,
+)
+from splits.panels import mappable
 
-STEEPEST_DEG = 82.5
-"""Angle from the normal up to which directions are drawn; errors are held up to there."""
-
-NAMES = {
-    "brdf": "BRDF (sr⁻¹)",
-    "btdf": "BTDF (sr⁻¹)",
-    "reflectance_factor": "bidirectional reflectance factor",
-    "anisotropy_factor": "anisotropy factor",
-}
-VIEWING = "viewing angle, forward positive (°)"
-INSIDE = 4
-"""Up to so many lines have their legend on the axes."""
+BESIDE = 4
+"""Up to so many points of a grid have maps of the hemisphere beside their principal planes."""
 
 
 def principal_planes(
@@ -40,14 +57,16 @@ def principal_planes(
 ) -> Figure:
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
-    Light that is transmitted goes down in the polar plot.
+    Maps of the hemisphere stand beside those of few points whose directions lie all around.  Light
+    that is transmitted goes down in the polar plot.  Where one value of the grid's only parameter
+    is labelled ``default``, panels show how far the others lie from it.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Of `splits.goniophotometer`, or of an experiment with it.
     quantity : sequence of str
-        Of `NAMES`, a row of panels each.
+        Of `splits.figures.planes.NAMES`, a row of panels each.
     at : mapping, optional
         Grid labels to hold fixed.
     legend : str, optional
@@ -55,42 +74,82 @@ def principal_planes(
     ylim : (low, high), optional
         Of the second panel, and the outer radius of the first.
     """
-    plane = plane_of(part_at(dataset, at))
+    dataset = part_at(dataset, at)
+    plane = plane_of(dataset)
+    note = conditions(dataset, at)
     lines = lines_of(plane, quantity[0])
+    if dim := read_against(plane, lines.dims):
+        labels = [NAMES[name] for name in quantity]
+        note += "; viewing angles are positive forward"
+        return shifts(plane, quantity, dim, "angle", (NARROW, labels), note)
+    around = mappable(dataset.polar.values, dataset.azimuth.values)
+    maps = len(lines.all) if around and len(lines.all) <= BESIDE else 0
     with style():
-        figure = Drawing(figsize=(8.8, 3.9 * len(quantity)), layout="constrained")
-        flats = []
-        for row, name in enumerate(quantity):
-            polar = figure.add_subplot(len(quantity), 2, 2 * row + 1, projection="polar")
-            flat = figure.add_subplot(len(quantity), 2, 2 * row + 2)
-            flats.append(flat)
-            down = name == "btdf"
-            dark = not (plane[name] > 0.0).any()
-            for one in () if dark else lines.all:
-                line = part_of(plane, one.labels)
-                angle = line.angle.values
-                value, error = line[name].values, BAND * line[f"{name}_stderr"].values
-                low = np.maximum(value - error, 0.0)
-                turned = directions(angle, down)
-                polar.plot(turned, np.maximum(value, 0.0), label=one.text, **one.look())
-                polar.fill_between(turned, low, value + error, color=one.colour, alpha=0.3, lw=0)
-                flat.plot(angle, value, label=one.text, **one.look())
-                flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
-            half_circle(polar, ylim[1] if ylim else None, down)
-            if dark:
-                _say_dark(plane, name, polar, flat)
-            else:
-                _beams(polar, plane, lines, down)
-            # Outside the half circle, where the radii have their numbers.
-            polar.text(
-                0.5, 0.86 if down else 0.14, NAMES[name], transform=polar.transAxes, ha="center",
-                va="bottom" if down else "top",
-            )  # fmt: skip
-            flat.set(xlabel=VIEWING, ylabel=NAMES[name], ylim=ylim or (0.0, None))
-            flat.set_xticks(np.arange(-90, 91, 30))
-            flat.spines[["top", "right"]].set_visible(False)
-        lines.legend(figure, flats, legend, INSIDE)
-    return figure
+        figure = Drawing(TWO_COLUMNS, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity))
+        grid = figure.add_gridspec(len(quantity) * (2 if maps > 1 else 1), 12)
+        planes = [
+            (name, *_plane_panels(figure, grid, row, maps)) for row, name in enumerate(quantity)
+        ]
+        for name, polar, flat in planes:
+            _plane(plane, name, polar, flat, lines, ylim)
+        shown = []
+        for row, (name, *pair) in enumerate(planes):
+            shown += pair
+            if maps:
+                shown += draw_maps(figure, _map_places(grid, row, maps), dataset, name, legend)
+        lines.legend(figure, [flat for _, _, flat in planes], legend, INSIDE)
+        return finished(figure, shown, note, legend_of(quantity) if maps else "")
+
+
+def _plane_panels(figure: Figure, grid: GridSpec, row: int, maps: int) -> tuple[Axes, Axes]:
+    """Return the half circle and the panel of a quantity; one map stands to their right."""
+    row, width = (2 * row, 6) if maps > 1 else (row, 4 if maps else 6)
+    polar = figure.add_subplot(grid[row, :width], projection="polar")
+    return polar, figure.add_subplot(grid[row, width : 2 * width])
+
+
+def _map_places(grid: GridSpec, row: int, maps: int) -> list[Any]:
+    """Return where the maps of a quantity go."""
+    if maps == 1:
+        return [grid[row, 8:]]
+    width = 12 // maps
+    return [grid[2 * row + 1, i * width : (i + 1) * width] for i in range(maps)]
+
+
+def _plane(
+    plane: xr.Dataset,
+    name: str,
+    polar: Axes,
+    flat: Axes,
+    lines: Lines,
+    ylim: tuple[float, float] | None,
+) -> None:
+    """Draw one quantity."""
+    down = name == "btdf"
+    dark = not (plane[name] > 0.0).any()
+    for one in () if dark else lines.all:
+        line = part_of(plane, one.labels)
+        angle = line.angle.values
+        value, error = line[name].values, BAND * line[f"{name}_stderr"].values
+        low = np.maximum(value - error, 0.0)
+        turned = directions(angle, down)
+        polar.plot(turned, np.maximum(value, 0.0), label=one.text, **one.look())
+        polar.fill_between(turned, low, value + error, color=one.colour, alpha=0.3, lw=0)
+        flat.plot(angle, value, label=one.text, **one.look())
+        flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
+    half_circle(polar, ylim[1] if ylim else None, down)
+    if dark:
+        _say_dark(plane, name, polar, flat)
+    else:
+        _beams(polar, plane, lines, down)
+    # Outside the half circle, where the radii have their numbers.
+    polar.text(
+        0.5, 0.86 if down else 0.14, NAMES[name], transform=polar.transAxes, ha="center",
+        va="bottom" if down else "top",
+    )  # fmt: skip
+    flat.set(xlabel=VIEWING, ylabel=NAMES[name], ylim=ylim or (0.0, None))
+    flat.set_xticks(np.arange(-90, 91, 30))
+    flat.spines[["top", "right"]].set_visible(False)
 
 
 def _say_dark(plane: xr.Dataset, name: str, *panels: Axes) -> None:
@@ -115,16 +174,22 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
     at : mapping, optional
         Grid labels to hold fixed.
     """
-    dataset = part_at(dataset, at).isel(wavelength=0)
+    dataset = part_at(dataset, at)
+    note = conditions(dataset, at)
+    dataset = dataset.isel(wavelength=0)
     counts = dataset.sizes["polar"], dataset.sizes["azimuth"]
     factors = [f for f in (9, 5, 3, 1) if not (counts[0] % f or counts[1] % (2 * f))]
+    merged = [merged_cells(dataset, factor).assign_attrs(dataset.attrs) for factor in factors]
+    labels = [f"{counts[0] // factor} × {counts[1] // factor}" for factor in factors]
     with style():
-        figure, axes = subplots(figsize=(6.4, 3.9), layout="constrained")
-        for factor, colour in zip(factors, colours(len(factors)), strict=True):
-            plane = _with_gap(principal_plane(merged_cells(dataset, factor)))
+        figure = Drawing(TWO_COLUMNS, 4.2)
+        grid = figure.add_gridspec(2, len(factors), height_ratios=(1.2, 1.0))
+        axes = figure.add_subplot(grid[0, :])
+        shades = colours(len(factors))
+        for factor, part, label, colour in zip(factors, merged, labels, shades, strict=True):
+            plane = with_gap(principal_plane(part))
             angle, value = plane.angle.values, plane.brdf.values
             error = BAND * plane.brdf_stderr.values
-            label = f"{counts[0] // factor} × {counts[1] // factor}"
             # The larger the cells, the less noise: they lie on top.
             above = 2.0 + 0.1 * factor
             axes.fill_between(
@@ -132,61 +197,16 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
                 lw=0, zorder=above - 0.05,
             )  # fmt: skip
             axes.plot(
-                angle, value, "o-", color=colour, ms=2.0 + 0.3 * factor, lw=0.6 + 0.2 * factor,
+                angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
                 label=label, zorder=above,
             )  # fmt: skip
         axes.set(xlabel=VIEWING, ylabel=NAMES["brdf"], ylim=(0.0, None))
         axes.set_xticks(np.arange(-90, 91, 30))
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(title="cells, polar × around", frameon=False)
-    return figure
-
-
-def part_at(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
-    """Return the dataset at labels of its grid; its attributes keep the angle of incidence."""
-    at = at or {}
-    known = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
-    return at_points(dataset, at).assign_attrs(known)
-
-
-def plane_of(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the principal plane up to `STEEPEST_DEG`, with a gap where no cell looks."""
-    plane = principal_plane(dataset)
-    plane = plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST_DEG)
-    return _with_gap(plane) if dataset.attrs.get("estimator") == "cells" else plane
-
-
-def _with_gap(plane: xr.Dataset) -> xr.Dataset:
-    """Return a plane without values at the zenith, so that no line joins its halves."""
-    if 0.0 in plane.angle.values:
-        return plane
-    return plane.reindex(angle=np.sort(np.append(plane.angle.values, 0.0)))
-
-
-def lines_of(dataset: xr.Dataset, quantity: str) -> Lines:
-    """Return the lines of a quantity over directions; one wavelength needs no words."""
-    directions = ("angle", "polar", "azimuth")
-    dims = [str(d) for d in dataset[quantity].dims if d not in directions]
-    dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
-    return Lines(dataset, dims, dashed=True)
-
-
-def part_of(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Dataset:
-    """Return what one line shows."""
-    dataset = dataset.sel(labels)
-    return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
-
-
-def directions(angle_deg: np.ndarray, down: bool = False) -> np.ndarray:
-    """Return the polar plot's angles (radians) of viewing angles, for light going up or down."""
-    angle = np.radians(angle_deg)
-    return np.pi - angle if down else angle
-
-
-def incidence_of(line: xr.Dataset) -> float:
-    """Return the angle of incidence (degrees) of a line."""
-    place = line.coords.get("incidence_deg")
-    return float(line.attrs["incidence_deg"] if place is None else place)
+        places = [grid[1, i] for i in range(len(factors))]
+        maps = draw_parts(figure, places, merged, labels, "brdf")
+        return finished(figure, [axes, *maps], note, legend_of(("brdf",)))
 
 
 def _beams(axes: Axes, plane: xr.Dataset, lines: Lines, down: bool) -> None:
@@ -204,28 +224,14 @@ def _beams(axes: Axes, plane: xr.Dataset, lines: Lines, down: bool) -> None:
     told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_beam(down))
     told.set_label("straight on" if down else "towards the source")
     axes.legend(
-        handles=[told], frameon=False, loc="lower center" if down else "upper center",
+        handles=[told], frameon=False, fontsize=SMALLEST,
+        loc="lower center" if down else "upper center",
         bbox_to_anchor=(0.5, 0.92) if down else (0.5, 0.08),
     )  # fmt: skip
 
 
 def _beam(down: bool) -> dict[str, Any]:
     mark: dict[str, Any] = (
-        {} if down else {"marker": "o", "ms": 5, "markevery": [-1], "clip_on": False}
+        {} if down else {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
     )
-    return {"lw": 0.9, "ls": "-", **mark}
-
-
-def half_circle(axes: Axes, top: float | None, down: bool = False) -> None:
-    """Make polar axes a half circle of viewing angles, above the surface or below."""
-    ticks = np.arange(-90, 91, 30)
-    axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
-    axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    axes.set_thetalim(*np.sort(directions(np.array([-90.0, 90.0]), down)))  # type: ignore[attr-defined]
-    axes.set_ylim(0.0, top)
-    axes.set_thetagrids(  # type: ignore[attr-defined]
-        np.degrees(directions(ticks, down)), [f"{t}°".replace("-", "−") for t in ticks]
-    )
-    axes.tick_params(labelsize=9)
-    axes.yaxis.set_major_locator(MaxNLocator(3))
-    axes.grid(color=".85", lw=0.6)
+    return {"lw": 0.7, "ls": "-", **mark}

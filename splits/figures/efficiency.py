@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.efficiency import METHODS, SCALED, THEORIES
-from splits.figures.style import Colour, colours, style, subplots
+from splits.figures.notes import finished
+from splits.figures.style import TWO_COLUMNS, Colour, colours, style, subplots
 
 MARKERS = ("s", "D", "v", "^", "o", "P", "X")
 GREYS = ("0.15", "0.5")
@@ -34,8 +35,8 @@ def speed_against_error(table: pd.DataFrame) -> Figure:
     looks = dict(zip(METHODS, zip(shades, MARKERS, strict=True), strict=True))
     with style():
         figure, panels = subplots(
-            rows, columns, figsize=(4.2 * columns, 3.2 * rows + 1.1), sharex=True, sharey=True,
-            squeeze=False, layout="constrained",
+            rows, columns, width=TWO_COLUMNS, height=2.3 * rows + 0.8, sharex=True, sharey=True,
+            squeeze=False,
         )  # fmt: skip
         for medium, axes in zip(media, panels.flat, strict=False):
             _panel(axes, table[table.medium == medium], looks)
@@ -56,9 +57,9 @@ def speed_against_error(table: pd.DataFrame) -> Figure:
         ]  # fmt: skip
         scaled = Line2D([], [], color="0.3", marker="o", mfc="white", ls="none", label="scaled")
         figure.legend(
-            handles=[*handles, scaled], frameon=False, ncols=columns, loc="outside lower center"
+            handles=[*handles, scaled], frameon=False, ncols=columns, loc="outside upper center"
         )
-    return figure
+        return finished(figure, panels.flat)
 
 
 def _label(method: str) -> str:
@@ -76,11 +77,11 @@ def _panel(axes: Axes, table: pd.DataFrame, looks: dict[str, tuple[Colour, str]]
         # Where an error was measured and scaled, the line takes the measured one.
         line = rows.sort_values("how", key=lambda how: how == SCALED).drop_duplicates("error")
         line = line.sort_values("error")
-        axes.plot(line.seconds, line.error_shown, color=colour, lw=1.3)
+        axes.plot(line.seconds, line.error_shown, color=colour, lw=1.0)
         for scaled, part in rows.groupby(rows.how == SCALED):
             axes.plot(
                 part.seconds, part.error_shown, marker, color=colour, ls="none",
-                mfc="white" if scaled else colour, ms=6,
+                mfc="white" if scaled else colour, ms=4,
             )  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")

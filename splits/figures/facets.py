@@ -11,12 +11,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, parameter_label, style, subplots, value_label
+from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
+from splits.figures.notes import finished
+from splits.figures.style import (
+    BAND,
+    SMALLEST,
+    TWO_COLUMNS,
+    parameter_label,
+    style,
+    subplots,
+    value_label,
+)
 
 COLUMNS = 4
 """Panels side by side, unless a parameter of up to `WIDEST` values has a row to itself."""
 WIDEST = 6
-_PANEL_INCHES = (2.1, 1.7)
+_PANEL_INCHES = 1.35
 _BELOW = -10.0
 """Lines and bands lie below all else, so that SVG files hold them as one image per panel."""
 
@@ -27,6 +37,7 @@ def faceted(
     apart: Sequence[str],
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
+    note: str = "",
 ) -> Figure:
     """Draw spectra with bands of two standard errors, a panel per value of some parameters.
 
@@ -42,6 +53,8 @@ def faceted(
     legend : str, optional
         Title of the legend or the colour bar; the first parameter by default.
     ylim : (low, high), optional
+    note : str
+        For the foot.
     """
     dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *apart)]
     lines = Lines(dataset, dims)
@@ -51,11 +64,11 @@ def faceted(
     columns = min(columns, len(places))
     block = -(-len(places) // columns)
     rows = block * len(quantity)
-    wide, high = _PANEL_INCHES
+    nodes = coarse_nodes(dataset)
     with style():
         figure, panels = subplots(
-            rows, columns, figsize=(0.9 + wide * columns, 0.7 + high * rows), sharex=True,
-            squeeze=False, layout="constrained",
+            rows, columns, width=TWO_COLUMNS, height=0.5 + _PANEL_INCHES * rows, sharex=True,
+            squeeze=False,
         )  # fmt: skip
         for number, name in enumerate(quantity):
             part = panels[number * block : (number + 1) * block]
@@ -63,26 +76,22 @@ def faceted(
             for axes, place in zip(part.flat, places, strict=False):
                 at = dict(zip(apart, place, strict=True))
                 _panel(axes, dataset.sel(at), name, lines)
-                axes.set_title(
-                    " · ".join(value_label(v, d) for d, v in at.items()), fontsize=9, pad=3
-                )
+                mark_nodes(axes, nodes)
+                axes.set_title(" · ".join(value_label(v, d) for d, v in at.items()))
                 axes.set_ylim(top)
                 axes.label_outer()
             for axes in part.flat[len(places) :]:
                 axes.set_visible(False)
-            for axes in part[:, 0] if len(quantity) > 1 else ():
-                axes.set_ylabel(name, fontsize=9)
+            for axes in part[:, 0]:
+                axes.set_ylabel(name)
         # The lowest panel of a column may be a hidden one.
         for column in panels.T:
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
-        figure.supxlabel("wavelength (nm)", fontsize=11)
-        if len(quantity) == 1:
-            label = dataset[quantity[0]].attrs.get("long_name", quantity[0])
-            figure.supylabel(str(label), fontsize=11)
-        figure.suptitle("panels: " + " · ".join(map(parameter_label, apart)), fontsize=11)
+            shown[-1].set_xlabel("wavelength (nm)")
+        figure.suptitle("panels: " + " · ".join(map(parameter_label, apart)))
         lines.legend(figure, list(panels.flat), legend, few=0)
-    return figure
+        return finished(figure, panels.flat, note, nodes_note(nodes))
 
 
 def _highest(dataset: xr.Dataset, name: str) -> float:
@@ -98,12 +107,12 @@ def _panel(axes: Axes, part: xr.Dataset, name: str, lines: Lines) -> None:
     values = rows[name].values.reshape(-1, x.size)
     errors = BAND * rows[f"{name}_stderr"].values.reshape(-1, x.size)
     for one, y, error in zip(lines.all, values, errors, strict=True):
-        look = one.look() | {"lw": 0.9, "zorder": _BELOW + one.zorder}
+        look = one.look() | {"lw": 0.7, "zorder": _BELOW + one.zorder}
         axes.plot(x, y, **look)
         axes.fill_between(
             x, np.maximum(y - error, 0.0), y + error, color=one.colour, alpha=0.25, lw=0,
             zorder=_BELOW,
         )  # fmt: skip
     axes.margins(x=0.01)
-    axes.tick_params(labelsize=8)
+    axes.tick_params(labelsize=SMALLEST)
     axes.spines[["top", "right"]].set_visible(False)

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splits.figures.conditions import conditions
 from splits.figures.lines import Lines
-from splits.figures.style import BAND, style, subplots, value_label
+from splits.figures.notes import finished
+from splits.figures.style import (
+    BAND,
+    ONE_COLUMN,
+    SMALLEST,
+    TWO_COLUMNS,
+    style,
+    subplots,
+    value_label,
+)
+
+COLUMNS = 3
+"""Samples side by side."""
 
 
 def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
-    """Draw measured and fitted reflectance, a column per sample, and their difference below.
+    """Draw measured and fitted reflectance of every sample, and their difference below.
 
     Parameters
     ----------
@@ -22,41 +37,58 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
     lines = Lines(dataset, dims)
     samples = dataset.sample.values
-    highest = max(
-        float(dataset.measured.max()),
-        float((dataset.reflectance + BAND * dataset.reflectance_stderr).max()),
-    )
+    columns = min(COLUMNS, len(samples))
+    blocks = -(-len(samples) // columns)
     with style():
         figure, panels = subplots(
-            2, len(samples), figsize=(3.4 * len(samples) + 0.8, 5.2), sharex=True, sharey="row",
-            gridspec_kw={"height_ratios": [2.2, 1]}, squeeze=False,
+            2 * blocks, columns, width=ONE_COLUMN if columns == 1 else TWO_COLUMNS,
+            height=3.6 * blocks, sharex=True, squeeze=False,
+            gridspec_kw={"height_ratios": [2.2, 1] * blocks},
         )  # fmt: skip
-        for column, sample in enumerate(samples):
-            top, bottom = panels[:, column]
-            part = dataset.sel(sample=sample)
-            x = part.wavelength.values
-            for line in lines.all:
-                one = part.sel(line.labels)
-                y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
-                text = f"{line.text or 'model'}: {float(one.rmse):.4f}"
-                top.plot(x, y, label=text, **line.look())
-                top.fill_between(x, y - error, y + error, color=line.colour, alpha=0.25, lw=0)
-                off = y - one.measured.values
-                bottom.plot(x, off, **line.look())
-                bottom.fill_between(
-                    x, off - error, off + error, color=line.colour, alpha=0.25, lw=0
-                )
-            measured = part.measured.isel(dict.fromkeys(dims, 0)).values
-            top.plot(x, measured, "ks", ms=3.5, label="measured")
-            bottom.axhline(0.0, color="black", lw=0.8)
+        title = legend or lines.title() or "model"
+        tops, bottoms = panels[0::2].ravel(), panels[1::2].ravel()
+        for top, bottom, sample in zip(tops, bottoms, samples, strict=False):
+            _sample(top, bottom, dataset.sel(sample=sample), lines, title)
             top.set_title(value_label(sample, "sample"))
-            top.set_ylim(0.0, 1.12 * highest)
-            title = legend or lines.title() or "model"
-            top.legend(title=f"{title}: misfit", frameon=False, fontsize=8, title_fontsize=8)
-            bottom.set_xlabel("wavelength (nm)")
-            for axes in (top, bottom):
-                axes.spines[["top", "right"]].set_visible(False)
-        panels[0, 0].set_ylabel("reflectance")
-        panels[1, 0].set_ylabel("model − measured")
-        figure.tight_layout()
-    return figure
+        for axes in (*tops[len(samples) :], *bottoms[len(samples) :]):
+            axes.set_visible(False)
+        _together(dataset, tops, bottoms)
+        for row in range(blocks):
+            panels[2 * row, 0].set_ylabel("reflectance")
+            panels[2 * row + 1, 0].set_ylabel("model − measured")
+        return finished(figure, panels.flat, conditions(dataset))
+
+
+def _together(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> None:
+    """Give all samples the same axes."""
+    error = BAND * dataset.reflectance_stderr
+    off = dataset.reflectance - dataset.measured
+    highest = max(float(dataset.measured.max()), float((dataset.reflectance + error).max()))
+    low, high = float((off - error).min()), float((off + error).max())
+    room = 0.05 * (high - low)
+    for top, bottom in zip(tops, bottoms, strict=True):
+        top.set_ylim(0.0, 1.12 * highest)
+        bottom.set_ylim(low - room, high + room)
+        bottom.tick_params(labelbottom=True)
+        for axes in (top, bottom):
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.label_outer(remove_inner_ticks=False)
+
+
+def _sample(top: Axes, bottom: Axes, part: xr.Dataset, lines: Lines, title: str) -> None:
+    """Draw one sample's spectra and differences."""
+    x = part.wavelength.values
+    measured = part.measured.isel(dict.fromkeys(lines.dims, 0)).values
+    top.plot(x, measured, "ks", ms=2, label="measured", zorder=1.9)
+    for line in lines.all:
+        one = part.sel(line.labels)
+        y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
+        top.plot(x, y, label=f"{line.text or 'model'}: {float(one.rmse):.4f}", **line.look())
+        off = y - one.measured.values
+        bottom.plot(x, off, **line.look())
+        for axes, middle in ((top, y), (bottom, off)):
+            low, high = middle - error, middle + error
+            axes.fill_between(x, low, high, color=line.colour, alpha=0.25, lw=0)
+    bottom.axhline(0.0, color="black", lw=0.6)
+    top.legend(title=f"{title}: misfit", frameon=False, fontsize=SMALLEST, title_fontsize=SMALLEST)
+    bottom.set_xlabel("wavelength (nm)")

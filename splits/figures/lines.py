@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 
 from splits.figures.style import (
     NOMINAL,
+    TWO_COLUMNS,
     Colour,
     Dash,
     colours,
@@ -33,8 +34,9 @@ FEW = 6
 """Up to so many lines have an entry each and may have their legend on the axes."""
 LEGIBLE = 10
 """More values of an ordered parameter than these are told by a colour bar."""
-_ENTRY_INCHES = 0.23
-_BAR_INCHES = 1.3
+_ENTRY_INCHES = 0.145
+_WIDEST = 0.4
+"""Part of the figure's width that a legend beside it may take, if more height can spare it that."""
 
 
 class Line(NamedTuple):
@@ -50,7 +52,7 @@ class Line(NamedTuple):
     def look(self) -> dict[str, Any]:
         """Return the look as keywords of `matplotlib.axes.Axes.plot`."""
         return {
-            "color": self.colour, "ls": self.dash, "lw": 1.9 if self.default else 1.4,
+            "color": self.colour, "ls": self.dash, "lw": 1.4 if self.default else 1.0,
             "zorder": self.zorder,
         }  # fmt: skip
 
@@ -121,7 +123,7 @@ class Lines:
         self, figure: Figure, axes: Sequence[Axes], title: str | None = None, few: int = FEW,
         extra: Sequence[Artist] = (),
     ) -> None:  # fmt: skip
-        """Say which line is which: on the first axes where it covers nothing, or beside all.
+        """Say which line is which: on the first axes where it covers nothing, above, or beside all.
 
         Parameters
         ----------
@@ -151,7 +153,10 @@ class Lines:
                 if not covers(legend, panel):
                     return
                 legend.remove()
-        beside(figure, handles, head)
+        if len(handles) <= FEW and not self.bar:
+            above(figure, handles, head)
+        else:
+            beside(figure, handles, head)
 
     def _handles(self, title: str | None) -> list[Artist]:
         """Return an entry per line, or of many lines per value of each parameter."""
@@ -166,14 +171,14 @@ class Lines:
             handles.append(_heading(title or parameter_label(self.main)))
             for value, shade in zip(self._values[self.main], self.shades, strict=True):
                 text = value_label(value, self.main)
-                handles.append(Line2D([], [], color=shade, lw=1.9, label=text))
+                handles.append(Line2D([], [], color=shade, lw=1.4, label=text))
         handles.append(_heading(" · ".join(map(parameter_label, self.others))))
         for number, one in enumerate(
             itertools.product(*(self._values[d] for d in self.others))
         ):  # fmt: skip
             text = " · ".join(value_label(v, d) for d, v in zip(self.others, one, strict=True))
             dash = DASHES[number % len(DASHES)]
-            handles.append(Line2D([], [], color="0.15", lw=1.4, ls=dash, label=text))
+            handles.append(Line2D([], [], color="0.15", lw=1.0, ls=dash, label=text))
         return handles
 
     def _colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
@@ -188,7 +193,6 @@ class Lines:
         )  # fmt: skip
         bar.ax.set_yticklabels([value_label(self._values[self.main][i], self.main) for i in ticks])
         bar.ax.minorticks_off()
-        figure.set_figwidth(figure.get_figwidth() + _BAR_INCHES)
 
 
 def _shades(values: np.ndarray, parameter: str | None) -> list[Colour]:
@@ -215,8 +219,8 @@ def covers(legend: Legend, axes: Axes) -> bool:
     return False
 
 
-def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
-    """Put a legend to the right of all axes; the figure grows by its width.
+def above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
+    """Put a legend of few entries above all axes; the figure grows by its height.
 
     Parameters
     ----------
@@ -225,9 +229,37 @@ def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None
     handles : sequence of artists
     title : str or None
     """
+    for columns in range(len(handles), 0, -1):
+        legend = figure.legend(
+            handles=list(handles), title=title, frameon=False, loc="outside upper center",
+            ncols=columns,
+        )  # fmt: skip
+        box = legend.get_window_extent()
+        if columns == 1 or box.width < figure.bbox.width:
+            break
+        legend.remove()
+    figure.set_figheight(figure.get_figheight() + box.height / figure.dpi)
+
+
+def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
+    """Put a legend to the right of all axes; the figure is two columns wide from now on.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        With constrained layout; it grows in height for a legend that would take too much width.
+    handles : sequence of artists
+    title : str or None
+    """
+    figure.set_figwidth(TWO_COLUMNS)
     rows = max(1, int(figure.get_figheight() / _ENTRY_INCHES) - 2)
-    legend = figure.legend(
-        handles=list(handles), title=title, frameon=False, loc="outside right upper",
-        ncols=-(-len(handles) // rows),
-    )  # fmt: skip
-    figure.set_figwidth(figure.get_figwidth() + legend.get_window_extent().width / figure.dpi)
+    for columns in range(-(-len(handles) // rows), 0, -1):
+        legend = figure.legend(
+            handles=list(handles), title=title, frameon=False, loc="outside right upper",
+            ncols=columns,
+        )  # fmt: skip
+        box = legend.get_window_extent()
+        if columns == 1 or box.width < _WIDEST * figure.bbox.width:
+            break
+        legend.remove()
+    figure.set_figheight(max(figure.get_figheight(), box.height / figure.dpi + 0.1))

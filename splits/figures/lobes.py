@@ -9,7 +9,9 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from splits.figures.directions import (
+from splits.figures.conditions import conditions
+from splits.figures.notes import finished
+from splits.figures.planes import (
     NAMES,
     STEEPEST_DEG,
     directions,
@@ -20,9 +22,18 @@ from splits.figures.directions import (
     part_of,
     plane_of,
 )
-from splits.figures.style import BAND, Colour, Drawing, parameter_label, style, value_label
+from splits.figures.style import (
+    BAND,
+    ONE_COLUMN,
+    TWO_COLUMNS,
+    Colour,
+    Drawing,
+    parameter_label,
+    style,
+    value_label,
+)
 
-COLUMNS = 4
+COLUMNS = 3
 
 
 def _paler(colour: Colour) -> Colour:
@@ -52,7 +63,8 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     columns = min(COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
     with style():
-        figure = Drawing(figsize=(3.1 * columns, 0.5 + 4.6 * rows), layout="constrained")
+        figure = Drawing(ONE_COLUMN if columns == 1 else TWO_COLUMNS, 0.3 + 2.8 * rows)
+        surfaces, planes = [], []
         for number, one in enumerate(lines):
             row, column = divmod(number, columns)
             place = 2 * row * columns + column + 1
@@ -73,16 +85,24 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
             line = part_of(plane, one.labels)
             incidence = np.radians(incidence_of(line))
             arrow = 1.1 * top * np.array([-np.sin(incidence), 0.0, np.cos(incidence)])
-            axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=1.0, ls="--")
+            axes.plot(*np.stack([arrow, np.zeros(3)], axis=1), color="black", lw=0.7, ls="--")
             title = (f"{parameter_label(d)}: {value_label(v, d)}" for d, v in one.labels.items())
-            axes.set_title("\n".join(title), fontsize=10)
+            axes.set_title("\n".join(title))
             flat = figure.add_subplot(2 * rows, columns, place + columns, projection="polar")
             angle = directions(line.angle.values)
             value, error = line.brdf.values, BAND * line.brdf_stderr.values
-            flat.plot(angle, np.maximum(value, 0.0), color=one.colour, lw=1.4)
+            flat.plot(angle, np.maximum(value, 0.0), color=one.colour)
             low = np.maximum(value - error, 0.0)
             flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
-            flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=1.0, ls="--")
+            flat.plot([-incidence, -incidence], [0.0, top], color="black", lw=0.7, ls="--")
             half_circle(flat, top)
-        figure.suptitle(NAMES["brdf"] + ", dashed: towards the source", fontsize=11)
-    return figure
+            surfaces.append(axes)
+            planes.append(flat)
+        figure.suptitle(NAMES["brdf"] + ", dashed: towards the source")
+        panels = [
+            axes
+            for first in range(0, len(lines), columns)
+            for row in (surfaces, planes)
+            for axes in row[first : first + columns]
+        ]
+        return finished(figure, panels, conditions(dataset, at))

@@ -12,8 +12,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.conditions import conditions
 from splits.figures.lines import DEFAULT, Lines, beside
-from splits.figures.style import BAND, colours, parameter_label, style, subplots, value_label
+from splits.figures.notes import finished
+from splits.figures.shifts import INDEPENDENT, read_against, shift_of
+from splits.figures.style import (
+    BAND,
+    ONE_COLUMN,
+    SMALLEST,
+    TWO_COLUMNS,
+    colours,
+    parameter_label,
+    style,
+    subplots,
+    value_label,
+)
+
+_DODGE = 0.6
+"""Part of a row over which the series are spread."""
+_MOST_STATED = 4
+"""Of more series than these, the default's values are stated as a range."""
 
 
 def points(
@@ -24,7 +42,8 @@ def points(
 ) -> Figure:
     """Draw quantities over the points of a grid, a panel each and one series per wavelength.
 
-    Dashed lines go through the point labelled ``default``, which the others are read against.
+    Where one value of the grid's only parameter is labelled ``default``, the others are shown as
+    shifts from it.
 
     Parameters
     ----------
@@ -43,29 +62,27 @@ def points(
         " · ".join(value_label(v, d) for d, v in zip(dims, values, strict=True))
         for values in combinations
     ]
-    alone = [map(str, v) for v in combinations if len(v) == 1]
-    default = next((i for i, v in enumerate(alone) if DEFAULT in v), None)
+    dim = read_against(dataset, dims)
     series = Lines(dataset, ["wavelength"])
     with style():
         figure, panels = subplots(
-            1, len(quantity), figsize=(2.8 + 3.6 * len(quantity), 1.6 + 0.32 * len(names)),
-            sharey=True, squeeze=False, layout="constrained",
+            1, len(quantity), width=ONE_COLUMN if len(quantity) == 1 else TWO_COLUMNS,
+            height=0.7 + 0.17 * max(len(names), 4), sharey=True, squeeze=False,
         )  # fmt: skip
         for axes, name in zip(panels[0], quantity, strict=True):
-            about = dataset[name].attrs
+            long_name = str(dataset[name].attrs.get("long_name", name))
             if "wavelength" in dataset[name].dims:
-                _series(axes, dataset, name, series, default)
-                axes.set_xlabel(str(about.get("long_name", name)))
+                _series(axes, dataset, name, series, dim)
+                axes.set_xlabel(_stated(dataset, name, long_name, dim))
             else:
                 _lengths(axes, 1e3 * dataset[name].values.ravel())
-                axes.set_xlabel(f"{about.get('long_name', name)} (mm)")
+                axes.set_xlabel(f"{long_name} (mm)")
             axes.grid(axis="x", alpha=0.3)
-            axes.margins(y=0.08)
+            axes.set_ylim(len(names) - 0.4, -0.6)
             axes.spines[["top", "right"]].set_visible(False)
         first = panels[0, 0]
         first.set_yticks(range(len(names)), names)
-        first.set_ylabel(legend or " · ".join(map(parameter_label, dims)))
-        first.invert_yaxis()
+        first.set_ylabel(legend or "\n".join(map(parameter_label, dims)))
         handles: list[Artist] = []
         for axes in panels[0]:
             handles = handles or axes.get_legend_handles_labels()[0]
@@ -73,21 +90,41 @@ def points(
             series.legend(figure, list(panels[0]))
         elif len(handles) > 1:
             beside(figure, handles, series.title())
-    return figure
+        timed = any("wavelength" in dataset[name].dims for name in quantity)
+        told = f"Shifts: {INDEPENDENT}." if dim and timed else ""
+        band = "bars" if timed else ""
+        return finished(figure, panels[0], conditions(dataset, at, band), told)
 
 
-def _series(axes: Axes, dataset: xr.Dataset, name: str, series: Lines, default: int | None) -> None:
-    """Draw the values of all points at every wavelength."""
-    for one in series.all:
-        part = dataset.sel(one.labels)
-        value = part[name].values.ravel()
+def _stated(dataset: xr.Dataset, name: str, long_name: str, dim: str | None) -> str:
+    """Return the label of an axis: of shifts it states what the default's values are."""
+    if dim is None:
+        return long_name
+    values = dataset[name].sel({dim: DEFAULT}).values.ravel()
+    x = dataset.wavelength.values
+    if values.size > _MOST_STATED:
+        stated = f"{values.min():.3f}–{values.max():.3f}"
+    else:
+        stated = ", ".join(f"{v:.3f} ({w:g} nm)" for v, w in zip(values, x, strict=True))
+    return f"{long_name}, shift from the default\ndefault: {stated}"
+
+
+def _series(axes: Axes, dataset: xr.Dataset, name: str, series: Lines, dim: str | None) -> None:
+    """Draw the values of all points at every wavelength, or their shifts."""
+    value, error = dataset[name], dataset[f"{name}_stderr"]
+    if dim:
+        value, error = shift_of(dataset, name, dim)
+        others = value[dim] != DEFAULT
+        value, error = value.where(others, 0.0), error.where(others, 0.0)
+        axes.axvline(0.0, color="black", lw=0.6, zorder=1.0)
+    count = len(series.all)
+    for number, one in enumerate(series.all):
+        x = value.sel(one.labels).values.ravel()
+        y = np.arange(x.size) + (_DODGE * ((number + 0.5) / count - 0.5) if count > 1 else 0.0)
         axes.errorbar(
-            value, range(value.size), xerr=BAND * part[f"{name}_stderr"].values.ravel(),
-            fmt="o", color=one.colour, capsize=3, label=one.text,
+            x, y, xerr=BAND * error.sel(one.labels).values.ravel(),
+            fmt="o", ms=2.5, color=one.colour, elinewidth=0.8, label=one.text,
         )  # fmt: skip
-        if default is not None:
-            # All others are read against it.
-            axes.axvline(value[default], color="black", lw=0.8, ls="--", zorder=1.0)
 
 
 def _lengths(axes: Axes, value: np.ndarray) -> None:
@@ -95,5 +132,8 @@ def _lengths(axes: Axes, value: np.ndarray) -> None:
     rows = range(value.size)
     axes.plot(value, rows, "o", color=colours(1)[0])
     for x, y in zip(value, rows, strict=True):
-        axes.annotate(f"{x:.3f}", (x, y), xytext=(8, 0), textcoords="offset points", va="center")
-    axes.set_xlim(0, 1.15 * value.max())
+        axes.annotate(
+            f"{x:.3f}", (x, y), xytext=(5, 0), textcoords="offset points", va="center",
+            fontsize=SMALLEST,
+        )  # fmt: skip
+    axes.set_xlim(0, 1.2 * value.max())

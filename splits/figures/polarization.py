@@ -9,7 +9,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.directions import (
+from splits.figures.conditions import conditions
+from splits.figures.notes import finished
+from splits.figures.planes import (
     INSIDE,
     NAMES,
     STEEPEST_DEG,
@@ -18,7 +20,7 @@ from splits.figures.directions import (
     part_of,
     plane_of,
 )
-from splits.figures.style import BAND, style, subplots
+from splits.figures.style import BAND, TWO_COLUMNS, style, subplots
 
 
 def polarization(
@@ -37,10 +39,11 @@ def polarization(
     legend : str, optional
         Title of the legend; the grid's parameters by default.
     """
-    plane = plane_of(at_points(dataset, at or {}))
+    dataset = at_points(dataset, at or {})
+    plane = plane_of(dataset)
     lines = lines_of(plane, "brdf")
     with style():
-        figure, (left, right) = subplots(1, 2, figsize=(8.8, 3.9), layout="constrained")
+        figure, (left, right) = subplots(1, 2, width=TWO_COLUMNS, height=2.6)
         for one in lines.all:
             line = part_of(plane, one.labels)
             angle = line.angle.values
@@ -60,11 +63,11 @@ def polarization(
                 )
         left.set(ylabel=NAMES["brdf"], ylim=(0.0, None))
         right.set_ylabel("degree of polarization across the plane")
-        right.axhline(0.0, color="0.6", lw=0.8)
+        right.axhline(0.0, color="0.6", lw=0.6)
         for axes in (left, right):
             axes.set(xlabel=VIEWING)
             axes.set_xlim(-STEEPEST_DEG - 5.0, STEEPEST_DEG + 5.0)
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.spines[["top", "right"]].set_visible(False)
         lines.legend(figure, [left], legend, INSIDE)
-    return figure
+        return finished(figure, [left, right], conditions(dataset, at))

@@ -1,52 +1,94 @@
-"""How far combinations of readings lie from what a paper states: a map of differences in bars."""
+"""How far combinations of readings lie from what a paper states, and from the default."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.figures.style import style, subplots
+from splits.figures.notes import finished
+from splits.figures.shifts import INDEPENDENT, SHADE
+from splits.figures.style import BAND, SMALLEST, TWO_COLUMNS, style, subplots
 
-LIMIT = 3.0
-"""Differences (bars) at the ends of the colours."""
+LIMIT = 6.0
+"""Bars up to which differences are drawn; what lies farther stands at the end as a triangle."""
+MOST_BESIDE = 12
+"""Combinations beside the default in one row of panels."""
 
 
-def readings_map(statements: pd.DataFrame) -> Figure:
-    """Draw the differences of all statements, a column per combination.
+def readings_shifts(statements: pd.DataFrame, default: str = "splitsnow_2021") -> Figure:
+    """Draw where the default lies from all statements, and how far the others lie from it.
 
     Parameters
     ----------
     statements : pandas.DataFrame
         See `splits.experiments.ranking_tables.statements`.
+    default : str
+        Name of the set of readings that the others are read against; without it among the
+        combinations, the nearest one.
     """
-    import seaborn
-
-    statements = statements[statements.nearest_water]
-    names = list(dict.fromkeys(statements.statement))
-    table = statements.pivot(index="statement", columns="combination", values="distance").loc[names]
-    places = statements.drop_duplicates("statement").set_index("statement").place
-    heads = statements.drop_duplicates("combination").set_index("combination").readings
+    table = statements[statements.nearest_water]
+    parts = dict(iter(table.groupby("combination", sort=False)))
+    named = table.combination[table.set == default]
+    first = named.iloc[0] if len(named) else table.combination.iloc[0]
+    base = parts.pop(first).set_index("statement")
+    shown = dict(list(parts.items())[:MOST_BESIDE])
+    rows = np.arange(len(base))
     with style():
         figure, panels = subplots(
-            1, 1, figsize=(3.4 + 0.95 * table.shape[1], 1.9 + 0.27 * table.shape[0]),
-            squeeze=False, layout="constrained",
+            1, 1 + len(shown), width=TWO_COLUMNS, height=0.6 + 0.15 * rows.size, sharey=True,
+            squeeze=False, width_ratios=[2.2, *[1.0] * len(shown)],
         )  # fmt: skip
-        axes = panels[0, 0]
-        seaborn.heatmap(
-            table, ax=axes, cmap="RdBu_r", vmin=-LIMIT, vmax=LIMIT, annot=True, fmt=".1f",
-            linewidths=0.5, annot_kws={"size": 7},
-            cbar_kws={"label": "ours − published (bars)", "shrink": 0.6},
-        )  # fmt: skip
-        rows = [f"{name.replace('_', ' ')} · {places[name]}" for name in names]
-        axes.set_yticks(np.arange(len(names)) + 0.5, rows, rotation=0)
-        said = [dict(part.split(": ") for part in heads[i].split(", ")) for i in table.columns]
-        columns = [
-            "\n".join([str(i), *one.values()]) for i, one in zip(table.columns, said, strict=True)
-        ]
-        axes.set_xticks(np.arange(len(columns)) + 0.5, columns, rotation=0, fontsize=7)
-        order = ", ".join(name.replace("_", " ") for name in said[0])
-        axes.set_xlabel(f"combination of readings, the nearest first\n({order})", fontsize=9)
-        axes.set_ylabel("")
-        axes.tick_params(length=0)
-    return figure
+        _strip(panels[0, 0], base.distance.to_numpy(), base.stderr / base.bar, "black")
+        panels[0, 0].set_title(f"{default if len(named) else 'nearest'}")
+        panels[0, 0].set_xlabel("ours − stated (bars)")
+        for axes, (number, part) in zip(panels[0, 1:], shown.items(), strict=True):
+            part = part.set_index("statement").loc[base.index]
+            shift = (part.ours - base.ours) / base.bar
+            _strip(axes, shift.to_numpy(), np.hypot(part.stderr, base.stderr) / base.bar, SHADE)
+            axes.set_title(str(number))
+        if shown:
+            panels[0, (1 + len(shown)) // 2].set_xlabel("shift from the default (bars)")
+        labels = [f"{name.replace('_', ' ')} · {row.place}: {row.ours:.3g}"
+                  for name, row in base.iterrows()]  # fmt: skip
+        panels[0, 0].set_yticks(rows, labels, fontsize=SMALLEST)
+        panels[0, 0].set_ylim(rows.size - 0.5, -0.5)
+        return finished(figure, panels[0], *_notes(base, shown))
+
+
+def _strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, colour: str) -> None:
+    """Draw one combination's differences."""
+    rows = np.arange(value.size)
+    axes.axvline(0.0, color="black", lw=0.6, zorder=1.0)
+    inside = np.abs(value) <= LIMIT
+    errors = BAND * np.asarray(error)
+    axes.errorbar(
+        value[inside], rows[inside], xerr=errors[inside], fmt="o", ms=2, color=colour,
+        elinewidth=0.7, capsize=0,
+    )  # fmt: skip
+    for side, marker in ((-1.0, "<"), (1.0, ">")):
+        far = rows[side * value > LIMIT]
+        axes.plot(np.full(far.size, side * LIMIT), far, marker, ms=3, color=colour)
+    axes.set_xlim(-1.15 * LIMIT, 1.15 * LIMIT)
+    axes.set_xticks([-0.5 * LIMIT, 0.0, 0.5 * LIMIT])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="y", alpha=0.25)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+
+
+def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame]) -> list[str]:
+    """Return what the columns are, and what their errors."""
+    own = dict(part.split(": ") for part in base.readings.iloc[0].split(", "))
+    lines = []
+    for number, part in shown.items():
+        other = dict(one.split(": ") for one in part.readings.iloc[0].split(", "))
+        changed = [f"{key} {value}".replace("_", " ") for key, value in other.items()
+                   if value != own[key]]  # fmt: skip
+        lines.append(f"{number}: {', '.join(changed) or 'the same'}")
+    bars = f"bars of errors: {BAND:g} standard errors; {INDEPENDENT}"
+    said = "; ".join(f"{key} {value}".replace("_", " ") for key, value in own.items())
+    return [
+        f"Numbers behind the statements: values of the default. Default: {said}; {bars}.",
+        "Others, nearest first, by what they change. " + "; ".join(lines) + ".",
+    ]

@@ -12,8 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.conditions import conditions
 from splits.figures.facets import faceted
 from splits.figures.lines import Lines
+from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
+from splits.figures.notes import finished
+from splits.figures.shifts import read_against, shifts
 from splits.figures.style import BAND, style, subplots
 from splits.panels import facets
 
@@ -27,6 +31,8 @@ MATERIAL_COLOURS = {
     "kaolinite": "#7fb069",
 }
 """Materials that figures of refractive indices show; mixtures follow from them."""
+_LONGEST_LINE = 30
+"""Letters that fit along an axis."""
 
 
 def spectra(
@@ -39,6 +45,9 @@ def spectra(
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw spectra with bands of two standard errors, of many points in several panels.
+
+    Where one value of the grid's only parameter is labelled ``default``, panels show how far the
+    others lie from it.
 
     Parameters
     ----------
@@ -69,14 +78,19 @@ def spectra(
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
+    note = conditions(dataset, at)
     if apart := facets({d: dataset.sizes[d] for d in dims}, len(quantity), at):
-        return faceted(dataset, quantity, apart, legend, ylim)
+        return faceted(dataset, quantity, apart, legend, ylim, note)
+    dim = None if measured is not None else read_against(dataset, dims)
+    if dim:
+        labels = ("wavelength (nm)", quantity)
+        return shifts(dataset, quantity, dim, "wavelength", labels, note)
     lines = Lines(dataset, dims)
+    nodes = coarse_nodes(dataset)
     with style():
         figure, panels = subplots(
-            len(quantity), 1, figsize=(6.4, 3.9 * len(quantity)), squeeze=False, sharex=True,
-            layout="constrained",
-        )  # fmt: skip
+            len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
+        )
         shown = []
         for axes, name in zip(panels[:, 0], quantity, strict=True):
             _lines(axes, dataset, name, lines)
@@ -85,10 +99,11 @@ def spectra(
             axes.set_ylabel(_label(dataset[name]))
             axes.set_ylim(ylim or (0.0, None))
             axes.margins(x=0.01)
+            mark_nodes(axes, nodes)
             axes.spines[["top", "right"]].set_visible(False)
         panels[-1, 0].set_xlabel("wavelength (nm)")
         lines.legend(figure, list(panels[:, 0]), legend, extra=shown)
-    return figure
+        return finished(figure, panels.flat, note, nodes_note(nodes))
 
 
 def _lines(axes: Axes, dataset: xr.Dataset, name: str, lines: Lines) -> None:
@@ -108,12 +123,15 @@ def _measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
     if f"{name}_min" in table:
         span = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
     return axes.errorbar(  # type: ignore[return-value]
-        table["wavelength_nm"], y, span, fmt="s", color="black", ms=4, capsize=3, label="measured"
+        table["wavelength_nm"], y, span, fmt="s", color="black", ms=2.5, label="measured"
     )
 
 
 def _label(variable: xr.DataArray) -> str:
-    return str(variable.attrs.get("long_name", variable.name))
+    """Return what an axis shows, on two lines if it is long."""
+    words = str(variable.attrs.get("long_name", variable.name))
+    first, _, last = words.rpartition(" ")
+    return f"{first}\n{last}" if first and len(words) > _LONGEST_LINE else words
 
 
 def refractive_indices(dataset: xr.Dataset) -> Figure:
@@ -125,8 +143,9 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         Variables ``n`` and ``k`` over wavelength and material.
     """
     with style():
-        figure, left = subplots(figsize=(6.4, 3.9))
+        figure, left = subplots(height=2.6)
         right = left.twinx()
+        nodes = coarse_nodes(dataset)
         for material, colour in MATERIAL_COLOURS.items():
             if material not in dataset.material.values:
                 continue
@@ -134,14 +153,25 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
             left.plot(part.wavelength, part.n, color=colour, label=f"n, {material}")
             if float(part.k.max()) > 0.0:
                 right.plot(part.wavelength, part.k, color=colour, ls="--", label=f"k, {material}")
+                _rows(right, part, nodes, colour)
         right.set_yscale("log")
         left.set_xlabel("wavelength (nm)")
         left.set_ylabel("refractive index n (solid)")
         right.set_ylabel("extinction coefficient k (dashed)")
         left.margins(x=0.01)
-        lines = [*left.get_lines(), *right.get_lines()]
-        left.legend(
-            handles=lines, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4
-        )
-        figure.tight_layout()
-    return figure
+        lines = [
+            one for one in (*left.get_lines(), *right.get_lines())
+            if not str(one.get_label()).startswith("_")
+        ]  # fmt: skip
+        figure.legend(handles=lines, frameon=False, loc="outside upper center", ncols=4)
+        names = ", ".join(nodes)
+        told = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
+        return finished(figure, [left], told if nodes else "")
+
+
+def _rows(axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str) -> None:
+    """Draw a dot where a coarse table has a row."""
+    for name, rows in nodes.items():
+        if name.startswith(str(part.material.values)):
+            k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
+            axes.plot(rows, k, ".", color=colour, ms=4, label="_rows")

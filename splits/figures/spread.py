@@ -10,8 +10,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.figures.conditions import conditions
 from splits.figures.lines import FEW, beside
-from splits.figures.style import BAND, colours, style, subplots
+from splits.figures.notes import finished
+from splits.figures.style import BAND, TWO_COLUMNS, colours, style, subplots
 
 FAINTEST = 0.25
 """Relative error beyond which a value is not drawn."""
@@ -30,7 +32,7 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
     dataset = at_points(dataset, at or {})
     with style():
         figure, (left, right) = subplots(
-            1, 2, figsize=(8.8, 3.9), width_ratios=(1.15, 1.0), layout="constrained"
+            1, 2, width=TWO_COLUMNS, height=2.8, width_ratios=(1.15, 1.0)
         )
         shades = colours(dataset.sizes["wavelength"])
         for colour, wavelength in zip(shades, dataset.wavelength.values, strict=True):
@@ -43,7 +45,7 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
                 x = 1e3 * part.radius.values[clear]
                 value, error = value[clear], BAND * error[clear]
                 label = f"{wavelength:g} nm, {side}"
-                left.plot(x, value, color=colour, ls=dash, lw=1.4, label=label)
+                left.plot(x, value, color=colour, ls=dash, label=label)
                 left.fill_between(
                     x, np.maximum(value - error, 0.1 * value), value + error,
                     color=colour, alpha=0.3, lw=0,
@@ -67,4 +69,4 @@ def spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> 
         right.set(xlabel="along the beam's travel (mm)", ylabel="across (mm)", aspect="equal")
         right.set_title(f"{float(first.wavelength):g} nm, reflected")
         figure.colorbar(image, ax=right, label="light leaving per area (m⁻²)", shrink=0.85)
-    return figure
+        return finished(figure, [left, right], conditions(dataset, at))

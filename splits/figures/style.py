@@ -23,6 +23,12 @@ Dash = str | tuple[int, tuple[int, ...]]
 
 BAND = 2.0
 """Error bands and bars reach this many standard errors to either side."""
+ONE_COLUMN = 3.5
+TWO_COLUMNS = 7.2
+"""Widths (inches) of all figures: a column of a printed page (89 mm), or the page (183 mm)."""
+SMALLEST = 6.5
+"""Size (points) of the smallest text; `paper.mplstyle` has the others."""
+DPI = 300
 
 LABELS = {
     "wavelength": "wavelength (nm)",
@@ -133,7 +139,11 @@ def _printed(number: str) -> str:
     return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
 
 
-SUFFIXES = (".png", ".svg")
+SUFFIXES = (".png", ".svg", ".pdf")
+METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
+}  # fmt: skip
+"""What would name the occasion, or the program's version, is left out."""
 OTHER_SCRIPTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
     "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
@@ -157,30 +167,41 @@ class Drawing(Figure):
     """A figure beside pyplot: it needs no display, and no backend is chosen for the process.
 
     A notebook shows it where it is the value of a cell.
+
+    Parameters
+    ----------
+    width : float
+        `ONE_COLUMN` or `TWO_COLUMNS`.
+    height : float
+        Inches.
     """
 
-    def __init__(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__(figsize=(width, height), layout="constrained")
         # It measures its text before it is written.
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
         held = BytesIO()
         with style():
-            self.savefig(held, format="png")
+            self.savefig(held, format="png", dpi=DPI // 2)
         return held.getvalue()
 
 
 def subplots(
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    figsize: tuple[float, float],
-    layout: str | None = None,
-    **settings: Any,
+    rows: int = 1, columns: int = 1, *, height: float, width: float = ONE_COLUMN, **settings: Any
 ) -> tuple[Figure, Any]:
-    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `Drawing`."""
-    figure = Drawing(figsize=figsize, layout=layout)
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `Drawing`.
+
+    Parameters
+    ----------
+    rows, columns : int
+    height : float
+        Inches; notes and legends may add to it.
+    width : float
+        `ONE_COLUMN` or `TWO_COLUMNS`.
+    """
+    figure = Drawing(width, height)
     return figure, figure.subplots(rows, columns, **settings)
 
 
@@ -196,7 +217,7 @@ def colours(count: int, parameter: str | None = None) -> list[Colour]:
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
-    """Write ``stem.png`` and ``stem.svg``: the same bytes for the same figure.
+    """Write ``stem.png``, ``stem.svg`` and ``stem.pdf``: the same bytes for the same figure.
 
     Parameters
     ----------
@@ -212,8 +233,7 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = []
     for suffix in SUFFIXES:
         path = stem.with_name(stem.name + suffix)
-        metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
         with style(), whole(path) as aside:
-            figure.savefig(aside, format=suffix[1:], dpi=200, metadata=metadata)
+            figure.savefig(aside, format=suffix[1:], dpi=DPI, metadata=METADATA[suffix])
         paths.append(path)
     return paths

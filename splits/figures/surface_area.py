@@ -5,47 +5,49 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from splits.figures.style import BAND, colours, style, subplots
+from splits.figures.notes import finished
+from splits.figures.style import BAND, SMALLEST, colours, style, subplots
 
 _DASHES = ("--", ":", "-.")
 GALLET_2009 = (0.15, 0.50)
 """Reflectances at 1310 nm that Gallet et al. (2009) give for surface areas below 60 m²/kg."""
 
 
-def fitted_spectra(table: pd.DataFrame) -> Figure:
+def fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
     """Draw measured spectra and those of the snow found, their differences below.
 
     Parameters
     ----------
     table : pandas.DataFrame
         See `splits.analysis.surface_area.overlay`.
+    note : str
+        For the foot, see `splits.figures.conditions.conditions`.
     """
     groups = list(table.groupby("spectrum", sort=False))
     with style():
         figure, panels = subplots(
-            2, 1, figsize=(6.4, 5.6), sharex=True, gridspec_kw={"height_ratios": [2.2, 1]}
+            2, 1, height=4.0, sharex=True, gridspec_kw={"height_ratios": [2.2, 1]}
         )
         top, bottom = panels
         for (spectrum, rows), colour in zip(groups, colours(len(groups)), strict=True):
             x = rows.wavelength_nm
-            top.plot(x, rows.measured, ".", ms=4, color=colour)
-            top.plot(x, rows.model, color=colour, lw=1.3,
+            top.plot(x, rows.measured, ".", ms=2.5, color=colour)
+            top.plot(x, rows.model, color=colour,
                      label=_named(spectrum, rows.area.iloc[0]))  # fmt: skip
             low, high = rows.model - BAND * rows.stderr, rows.model + BAND * rows.stderr
             top.fill_between(x, low, high, color=colour, alpha=0.3, lw=0)
-            bottom.plot(x, rows.difference.where(rows.fitted), color=colour, lw=1.3)
-            bottom.plot(x, rows.difference, color=colour, lw=0.7, ls=":")
-        top.plot([], [], ".", ms=4, color="0.4", label="measured")
+            bottom.plot(x, rows.difference.where(rows.fitted), color=colour)
+            bottom.plot(x, rows.difference, color=colour, lw=0.6, ls=":")
+        top.plot([], [], ".", ms=2.5, color="0.4", label="measured")
         top.set_ylim(bottom=0)
         top.set_ylabel("reflectance")
         top.legend(frameon=False)
-        bottom.axhline(0, color="black", lw=0.8)
+        bottom.axhline(0, color="black", lw=0.6)
         bottom.set_ylabel("model − measured")
         bottom.set_xlabel("wavelength (nm); dotted: not fitted")
         for axes in panels:
             axes.spines[["top", "right"]].set_visible(False)
-        figure.tight_layout()
-    return figure
+        return finished(figure, panels, note)
 
 
 def _named(column: str, area: float) -> str:
@@ -54,31 +56,32 @@ def _named(column: str, area: float) -> str:
     return f"{name}, {angle}°: {area:.1f} m²/kg"
 
 
-def area_law(table: pd.DataFrame) -> Figure:
+def area_law(table: pd.DataFrame, note: str = "") -> Figure:
     """Draw reflectance at 1310 nm against surface area, ours and published.
 
     Parameters
     ----------
     table : pandas.DataFrame
         See `splits.analysis.surface_area.field_law`.
+    note : str
+        For the foot, see `splits.figures.conditions.conditions`.
     """
     ours = table[table.stderr.notna()]
     groups = list(ours.groupby("snow", sort=False))
     laws = list(table[table.stderr.isna()].groupby("snow", sort=False))
     with style():
-        figure, axes = subplots(figsize=(6.4, 4.2))
+        figure, axes = subplots(height=2.9)
         for (snow, rows), colour in zip(groups, colours(len(groups)), strict=True):
             axes.errorbar(rows.area, rows.reflectance, BAND * rows.stderr, color=colour,
-                          marker="o", ms=3, lw=1.3, label=snow)  # fmt: skip
+                          marker="o", ms=2.5, label=snow)  # fmt: skip
         for (law, rows), dashes in zip(laws, _DASHES, strict=False):
-            axes.plot(rows.area, rows.reflectance, ls=dashes, color="0.35", lw=1.1, label=law)
+            axes.plot(rows.area, rows.reflectance, ls=dashes, color="0.35", label=law)
         axes.axhspan(*GALLET_2009, color="0.92", zorder=0,
                      label="below 60 m²/kg (Gallet et al. 2009)")  # fmt: skip
         axes.set_xlim(left=0)
         axes.set_ylim(0, 0.8)
         axes.set_xlabel("specific surface area (m²/kg)")
         axes.set_ylabel("reflectance at 1310 nm")
-        axes.legend(frameon=False, loc="upper left")
+        axes.legend(frameon=False, loc="upper left", fontsize=SMALLEST)
         axes.spines[["top", "right"]].set_visible(False)
-        figure.tight_layout()
-    return figure
+        return finished(figure, [axes], note)

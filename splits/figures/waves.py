@@ -13,9 +13,11 @@ from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
-from splits.figures.style import BAND, colours, style, subplots
+from splits.figures.conditions import conditions
+from splits.figures.notes import finished
+from splits.figures.style import BAND, SMALLEST, TWO_COLUMNS, colours, style, subplots
 
-_EXPECTED: dict[str, Any] = {"color": "0.6", "lw": 0.8, "ls": "--"}
+_EXPECTED: dict[str, Any] = {"color": "0.6", "lw": 0.6, "ls": "--"}
 """The look of lines to compare with."""
 _BOTH = np.array([-1.0, 1.0])
 
@@ -24,9 +26,9 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _panels(width: float, count: int, plan: int, **settings: Any) -> tuple[Figure, np.ndarray]:
+def _panels(count: int, plan: int, **settings: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure and its panels, side by side; one of them shows x and y from above."""
-    figure, panels = subplots(1, count, figsize=(width, 3.9), layout="constrained", **settings)
+    figure, panels = subplots(1, count, width=TWO_COLUMNS, height=2.8, **settings)
     panels[plan].set(xlabel="x (m)", ylabel="y (m)")
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
@@ -47,7 +49,7 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     with style():
-        figure, (left, right) = _panels(8.8, 2, plan=0, width_ratios=(1.35, 1.0))
+        figure, (left, right) = _panels(2, plan=0, width_ratios=(1.35, 1.0))
         reach = float(np.abs(height).max())
         light = LightSource(azdeg=315, altdeg=35)
         shaded = light.shade(
@@ -61,17 +63,18 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
         figure.colorbar(scale, ax=left, label="height (m)", location="top", shrink=0.7, aspect=30)
         slopes = np.sort(dataset.rms_slope.values)
         share = (np.arange(slopes.size) + 0.5) / slopes.size
-        right.step(slopes, share, where="mid", color="black", lw=1.2)
+        right.step(slopes, share, where="mid", color="black")
         median = float(np.median(slopes))
         right.axvline(median, **_EXPECTED)
         right.annotate(
-            f"median {median:.3g}", (median, 0.02), (4, 0), textcoords="offset points", fontsize=9
-        )
+            f"median {median:.3g}", (median, 0.02), (4, 0), textcoords="offset points",
+            fontsize=SMALLEST,
+        )  # fmt: skip
         wide = slopes[-1] > 10.0 * slopes[0]
         right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
         right.set_xscale("log" if wide else "linear")
         right.set_ylabel("share of realisations below")
-    return figure
+        return finished(figure, [left, right], conditions(dataset, at, ""))
 
 
 def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
@@ -92,22 +95,22 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
     far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
     shown = sorted({0, best, far})
     with style():
-        figure, (rays, screen, dense) = _panels(11.0, 3, plan=1)
+        figure, (rays, screen, dense) = _panels(3, plan=1)
         start = dataset.path.values
         for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
             seen = (dataset.seen.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
             x = np.append(start[ray, 0], dataset.place.values[seen, ray, 0])
             z = np.append(start[ray, 2], -depth[seen])
-            rays.plot(x, z, color="0.35", lw=0.6)
-            rays.plot([x[0], x[0]], [z[0], 0.3 * depth[far]], color="0.35", lw=0.6)
+            rays.plot(x, z, color="0.35", lw=0.4)
+            rays.plot([x[0], x[0]], [z[0], 0.3 * depth[far]], color="0.35", lw=0.4)
         shades = colours(len(shown))
         order = np.argsort(start[:, 0])
-        rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1.5)
+        rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1)
         for place, colour in zip(shown, shades, strict=True):
-            rays.axhline(-depth[place], color=colour, lw=1.2)
+            rays.axhline(-depth[place], color=colour)
             seen = dataset.seen.values[place] > 0
             spot = dataset.place.values[place][seen]
-            screen.plot(*spot.T, ".", color=colour, ms=2.5, label=f"{depth[place]:g} m")
+            screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[place]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
         seen = dataset.seen.values[shown] > 0
         middle = np.array([np.mean(_ends(dataset.place.values[shown][seen, i])) for i in (0, 1)])
@@ -119,7 +122,7 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
             loc="outside upper center", ncols=3, markerscale=6.0,
         )  # fmt: skip
         value = dataset.concentration.values
-        dense.plot(depth, value, color="black", lw=1.4)
+        dense.plot(depth, value, color="black")
         if "concentration_stderr" in dataset:
             error = BAND * dataset.concentration_stderr.values
             low = np.maximum(value - error, 0.0)
@@ -127,8 +130,9 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
         dense.axhline(1.0, **_EXPECTED)
         dense.annotate(
             "without waves", (depth[-1], 1.0), (0, 3), textcoords="offset points", ha="right",
-            fontsize=9,
+            fontsize=SMALLEST,
         )  # fmt: skip
         dense.set(xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size")
         dense.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
-    return figure
+        band = "band" if "concentration_stderr" in dataset else ""
+        return finished(figure, [rays, screen, dense], conditions(dataset, at, band))

@@ -134,3 +134,17 @@ def test_few_rays_do_not_know_their_own_error(number):
 
 def rms(values):
     return float(np.sqrt((values**2).mean()))
+
+
+def test_noise_of_what_was_dropped_does_not_raise_errors_of_a_plain_surface():
+    # Lambert's law: all but the constant coefficient is noise.
+    mean, root = projected(0.01)
+    rng = np.random.default_rng(3)
+    counted = np.ones(len(ANGLES.values), dtype=bool)
+    z = []
+    for _ in range(SEEDS):
+        exits = Exits(mean, root, 30_000, rng, 4)
+        result, _ = estimate([exits], np.zeros(1), ANGLES, False, 0, counted)
+        z.append((result.mean[0, 0] - ANGLES.values @ mean) / result.stderr[0, 0])
+    print(f"plain surface: rms z {rms(np.array(z)):.2f}")
+    assert 0.8 < rms(np.array(z)) < 1.2

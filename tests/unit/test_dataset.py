@@ -113,6 +113,9 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
     xr.testing.assert_identical(splits.load(path), dataset)
     splits.save(splits.load(path), path)
     xr.testing.assert_identical(splits.load(path), dataset)
+    splits.save(splits.load(path).drop_vars("layers.1.surface_mean"), path)
+    with xr.open_dataset(path, decode_coords=False) as file:
+        assert file.reflectance.attrs["coordinates"] == "layers_1_surface_label"
 
 
 @pytest.mark.parametrize("name", ["made.csv", "made", "made.nc.gz", "made.NC"])

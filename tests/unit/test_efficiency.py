@@ -140,7 +140,7 @@ def test_repeated_runs_count_by_their_largest_or_their_mean_square():
 def test_figure_has_a_panel_per_medium_and_opens_what_is_scaled(table):
     both = pd.concat([table, table.assign(medium="sand")])
     figure = speed_against_error(both)
-    assert [axes.get_title() for axes in figure.axes] == ["snow", "sand"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) snow", "(b) sand"]
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[-1] == "scaled"
     assert METHODS[LANES] in texts and METHODS["one_by_one"] not in texts

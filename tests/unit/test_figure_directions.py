@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.figures import collectors, lobes, polarization, principal_planes
+from splits.figures import collectors, hemispheres, lobes, polarization, principal_planes
+from splits.figures.style import ONE_COLUMN, TWO_COLUMNS
 
 POLAR = np.arange(0.0, 90.0, 5.0)
 AZIMUTH = np.arange(0.0, 360.0, 30.0)
@@ -30,8 +31,13 @@ def dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), 
     return xr.Dataset(variables, coords, attributes)
 
 
-def curves(axes, labels):
-    return [one for one in axes.lines if one.get_label() in labels]
+PLANE = {"azimuth": np.array([0.0, 90.0, 180.0, 270.0])}
+"""Directions that no map can show."""
+
+
+def maps(figure):
+    """Return the panels that are maps."""
+    return [axes for axes in figure.axes if axes.get_xlabel().startswith("forward")]
 
 
 def test_beams_are_explained():
@@ -45,7 +51,7 @@ def test_beams_are_explained():
 
 
 def test_several_beams_have_the_colours_of_their_lines():
-    made = dataset({"incidence_deg": [0.0, 30.0, 60.0]})
+    made = dataset({"incidence_deg": [0.0, 30.0, 60.0]}, **PLANE)
     polar, flat = principal_planes(made).axes
     *_, one, two, three = polar.lines
     assert np.degrees(two.get_xdata()[0]) == pytest.approx(-30.0)
@@ -53,7 +59,7 @@ def test_several_beams_have_the_colours_of_their_lines():
 
 
 def test_transmitted_light_goes_down():
-    up, down = principal_planes(dataset(), ["brdf", "btdf"]).axes[::2]
+    up, down = principal_planes(dataset(**PLANE), ["brdf", "btdf"]).axes[::2]
     for polar, sign in ((up, 1.0), (down, -1.0)):
         angle, radius = polar.lines[0].get_data()
         # Angles count from the top of the plot, clockwise.
@@ -69,14 +75,14 @@ def test_transmitted_light_goes_down():
 
 
 def test_every_quantity_asked_for_has_its_panels():
-    figure = principal_planes(dataset(), ["brdf", "btdf"])
+    figure = principal_planes(dataset(**PLANE), ["brdf", "btdf"])
     assert [axes.get_ylabel() for axes in figure.axes[1::2]] == ["BRDF (sr⁻¹)", "BTDF (sr⁻¹)"]
     brdf, btdf = (axes.lines[0].get_ydata() for axes in figure.axes[1::2])
     np.testing.assert_allclose(btdf, 0.5 * brdf)
 
 
 def test_where_nothing_is_transmitted_the_panels_say_so():
-    made = dataset()
+    made = dataset(**PLANE)
     made["btdf"] = 0.0 * made.btdf
     figure = principal_planes(made, ["btdf"])
     for axes in figure.axes:
@@ -94,7 +100,7 @@ CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 
 def test_lines_of_cells_do_not_cross_the_zenith():
-    made = dataset(polar=CELLS, estimator="cells")
+    made = dataset(polar=CELLS, estimator="cells", **PLANE)
     for figure in (principal_planes(made), polarization(made)):
         for axes in figure.axes:
             angle, value = axes.lines[0].get_data()
@@ -107,8 +113,9 @@ def test_lines_of_cells_do_not_cross_the_zenith():
 
 def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
     fine = dataset(polar=CELLS, estimator="cells", azimuth=np.arange(0.0, 360.0, 10.0))
-    (axes,) = collectors(fine).axes
-    assert len(axes.lines) == 3
+    figure = collectors(fine)
+    axes = figure.axes[0]
+    assert len(axes.lines) == len(maps(figure)) == 3
     for line in axes.lines:
         angle, value = line.get_data()
         assert np.isnan(value[angle == 0.0]).all() and np.isfinite(value[angle != 0.0]).all()
@@ -132,10 +139,11 @@ def test_titles_of_lobes_do_not_overlap():
     grid = {"grain_size_um": ["100-200", "800-1200"], "iron_oxide": [0.01, 0.02, 0.03]}
     figure = lobes(dataset(grid, wavelength=(600.0, 1300.0)))
     figure.draw_without_rendering()
-    titles = [axes.title for axes in figure.axes if axes.get_title()]
+    titles = [axes._left_title for axes in figure.axes if ":" in axes.get_title(loc="left")]
     assert len(titles) == 12
     assert titles[0].get_text().splitlines() == [
-        "grain size (µm): 100–200", "hematite and goethite by mass: 0.01", "wavelength (nm): 600",
+        "(a) grain size (µm): 100–200", "hematite and goethite by mass: 0.01",
+        "wavelength (nm): 600",
     ]  # fmt: skip
     boxes = [title.get_window_extent() for title in titles]
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
@@ -160,3 +168,49 @@ def test_many_directions_leave_their_panels_free():
     box = legend.get_window_extent()
     assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
     assert box.x1 <= figure.bbox.x1 + 1.0 and box.y0 >= 0.0
+
+
+def test_few_points_have_maps_beside_and_many_do_not():
+    for count, expected in ((1, 1), (4, 4), (5, 0)):
+        grid = {"density_kg_m3": 100.0 * np.arange(1, count + 1)}
+        figure = principal_planes(dataset(grid))
+        assert len(maps(figure)) == expected
+        assert figure.get_figwidth() == TWO_COLUMNS
+        figure.draw_without_rendering()
+    assert not maps(principal_planes(dataset(**PLANE)))
+
+
+@pytest.mark.parametrize("count", [1, 5, 24])
+def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
+    made = dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
+    figure = hemispheres(made)
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() == (ONE_COLUMN if count == 1 else TWO_COLUMNS)
+    shown = maps(figure)
+    assert len(shown) == count
+    assert len({axes.collections[0].norm for axes in shown}) == 1
+    for axes in shown:
+        (mirror, source) = (line for line in axes.lines if line.get_marker() in "Do")
+        np.testing.assert_allclose(mirror.get_xydata(), [[0.0, 40.0]])
+        np.testing.assert_allclose(source.get_xydata(), [[np.pi, 40.0]])
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+def test_a_map_shows_what_goes_forward_on_the_right():
+    mesh = maps(hemispheres(dataset()))[0].collections[0]
+    around = mesh.get_coordinates()[..., 0]
+    middle = 0.5 * (around[1:, 1:] + around[1:, :-1])
+    values = mesh.get_array()
+    assert values[np.cos(middle) > 0.5].mean() > values[np.cos(middle) < -0.5].mean()
+
+
+def test_light_of_a_reading_is_shown_as_shifts_from_the_default():
+    made = dataset({"readings": ["a", "default", "b"]})
+    made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="readings")
+    figure = principal_planes(made)
+    default, one, other = figure.axes
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) default", "(b) a", "(c) b"]
+    assert default.lines[0].get_ydata().max() > 0.3
+    np.testing.assert_allclose(one.lines[0].get_ydata(), 0.1, atol=1e-12)
+    np.testing.assert_allclose(other.lines[0].get_ydata(), -0.1, atol=1e-12)

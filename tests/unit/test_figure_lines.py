@@ -194,13 +194,29 @@ def test_points_show_what_is_asked_of_grains_at_one_wavelength():
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0])
 
 
-def test_points_are_read_against_the_default():
+def test_points_are_shifts_from_the_default_which_is_stated():
     made = dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
-    (axes,) = points(made).axes
-    through = [one.get_xdata()[0] for one in axes.lines if one.get_linestyle() == "--"]
-    np.testing.assert_allclose(through, made.reflectance.sel(readings="default"))
-    (axes,) = points(dataset({"readings": ["a", "b"]}, [500.0])).axes
-    assert not any(one.get_linestyle() == "--" for one in axes.lines)
+    axes = points(made).axes[0]
+    for one in axes.containers:
+        np.testing.assert_allclose(one.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
+        ends = [segment[:, 0] for segment in one.lines[2][0].get_segments()]
+        half = [0.5 * (high - low) for low, high in ends]
+        np.testing.assert_allclose(half, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
+    assert axes.get_xlabel().splitlines()[1] == "default: 0.510 (500 nm), 0.510 (600 nm)"
+    absolute = points(dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
+    np.testing.assert_allclose(absolute.containers[0].lines[0].get_xdata(), [0.5, 0.51])
+
+
+def test_spectra_are_shifts_from_the_default_a_panel_each():
+    made = dataset({"readings": ["a", "default", "b"], "depth_m": [0.1]})
+    figure = spectra(made)
+    default, one, other = figure.axes
+    np.testing.assert_allclose(default.lines[0].get_ydata(), 0.51)
+    np.testing.assert_allclose(one.lines[0].get_ydata(), -0.01)
+    np.testing.assert_allclose(other.lines[0].get_ydata(), 0.01)
+    assert "independent" in next(t.get_text() for t in figure.texts if t.get_gid() == "foot")
+    crossed = dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
+    assert len(spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 
 
 def test_beams_of_many_wavelengths_have_their_legend_beside():

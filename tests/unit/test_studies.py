@@ -34,17 +34,19 @@ def test_shipped_studies_have_all_that_they_need(shipped):
     paths = {p for name, one in made.studies.items() for ps in one.paths(name).values() for p in ps}
     assert paths == {
         "data/fig23_sensitivity.nc", "figures/fig23_sensitivity.png",
-        "figures/fig23_sensitivity.svg", "tables/sensitivity.csv", "tables/table2.csv",
-        "tables/agreement.csv", "tables/readings_together.csv",
-        "tables/readings_together_statements.csv", "tables/readings_together_without.csv",
-        "figures/readings_together.png", "figures/readings_together.svg",
-        "tables/measured_bands.csv", "tables/table1.csv",
-        "tables/table3.csv", "figures/letcher2022_measured.png",
-        "figures/letcher2022_measured.svg", "tables/sand_trends.csv", "tables/sand_weights.csv",
+        "figures/fig23_sensitivity.svg", "figures/fig23_sensitivity.pdf",
+        "tables/sensitivity.csv", "tables/table2.csv", "tables/agreement.csv",
+        "tables/readings_together.csv", "tables/readings_together_statements.csv",
+        "tables/readings_together_without.csv", "figures/readings_together.png",
+        "figures/readings_together.svg", "figures/readings_together.pdf",
+        "tables/measured_bands.csv", "tables/table1.csv", "tables/table3.csv",
+        "figures/letcher2022_measured.png", "figures/letcher2022_measured.svg",
+        "figures/letcher2022_measured.pdf", "tables/sand_trends.csv", "tables/sand_weights.csv",
         "tables/sand_colours.csv", "tables/sand_compositions.csv", "tables/angular_trends.csv",
         "tables/layer_trends.csv", "tables/surface_area.csv", "tables/surface_area_law.csv",
         "figures/surface_area_spectra_found.png", "figures/surface_area_spectra_found.svg",
-        "figures/surface_area_law.png", "figures/surface_area_law.svg",
+        "figures/surface_area_spectra_found.pdf", "figures/surface_area_law.png",
+        "figures/surface_area_law.svg", "figures/surface_area_law.pdf",
     }  # fmt: skip
 
 

@@ -3,6 +3,7 @@ BENCHMARKED = [
     f"{RESULTS}/benchmarks/speed_against_error.csv",
     f"{RESULTS}/benchmarks/speed_against_error.png",
     f"{RESULTS}/benchmarks/speed_against_error.svg",
+    f"{RESULTS}/benchmarks/speed_against_error.pdf",
     f"{RESULTS}/benchmarks/kernels.csv",
 ]
 # They take many minutes, so `all` asks for them only when a report is written and they are there.
@@ -81,6 +82,7 @@ rule figure_speed_against_error:
             category="Benchmarks",
         ),
         f"{RESULTS}/benchmarks/speed_against_error.svg",
+        f"{RESULTS}/benchmarks/speed_against_error.pdf",
     log:
         f"{RESULTS}/logs/figure_speed_against_error.log",
     benchmark:

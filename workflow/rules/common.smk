@@ -1,4 +1,4 @@
-from splits.experiments.studies import FILES, left_out
+from splits.experiments.studies import FIGURE, FILES, left_out
 from splits.sources import PACKAGE, files_digest, physics_digest
 
 STUDIES = SETTINGS.studies
@@ -58,7 +58,7 @@ def data(names):
 
 def products(name):
     """Return everything that one experiment makes."""
-    suffixes = (".png", ".svg") if name in DRAWN else ()
+    suffixes = FIGURE if name in DRAWN else ()
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")

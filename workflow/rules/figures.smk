@@ -10,6 +10,7 @@ rule figure:
             labels={"experiment": "{experiment}"},
         ),
         f"{RESULTS}/figures/{{experiment}}.svg",
+        f"{RESULTS}/figures/{{experiment}}.pdf",
     log:
         f"{RESULTS}/logs/figure/{{experiment}}.log",
     benchmark:

@@ -6,7 +6,7 @@ from splits import load
 from splits.analysis.agreement import agreement_table, read_published
 from splits.analysis.measured import letcher_bands, read_measured
 from splits.analysis.tables import table1, table3, write_table
-from splits.figures import measured_albedo, save_figure
+from splits.figures import conditions, measured_albedo, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
@@ -17,7 +17,8 @@ agreement = agreement_table(datasets, published, load(snakemake.input.sensitivit
 write_table(agreement, snakemake.output.agreement)
 albedo = letcher_bands(datasets["letcher"], letcher)
 write_table(albedo, snakemake.output.bands)
-save_figure(measured_albedo(albedo), Path(snakemake.output.figure[0]).with_suffix(""))
+figure = measured_albedo(albedo, conditions(datasets["letcher"]))
+save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))
 write_table(table1(datasets["sample"]), snakemake.output.table1)
 bands = table3(datasets["readings"], aviris, published)
 write_table(bands, snakemake.output.table3)

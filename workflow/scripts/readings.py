@@ -11,7 +11,7 @@ from splits.analysis.agreement import read_published
 from splits.analysis.tables import write_table
 from splits.experiments.rank_readings import rank_readings
 from splits.experiments.ranking_tables import left_out, ranking, statements, telling
-from splits.figures import readings_map, save_figure
+from splits.figures import readings_shifts, save_figure
 
 with open(snakemake.log[0], "w", encoding="utf-8") as log:
 
@@ -30,4 +30,4 @@ table = statements(combinations, stated, names)
 write_table(ranking(combinations, stated, choices, text), snakemake.output.table)
 write_table(table, snakemake.output.statements)
 write_table(left_out(combinations, stated, names), snakemake.output.without)
-save_figure(readings_map(table), Path(snakemake.output.figure[0]).with_suffix(""))
+save_figure(readings_shifts(table), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -4,7 +4,11 @@ from pathlib import Path
 
 from splits import load, save
 from splits.analysis.agreement import read_published
-from splits.analysis.sensitivity_tables import chosen_sensitivities, sensitivity_table
+from splits.analysis.sensitivity_tables import (
+    chosen_sensitivities,
+    ranges_said,
+    sensitivity_table,
+)
 from splits.analysis.tables import write_table
 from splits.figures import save_figure, sensitivity_bars
 
@@ -15,4 +19,5 @@ chosen = chosen_sensitivities(table, read_published(published) if published else
 write_table(table, snakemake.output.table)
 write_table(chosen.to_dataframe().reset_index(), snakemake.output.chosen)
 save(chosen, snakemake.output.data)
-save_figure(sensitivity_bars(chosen), Path(snakemake.output.figure[0]).with_suffix(""))
+figure = sensitivity_bars(chosen, ranges_said(snakemake.params.pairs))
+save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -1,1 +1,0 @@
-"""What datasets say: sensitivity, agreement with measurements and published numbers."""

@@ -1,1 +1,0 @@
-"""How kernels are compiled, kept, and made to carry nothing that a scene does not have."""

@@ -1,1 +1,0 @@
-"""What light does at faces and at single particles, polarised or not, and where it comes from."""

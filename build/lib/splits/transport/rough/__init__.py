@@ -1,1 +1,0 @@
-"""Randomly rough surfaces: realisations, and where rays meet them."""

@@ -1,0 +1,202 @@
+"""Maps of the hemisphere: what goes into every direction, seen along the normal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.ticker import LogLocator
+
+from splits.figures.conditions import conditions
+from splits.figures.notes import finished
+from splits.figures.planes import NAMES, STEEPEST_DEG, incidence_of, lines_of, part_at, part_of
+from splits.figures.style import (
+    ONE_COLUMN,
+    TWO_COLUMNS,
+    Drawing,
+    parameter_label,
+    style,
+    value_label,
+)
+
+COLUMNS = 4
+CIRCLES_DEG = (30.0, 60.0)
+_LOGARITHMIC = 10.0
+"""Values that span a larger factor have a logarithmic scale."""
+_FAINTEST = 0.01
+"""What is fainter than this part of the brightest has the darkest colour."""
+_MAP_INCHES = 1.75
+_LONGEST_TITLE = 24
+"""Letters of a parameter and its value that fit above a map."""
+_ROUND = 180
+"""Cells around from which on their borders look round."""
+_MARK: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
+
+
+def hemispheres(
+    dataset: xr.Dataset,
+    quantity: Sequence[str] = ("brdf",),
+    at: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
+) -> Figure:
+    """Draw a map of the hemisphere for every point of a grid.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.goniophotometer`, or of an experiment with it, with azimuths all around.
+    quantity : sequence of str
+        Of `splits.figures.planes.NAMES`, a block of maps each with a scale of its own.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+    """
+    dataset = part_at(dataset, at)
+    count = len(lines_of(dataset, quantity[0]).all)
+    columns = min(COLUMNS, count)
+    rows = -(-count // columns)
+    with style():
+        width = ONE_COLUMN if count == 1 else TWO_COLUMNS
+        high = 2.6 if count == 1 else 0.25 + _MAP_INCHES * rows
+        figure = Drawing(width, high * len(quantity))
+        grid = figure.add_gridspec(rows * len(quantity), columns)
+        panels = []
+        for number, name in enumerate(quantity):
+            places = [grid[number * rows + i // columns, i % columns] for i in range(count)]
+            panels += draw_maps(figure, places, dataset, name, legend)
+        return finished(figure, panels, conditions(dataset, at, ""), legend_of(quantity))
+
+
+def legend_of(quantity: Sequence[str]) -> str:
+    """Return what a reader of maps has to know."""
+    below = "diamond: straight on" if "btdf" in quantity else ""
+    above = ["circle: towards the source", "diamond: mirror direction"]
+    circles = " and ".join(f"{c:g}°" for c in CIRCLES_DEG)
+    marks = [below] if tuple(quantity) == ("btdf",) else above + ([f"of BTDF {below}"] if below
+                                                                 else [])  # fmt: skip
+    return f"Maps: rings at {circles} from the normal, up to {STEEPEST_DEG:g}°; {'; '.join(marks)}."
+
+
+def draw_maps(
+    figure: Figure,
+    places: Sequence[SubplotSpec],
+    dataset: xr.Dataset,
+    name: str,
+    legend: str | None = None,
+) -> list[Axes]:
+    """Draw the maps of a quantity for every point of a grid, with one scale.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    places : sequence of matplotlib.gridspec.SubplotSpec
+        One per point.
+    dataset : xarray.Dataset
+        See `splits.figures.planes.part_at`.
+    name : str
+        The quantity.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+
+    Returns
+    -------
+    list of matplotlib.axes.Axes
+        Those of the maps, in the order of the points.
+    """
+    shown = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
+    points = lines_of(dataset, name).all
+    parts = [part_of(shown, one.labels) for one in points]
+    titles = [_title(one.labels, legend) for one in points]
+    return draw_parts(figure, places, parts, titles, name)
+
+
+def _title(labels: Mapping[str, Any], legend: str | None) -> str:
+    """Return what a map says of its point."""
+    names = {d: legend if legend and len(labels) == 1 else parameter_label(d) for d in labels}
+    said = [(names[d], value_label(v, d)) for d, v in labels.items()]
+    long = any(len(name + value) > _LONGEST_TITLE for name, value in said)
+    return "\n".join(f"{name}:\n{value}" if long else f"{name}: {value}" for name, value in said)
+
+
+def draw_parts(
+    figure: Figure,
+    places: Sequence[SubplotSpec],
+    parts: Sequence[xr.Dataset],
+    titles: Sequence[str],
+    name: str,
+) -> list[Axes]:
+    """Draw maps of datasets over ``polar`` and ``azimuth`` alone, see `draw_maps`."""
+    norm = _scale(np.concatenate([part[name].values.ravel() for part in parts]))
+    panels = []
+    for place, part, title in zip(places, parts, titles, strict=True):
+        axes = figure.add_subplot(place, projection="polar")
+        image = _map(axes, part, name, norm)
+        axes.set_title(title)
+        panels.append(axes)
+    label = NAMES[name]
+    bar = figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
+    if isinstance(norm, LogNorm):
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+        bar.minorticks_off()
+    return panels
+
+
+def _scale(values: np.ndarray) -> Normalize:
+    """Return a scale of colours for values, logarithmic where they span a large factor."""
+    lit = values[values > 0.0]
+    if lit.size == 0:
+        return Normalize(0.0, 1.0)
+    low, high = float(np.quantile(lit, 0.01)), float(lit.max())
+    if high > _LOGARITHMIC * low:
+        return LogNorm(max(low, _FAINTEST * high), high)
+    return Normalize(low, high)
+
+
+def _cells(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the borders of cells around (radians) and down (degrees), and their values.
+
+    Wide cells are cut so that their borders are round.
+    """
+    part = part.sortby("azimuth").sortby("polar")
+    azimuth, polar = part.azimuth.values, part.polar.values
+    cuts = -(-_ROUND // azimuth.size)
+    gap = np.diff(azimuth, append=azimuth[0] + 360.0)
+    first = azimuth[0] - 0.5 * gap[-1]
+    ends = np.append(first, azimuth + 0.5 * gap)
+    around = np.interp(np.arange(cuts * gap.size + 1) / cuts, np.arange(ends.size), ends)
+    middle = 0.5 * (polar[1:] + polar[:-1])
+    last = min(90.0, polar[-1] + 0.5 * (polar[-1] - polar[-2]))
+    values = part[name].transpose("polar", "azimuth").values
+    down = np.concatenate([[0.0], middle, [last]])
+    return np.radians(around), down, np.repeat(values, cuts, axis=1)
+
+
+def _map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
+    """Draw one map, forward to the right, and the directions that belong to the beam."""
+    around, down, values = _cells(part, name)
+    axes.grid(False)
+    image = axes.pcolormesh(
+        around, down, np.clip(values, norm.vmin, norm.vmax), norm=norm, cmap="cividis",
+        rasterized=True,
+    )  # fmt: skip
+    for circle in CIRCLES_DEG:
+        axes.plot(around, np.full(around.size, circle), color="white", lw=0.5, alpha=0.7)
+    incidence = incidence_of(part)
+    axes.plot([0.0], [incidence], "D", ms=3, **_MARK)
+    if name != "btdf":
+        axes.plot([np.pi], [incidence], "o", ms=4, **_MARK)
+    axes.set_ylim(0.0, 90.0)
+    axes.set(xticks=[], yticks=[])
+    axes.set_xlabel("forward →", labelpad=1.0)
+    if not (values > 0.0).any():
+        axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", va="center",
+                  color="white")  # fmt: skip
+    return image

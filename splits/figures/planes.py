@@ -1,0 +1,92 @@
+"""Principal planes of datasets over directions, and how half circles show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from splits.analysis.directions import principal_plane
+from splits.dataset import at_points
+from splits.figures.lines import Lines
+from splits.figures.style import SMALLEST
+
+STEEPEST_DEG = 82.5
+"""Angle from the normal up to which directions are drawn; errors are held up to there."""
+
+NAMES = {
+    "brdf": "BRDF (sr⁻¹)",
+    "btdf": "BTDF (sr⁻¹)",
+    "reflectance_factor": "bidirectional reflectance factor",
+    "anisotropy_factor": "anisotropy factor",
+}
+VIEWING = "viewing angle, forward positive (°)"
+NARROW = "viewing angle (°)"
+"""Label of the axis of angles where there is room, and where there is not."""
+INSIDE = 4
+"""Up to so many lines have their legend on the axes."""
+
+
+def part_at(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
+    """Return the dataset at labels of its grid; its attributes keep the angle of incidence."""
+    at = at or {}
+    known = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
+    return at_points(dataset, at).assign_attrs(known)
+
+
+def plane_of(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the principal plane up to `STEEPEST_DEG`, with a gap where no cell looks."""
+    plane = principal_plane(dataset)
+    plane = plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST_DEG)
+    return with_gap(plane) if dataset.attrs.get("estimator") == "cells" else plane
+
+
+def with_gap(plane: xr.Dataset) -> xr.Dataset:
+    """Return a plane without values at the zenith, so that no line joins its halves."""
+    if 0.0 in plane.angle.values:
+        return plane
+    return plane.reindex(angle=np.sort(np.append(plane.angle.values, 0.0)))
+
+
+def lines_of(dataset: xr.Dataset, quantity: str) -> Lines:
+    """Return the lines of a quantity over directions; one wavelength needs no words."""
+    directions = ("angle", "polar", "azimuth")
+    dims = [str(d) for d in dataset[quantity].dims if d not in directions]
+    dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
+    return Lines(dataset, dims, dashed=True)
+
+
+def part_of(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Dataset:
+    """Return what one line shows."""
+    dataset = dataset.sel(labels)
+    return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
+
+
+def directions(angle_deg: np.ndarray, down: bool = False) -> np.ndarray:
+    """Return the polar plot's angles (radians) of viewing angles, for light going up or down."""
+    angle = np.radians(angle_deg)
+    return np.pi - angle if down else angle
+
+
+def incidence_of(line: xr.Dataset) -> float:
+    """Return the angle of incidence (degrees) of a line."""
+    place = line.coords.get("incidence_deg")
+    return float(line.attrs["incidence_deg"] if place is None else place)
+
+
+def half_circle(axes: Axes, top: float | None, down: bool = False) -> None:
+    """Make polar axes a half circle of viewing angles, above the surface or below."""
+    ticks = np.arange(-90, 91, 30)
+    axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
+    axes.set_theta_direction(-1)  # type: ignore[attr-defined]
+    axes.set_thetalim(*np.sort(directions(np.array([-90.0, 90.0]), down)))  # type: ignore[attr-defined]
+    axes.set_ylim(0.0, top)
+    axes.set_thetagrids(  # type: ignore[attr-defined]
+        np.degrees(directions(ticks, down)), [f"{t}°".replace("-", "−") for t in ticks]
+    )
+    axes.tick_params(labelsize=SMALLEST, pad=1.0)
+    axes.yaxis.set_major_locator(MaxNLocator(3))
+    axes.grid(color=".85", lw=0.5)

@@ -1,0 +1,123 @@
+"""How far curves lie from one that is labelled ``default``: a panel for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splits.figures.lines import DEFAULT
+from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
+from splits.figures.notes import finished
+from splits.figures.style import BAND, TWO_COLUMNS, style, subplots, value_label
+from splits.panels import MOST_PANELS
+
+COLUMNS = 4
+SHADE = "#1f6fb4"
+INDEPENDENT = (
+    "errors of shifts take both runs as independent, though they share some random numbers"
+)
+"""What errors of shifts are: points of a grid have the same seed, but not the same rays."""
+_PANEL_INCHES = 1.2
+
+
+def read_against(dataset: xr.Dataset, dims: Sequence[str]) -> str | None:
+    """Return the dimension that alone varies and has a value labelled ``default``, if any."""
+    several = [d for d in dims if dataset.sizes[d] > 1]
+    if len(several) != 1 or dataset.sizes[several[0]] > MOST_PANELS:
+        return None
+    return several[0] if DEFAULT in map(str, dataset[several[0]].values) else None
+
+
+def shift_of(dataset: xr.Dataset, name: str, dim: str) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return how far a quantity lies from its default along a dimension, and the standard error.
+
+    The runs are taken as independent, see `INDEPENDENT`.
+    """
+    default = dataset.sel({dim: DEFAULT})
+    error = f"{name}_stderr"
+    square = dataset[error] ** 2 + default[error] ** 2
+    return dataset[name] - default[name], square**0.5
+
+
+def shifts(
+    dataset: xr.Dataset,
+    quantity: Sequence[str],
+    dim: str,
+    over: str,
+    labels: tuple[str, Sequence[str]],
+    note: str = "",
+) -> Figure:
+    """Draw the default's curve, and how far each other one lies from it, a panel each.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Over `dim` and `over`, other dimensions have one value.
+    quantity : sequence of str
+        A block of panels each, one below the other.
+    dim : str
+        See `read_against`.
+    over : str
+        Dimension of the horizontal axis.
+    labels : (str, sequence of str)
+        Of the horizontal axis, and of the quantities.
+    note : str
+        For the foot.
+    """
+    dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
+                               dataset[quantity[0]].dims and d not in (dim, over)])  # fmt: skip
+    others = [str(v) for v in dataset[dim].values if str(v) != DEFAULT]
+    columns = min(COLUMNS, 1 + len(others))
+    block = -(-(1 + len(others)) // columns)
+    nodes = coarse_nodes(dataset) if over == "wavelength" else {}
+    with style():
+        figure, panels = subplots(
+            block * len(quantity), columns, width=TWO_COLUMNS, sharex=True, squeeze=False,
+            height=0.4 + _PANEL_INCHES * block * len(quantity),
+        )  # fmt: skip
+        for number, (name, words) in enumerate(zip(quantity, labels[1], strict=True)):
+            part = panels[number * block : (number + 1) * block].ravel()
+            _block(part, dataset, name, dim, over)
+            part[0].set_ylabel(words)
+            for axes in part:
+                mark_nodes(axes, nodes)
+                axes.spines[["top", "right"]].set_visible(False)
+            for row in part.reshape(block, columns)[:, 0] if block > 1 else part[1:2]:
+                if row is not part[0]:
+                    row.set_ylabel("shift")
+        for column in panels.T:
+            shown = [axes for axes in column if axes.get_visible()]
+            shown[-1].tick_params(labelbottom=True)
+            shown[-1].set_xlabel(labels[0])
+        told = f"Shifts: value minus the default's, which panel (a) shows; {INDEPENDENT}."
+        return finished(figure, panels.flat, note, told, nodes_note(nodes))
+
+
+def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: str) -> None:
+    """Draw a quantity's default in the first panel and the shifts of the others in the rest."""
+    x = dataset[over].values
+    default = dataset.sel({dim: DEFAULT})
+    _curve(panels[0], x, default[name].values, default[f"{name}_stderr"].values, "black")
+    panels[0].set_ylim(0.0, None)
+    panels[0].set_title("default")
+    shift, error = shift_of(dataset, name, dim)
+    others = [v for v in dataset[dim].values if str(v) != DEFAULT]
+    reach = 1.05 * float((np.abs(shift) + BAND * error).max()) or 1.0
+    for axes, other in zip(panels[1:], others, strict=False):
+        at = {dim: other}
+        _curve(axes, x, shift.sel(at).values, error.sel(at).values, SHADE)
+        axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
+        axes.set_ylim(-reach, reach)
+        axes.set_title(value_label(other, dim))
+    for axes in panels[1 + len(others) :]:
+        axes.set_visible(False)
+
+
+def _curve(axes: Axes, x: np.ndarray, y: np.ndarray, error: np.ndarray, colour: str) -> None:
+    axes.plot(x, y, color=colour)
+    axes.fill_between(x, y - BAND * error, y + BAND * error, color=colour, alpha=0.3, lw=0)
+    axes.margins(x=0.01)

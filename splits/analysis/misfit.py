@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtr
 
 TREND_BAR = 0.1
 """Failure of a trend that counts as one bar, as a part of what is compared (a nadir's brightness,
@@ -121,6 +120,8 @@ def _unresolved(z: float) -> float:
     """Return the mean fourth power of what lies below -z in a standard normal distribution."""
     if z > MOST_ERRORS:
         return 0.0
+    from scipy.special import ndtr  # half a second, which every start of the workflow would take
+
     beyond = ndtr(-z)
     density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
     polynomial = (z**4 + 6.0 * z**2 + 3.0) * beyond - (z**3 + 5.0 * z) * density

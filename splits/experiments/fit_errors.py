@@ -135,8 +135,10 @@ def draws_of(best: np.ndarray, covariance: np.ndarray) -> np.ndarray:
             sd = 1.0 / np.sqrt(way @ pull)
             centre = (best - places) @ pull * sd**2
             at, along = places[:, way != 0.0], way[way != 0.0]
-            faces = np.sort([-at / along, (1.0 - at) / along], axis=0)
-            ends = np.stack([faces[0].max(axis=1), faces[1].min(axis=1)])
+            one, other = -at / along, (1.0 - at) / along
+            ends = np.stack([
+                np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            ])  # fmt: skip
             step = centre + sd * _normal(random, *((ends - centre) / sd))
             places = np.clip(places + step[:, np.newaxis] * way, 0.0, 1.0)
     return places
@@ -148,7 +150,8 @@ def _normal(random: np.random.Generator, low: np.ndarray, high: np.ndarray) -> n
 
     # In the lower tail, where probabilities keep their digits.
     flip = np.where(low + high > 0.0, -1.0, 1.0)
-    low, high = np.sort([flip * low, flip * high], axis=0)
+    one, other = flip * low, flip * high
+    low, high = np.minimum(one, other), np.maximum(one, other)
     first, last = ndtr(low), ndtr(high)
     found: np.ndarray = np.clip(ndtri(first + random.random(len(low)) * (last - first)), low, high)
     return flip * found

@@ -2,8 +2,8 @@
 
 Discrete ordinates stand in `splits.analysis.ordinates`.  Both take grains for points that scatter.
 The model does not: a ray leaves a grain where it comes out of it, a grain that cuts the last leg or
-a boundary is drawn again, and wet pores reflect at the boundaries.  docs/theories.md says how far
-that matters.
+a boundary is drawn again, and wet pores reflect at the boundaries.  How far that
+matters stands in docs/theory/radiative-transfer.md.
 """
 
 from __future__ import annotations

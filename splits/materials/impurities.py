@@ -1,7 +1,7 @@
 """What dirt in snow absorbs: soot, dust, ash and algae, by how much of each there is.
 
 Particles far smaller than grains, and far fewer, absorb along the paths that light takes anyway.
-That they scatter is left out; docs/impurities.md bounds it.
+That they scatter is left out; docs/how-to/impurities.md bounds it.
 """
 
 from __future__ import annotations

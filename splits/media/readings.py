@@ -1,6 +1,6 @@
 """Where the papers can be read two ways: every reading has a name, and one is the default.
 
-docs/model.md says why each default was taken and what the alternatives do to reflectance.
+docs/theory/readings.md says why each default was taken and what the alternatives do to reflectance.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class Readings(TransportReadings):
 
     By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
     (entry, grains across boundaries), and where it is silent or can be read two ways a
-    combination that comes as near as any to 24 of its statements (docs/readings.md).
+    combination that comes as near as any to 24 of its statements (docs/theory/readings.md).
 
     Parameters
     ----------

@@ -170,3 +170,18 @@ def test_pages_that_run_say_so():
         text = path.read_text(encoding="utf-8")
         if "{code-cell}" in text:
             assert text.startswith("---\nfile_format: mystnb\n"), path
+
+
+def test_pages_that_the_sources_name_are_there():
+    folders = ("splits", "workflow", "config", "tests")
+    files = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "Snakefile")]
+    files += [path for folder in folders for path in (ROOT / folder).rglob("*.*")]
+    kinds = {".py", ".smk", ".rst", ".yaml", ".md", ""}
+    named = {
+        page
+        for path in files
+        if path.suffix in kinds
+        for page in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 10
+    assert [page for page in sorted(named) if not (ROOT / page).exists()] == []

@@ -103,3 +103,12 @@ def test_means_of_instruments_are_over_their_media():
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == [case.instrument]
     assert axes.lines[1].get_xdata().tolist() == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_the_table_of_the_docs_is_of_every_instrument_and_holds(pytestconfig):
+    table = pd.read_csv(pytestconfig.rootpath / "docs" / "calibration.csv")
+    means = table[table.medium == ALL]
+    assert list(means.instrument) == list(dict.fromkeys(case.instrument for case in CASES))
+    assert table.seeds.min() >= 30
+    assert means.ratio.between(*ALLOWED).all()
+    assert (pytestconfig.rootpath / "docs" / "images" / "calibration.png").is_file()

@@ -69,7 +69,7 @@ lint: $(VENV)/ready
 
 # A warning is an error: links that lead nowhere, formulas that are not understood, examples that fail.
 docs: $(VENV)/ready
-	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --fresh-env --write-all --quiet -b html docs docs/_build/html
 
 benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from email.utils import getaddresses
-from importlib.metadata import distribution
+from importlib.metadata import distribution, distributions
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +45,7 @@ def software_files(repository: Path | None = None) -> dict[str, bytes]:
         if repository and (repository / name).is_file()
     }
     if LICENCE not in found:
-        found[LICENCE] = (
-            distribution(DISTRIBUTION).read_text(f"licenses/{LICENCE}") or ""
-        ).encode()
+        found[LICENCE] = _licence().encode()
     if CITATION not in found:
         found[CITATION] = yaml_of(_citation(None)).encode()
     return found
@@ -69,6 +67,15 @@ def _citation(repository: Path | None) -> dict[str, Any]:
         "version": fields["Version"],
         "license": fields["License-Expression"],
     }
+
+
+def _licence() -> str:
+    """Return the text of the licence, from whichever record of the installed package has it.
+
+    A source tree on the path has a record, too, which does not.
+    """
+    records = distributions(name=DISTRIBUTION)
+    return next(filter(None, (one.read_text(f"licenses/{LICENCE}") for one in records)), "")
 
 
 def _author(entry: dict[str, str]) -> Author:

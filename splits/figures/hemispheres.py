@@ -164,7 +164,8 @@ def _cells(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndar
     ends = np.append(first, azimuth + 0.5 * gap)
     around = np.interp(np.arange(cuts * gap.size + 1) / cuts, np.arange(ends.size), ends)
     middle = 0.5 * (polar[1:] + polar[:-1])
-    last = min(90.0, polar[-1] + 0.5 * (polar[-1] - polar[-2]))
+    step = polar[-1] - polar[-2] if polar.size > 1 else 90.0
+    last = min(90.0, polar[-1] + 0.5 * step)
     values = part[name].transpose("polar", "azimuth").values
     down = np.concatenate([[0.0], middle, [last]])
     return np.radians(around), down, np.repeat(values, cuts, axis=1)

@@ -229,6 +229,8 @@ def above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
     handles : sequence of artists
     title : str or None
     """
+    if not handles:
+        return
     for columns in range(len(handles), 0, -1):
         legend = figure.legend(
             handles=list(handles), title=title, frameon=False, loc="outside upper center",
@@ -252,6 +254,8 @@ def beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None
     title : str or None
     """
     figure.set_figwidth(TWO_COLUMNS)
+    if not handles:
+        return
     rows = max(1, int(figure.get_figheight() / _ENTRY_INCHES) - 2)
     for columns in range(-(-len(handles) // rows), 0, -1):
         legend = figure.legend(

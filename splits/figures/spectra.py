@@ -137,6 +137,8 @@ def _label(variable: xr.DataArray) -> str:
 def refractive_indices(dataset: xr.Dataset) -> Figure:
     """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
+    Of a stack, a material that has the same index in several layers is shown once.
+
     Parameters
     ----------
     dataset : xarray.Dataset
@@ -146,11 +148,9 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         figure, left = subplots(height=2.6)
         right = left.twinx()
         nodes = coarse_nodes(dataset)
-        for material, colour in MATERIAL_COLOURS.items():
-            if material not in dataset.material.values:
-                continue
+        for material, label, colour in _materials(dataset):
             part = dataset.sel(material=material)
-            left.plot(part.wavelength, part.n, color=colour, label=material)
+            left.plot(part.wavelength, part.n, color=colour, label=label)
             if float(part.k.max()) > 0.0:
                 right.plot(part.wavelength, part.k, color=colour, ls="--")
                 _rows(right, part, nodes, colour)
@@ -163,6 +163,22 @@ def refractive_indices(dataset: xr.Dataset) -> Figure:
         names = ", ".join(nodes)
         told = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
         return finished(figure, [left], told if nodes else "")
+
+
+def _materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
+    """Return name, label and colour of the materials to show; those of layers begin with these."""
+    found: dict[str, list[str]] = {}
+    for name in map(str, dataset.material.values):
+        found.setdefault(name.rpartition(".")[2], []).append(name)
+    shown = []
+    for material, colour in MATERIAL_COLOURS.items():
+        names = found.get(material, [])
+        parts = [dataset.sel(material=name, drop=True) for name in names]
+        same = all(part.equals(parts[0]) for part in parts)
+        for name in names[:1] if same else names:
+            label = material if same else name.removeprefix("layers.").replace(".", ": ")
+            shown.append((name, label if same else f"layer {label}", colour))
+    return shown
 
 
 def _rows(axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str) -> None:

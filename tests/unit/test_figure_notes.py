@@ -161,7 +161,7 @@ def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
     assert min(one.get_fontsize() for one in texts) >= SMALLEST
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     letters = [title[:3] for title in titles if title.startswith("(")]
-    assert letters == sorted({f"({letter(i)})" for i in range(len(letters))})
+    assert sorted(letters) == [f"({letter(i)})" for i in range(len(letters))]
     bars = [axes for axes in figure.axes if hasattr(axes, "_colorbar") or axes.get_label() ==
             "<colorbar>"]  # fmt: skip
     panels = [axes for axes in figure.axes if axes.get_visible() and axes not in bars]

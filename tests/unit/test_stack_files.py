@@ -155,7 +155,7 @@ def test_tables_by_path_are_known_by_their_content(tmp_path):
 
 
 def test_the_example_of_the_documents_can_be_run(tmp_path):
-    text = (MEDIA.parents[1] / "docs" / "scene.md").read_text(encoding="utf-8")
+    text = (MEDIA.parents[1] / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
     assert len(list(loaded(tmp_path, example).points())) == 6

@@ -145,8 +145,7 @@ def goniophotometer(
     terms.
     """
     check_medium(medium)
-    wavelengths = check_wavelengths(wavelength_nm)
-    incidence = check_incidence(incidence_deg)
+    wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     grounded = ground_of(medium) is not None
     side = _side_of(target, grounded)

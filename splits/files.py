@@ -1,10 +1,11 @@
-"""Files that appear whole or not at all, and what is left of writers that were killed."""
+"""Files and folders that appear whole or not at all, and what killed writers have left."""
 
 from __future__ import annotations
 
 import os
 import re
 import secrets
+import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -38,15 +39,50 @@ def whole(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    with _beside(path) as aside, half_written(aside):
+        yield aside
+        os.replace(aside, path)
+
+
+@contextmanager
+def whole_folder(path: str | Path) -> Iterator[Path]:
+    """Give a new folder to write into; it gets the name `path` when the block ends well.
+
+    If the block raises, the folder is deleted with all that is in it.  Leftovers beside it are
+    removed (see `sweep`).
+
+    Parameters
+    ----------
+    path : path
+        Must not exist, or be an empty folder; the folder that it stands in must exist.
+
+    Yields
+    ------
+    Path
+        In the same folder; a hidden name that carries host and process.
+    """
+    path = Path(path)
+    with _beside(path) as aside:
+        aside.mkdir()
+        try:
+            yield aside
+            if path.exists():
+                path.rmdir()
+            aside.rename(path)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Give a name beside a path that `sweep` knows, where leftovers are removed first."""
     sweep(path.parent)
     # Names of files may have 255 bytes; a host's name can take 64 of them.
     name = path.name[-40:]
     aside = path.with_name(f".aside.{_host()}.{os.getpid()}.{secrets.token_hex(4)}.{name}")
     _OPEN.add(aside.name)
     try:
-        with half_written(aside):
-            yield aside
-            os.replace(aside, path)
+        yield aside
     finally:
         _OPEN.discard(aside.name)
 
@@ -54,7 +90,7 @@ def whole(path: str | Path) -> Iterator[Path]:
 def sweep(folder: str | Path) -> list[Path]:
     """Delete what processes of this host that are gone have left unfinished in a folder.
 
-    Files of running processes and of other hosts stay: nobody here can tell whether those run.
+    What is of running processes and of other hosts stays: nobody here can tell whether those run.
 
     Parameters
     ----------
@@ -76,7 +112,10 @@ def sweep(folder: str | Path) -> list[Path]:
         if process != os.getpid() and _runs(process):
             continue
         with suppress(OSError):
-            path.unlink()
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
             gone.append(path)
     return gone
 

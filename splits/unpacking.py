@@ -20,10 +20,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from splits.checks import named, refuse, shown
 from splits.crate import METADATA, ArchiveError, entities_of, files_of, root_of, text_of
+from splits.files import whole_folder
 
 AT_THE_ROOT = (
     METADATA, "README.md", "LICENSE", "CITATION.cff", "requirements.txt", "versions.json",
@@ -128,14 +128,8 @@ def unpack(archive: str | Path, folder: str | Path) -> Report:
         raise refuse("folder", str(folder), "in a folder that exists")
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise refuse("folder", str(folder), "a new or an empty folder")
-    with TemporaryDirectory(prefix=".aside.", dir=folder.parent) as aside:
-        content = Path(aside, "content")
-        content.mkdir()
-        report = _read(Path(archive), content)
-        if folder.exists():
-            folder.rmdir()
-        content.rename(folder)
-    return report
+    with whole_folder(folder) as aside:
+        return _read(Path(archive), aside)
 
 
 def wrong_name(name: str) -> str:

@@ -16,11 +16,13 @@ from splits.archive import pack
 from splits.figures import save_figure, surface
 from splits.files import whole
 from splits.transport.compiling import cache as kernels
+from splits.unpacking import unpack
 
 DATA, TABLE, FIGURE = "data/made.nc", "tables/made.csv", "figures/made"
 ARCHIVE = "archive/made.zip"
 DRAWN = tuple(f"{FIGURE}{suffix}" for suffix in (".png", ".svg", ".pdf"))
-MADE = (DATA, TABLE, *DRAWN, ARCHIVE)
+UNPACKED = "unpacked"
+MADE = (DATA, TABLE, *DRAWN, ARCHIVE, UNPACKED)
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload([__name__, "splits.instruments.surface_map"])
@@ -42,7 +44,9 @@ def work(results: Path, cache: Path) -> None:
     if not all(path.exists() for path in (results / name for name in DRAWN)):
         save_figure(surface(dataset), results / FIGURE)
     if not archive.exists():
-        pack([results / name for name in MADE[:-1]], {}, archive)
+        pack([results / name for name in (DATA, TABLE, *DRAWN)], {}, archive)
+    if not (results / UNPACKED).exists():
+        unpack(archive, results / UNPACKED)
 
 
 def started(results: Path, cache: Path) -> multiprocessing.Process:

@@ -1,4 +1,4 @@
-"""Random damage to datasets, kept kernels and configuration: each is noticed, and told in one line.
+"""Random damage to datasets, archives, kernels and configuration: noticed, and told in one line.
 
 A few by default.  The campaign proper is ``make campaign``, or
 
@@ -20,8 +20,10 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
+from splits.archive import pack
 from splits.checksum import DamagedError
 from splits.experiments import ConfigError, load_experiment
+from splits.unpacking import ArchiveError, unpack
 
 DAMAGES = int(os.environ.get("DAMAGES", "6"))
 CONFIG = Path(__file__).parents[2] / "config"
@@ -71,9 +73,15 @@ def damaged(content: bytes, number: int) -> bytes:
     return found
 
 
+def contents(folder: Path) -> dict[Path, bytes]:
+    """Return what the files of a folder hold."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder): path.read_bytes() for path in files}
+
+
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    path = tmp_path_factory.mktemp("data") / "made.nc"
+    path = tmp_path_factory.mktemp("made") / "data" / "made.nc"
     waves = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
     layer = splits.Layer(surface=waves, depth_m=10.0)
     splits.save(splits.surface_map(layer, 1.0, points=41, realisations=2), path)
@@ -88,6 +96,32 @@ def test_a_damaged_dataset_is_named(dataset, tmp_path, number):
         splits.load(path)
     line = str(caught.value)
     assert line.startswith(f"{path}: damaged, ") and line.isprintable()
+
+
+@pytest.fixture(scope="module")
+def archive(dataset):
+    path = dataset.parents[1] / "archive" / "made.zip"
+    pack([dataset], {"config/config.yaml": b"seed: 1\n"}, path)
+    return path
+
+
+@pytest.mark.parametrize("number", range(DAMAGES))
+def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, number, counted):
+    """A zip file has bytes that nothing reads, such as the time of a member."""
+    path, whole, target = (tmp_path / name for name in ("made.zip", "whole", "target"))
+    path.write_bytes(damaged(archive.read_bytes(), number))
+    unpack(archive, whole)
+    try:
+        unpack(path, target)
+    except ArchiveError as error:
+        line = str(error)
+        assert line.startswith(f"{path}: refused, ") and line.isprintable()
+        assert not target.exists()
+        counted("damaged archives", number, "refused")
+    else:
+        assert contents(target) == contents(whole)
+        counted("damaged archives", number, "the same")
+    assert sorted(tmp_path.iterdir()) == sorted(p for p in (path, whole, target) if p.exists())
 
 
 @pytest.fixture(scope="module")

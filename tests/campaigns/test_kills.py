@@ -58,7 +58,8 @@ STEPS = {
     "png": (killed.MADE[2:], "results/figures/.aside.*.png"),
     "svg": (killed.MADE[2:], "results/figures/.aside.*.svg"),
     "pdf": (killed.MADE[2:], "results/figures/.aside.*.pdf"),
-    "archive": (killed.MADE[-1:], "results/archive/.aside.*"),
+    "archive": (killed.MADE[-2:], "results/archive/.aside.*"),
+    "unpack": (killed.MADE[-1:], "results/.aside.*"),
 }
 """The same for the steps of one process; "cache" are all kernels, "waves" those of one file."""
 _LONGEST_S = 300.0
@@ -93,7 +94,7 @@ def contents(folder):
 
 
 def leftovers(folder):
-    return [p for p in folder.rglob(".*") if p.is_file() and not p.name.startswith(".snakemake")]
+    return [path for path in folder.rglob(".*") if not path.name.startswith(".snakemake")]
 
 
 def wait(running, folder, pattern, pause_s):
@@ -201,6 +202,8 @@ def test_a_killed_process_leaves_nothing_half(worked, tmp_path, number, counted)
         elif name == "waves":
             for path in folder.glob("cache/splits/*/waves.*"):
                 path.unlink()
+        elif name == killed.UNPACKED:
+            shutil.rmtree(folder / "results" / name)
         else:
             (folder / "results" / name).unlink()
     there = contents(folder)

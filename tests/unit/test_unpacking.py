@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import signal
 import stat
 import subprocess
 import sys
@@ -348,3 +349,25 @@ def test_words_of_the_metadata_cannot_steer_a_terminal(members, tmp_path):
     named = listed(members, change=_set("./", "name", "\x1b[2J\nall is well"))
     report = verify(zipped(tmp_path / "odd.zip", named))
     assert "\x1b" not in str(report) and len(str(report).splitlines()) == 3
+
+
+KILLED = """
+import os, signal, sys
+import splits.unpacking
+
+def die(file, info, target):
+    (target / "half").write_bytes(b"half a fi")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+splits.unpacking._copied = die
+splits.unpacking.unpack(*sys.argv[1:])
+"""
+
+
+def test_what_a_killed_unpack_leaves_is_removed_by_the_next(packed, tmp_path):
+    command = [sys.executable, "-c", KILLED, str(packed), str(tmp_path / "target")]
+    assert subprocess.run(command).returncode == -signal.SIGKILL
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".aside.") and (left / "half").exists()
+    unpack(packed, tmp_path / "other")
+    assert [path.name for path in tmp_path.iterdir()] == ["other"]

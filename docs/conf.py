@@ -8,6 +8,8 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from jupyter_client.manager import KernelManager
+
 from splits.sources import PACKAGE, files_digest
 
 HERE = Path(__file__).parent
@@ -46,6 +48,8 @@ myst_links_external_new_tab = False
 # Examples run while the site is built, each page in a folder of its own, and again only when it or
 # the package has changed.
 nb_execution_mode = "cache"
+# Or every kernel warns that what it is told crosses this machine unencrypted.
+KernelManager.transport_encryption.default_value = "auto"
 SOURCES = sorted(p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.[pc]*[yv]"))
 nb_execution_cache_path = str(HERE / "_build" / "cache" / files_digest(PACKAGE, SOURCES))
 nb_execution_in_temp = True

@@ -10,7 +10,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.checks import refuse
-from splits.dataset import at_points
 from splits.figures.bars import sensitivity_bars
 from splits.figures.conditions import conditions
 from splits.figures.directions import collectors, principal_planes
@@ -96,7 +95,7 @@ def _drawn(
     if section["kind"] == "points":
         return points(dataset, section["quantity"], section["at"], section["legend"])
     if section["kind"] == "fit":
-        return fits(at_points(dataset, section["at"]), section["legend"])
+        return fits(dataset, section["at"], section["legend"])
     if section["kind"] == "swatches":
         return swatches(dataset, section["at"])
     quantity = [name for name in section["quantity"] if name in NAMES] or ["brdf"]

@@ -71,7 +71,8 @@ def principal_planes(
     legend : str, optional
         Title of the legend; the grid's parameters by default.
     ylim : (low, high), optional
-        Of the second panel, and the outer radius of the first.
+        Of the second panel, and the outer radius of the first; of the default's panel where others
+        are read against it.
     """
     dataset = part_at(dataset, at)
     plane = plane_of(dataset)
@@ -80,7 +81,7 @@ def principal_planes(
     if dim := read_against(plane, lines.dims):
         labels = [NAMES[name] for name in quantity]
         note += "; viewing angles are positive forward"
-        return shifts(plane, quantity, dim, "angle", (NARROW, labels), note)
+        return shifts(plane, quantity, dim, "angle", (NARROW, labels), note, ylim)
     around = mappable(dataset.polar.values, dataset.azimuth.values)
     maps = len(lines.all) if around and len(lines.all) <= BESIDE else 0
     with style():

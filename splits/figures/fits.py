@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splits.dataset import at_points
 from splits.figures.conditions import conditions
 from splits.figures.lines import Lines
 from splits.figures.notes import finished
@@ -24,16 +27,21 @@ COLUMNS = 3
 """Samples side by side."""
 
 
-def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
+def fits(
+    dataset: xr.Dataset, at: Mapping[str, float | str] | None = None, legend: str | None = None
+) -> Figure:
     """Draw measured and fitted reflectance of every sample, and their difference below.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         As `splits.experiments.run_fit.run_fit` returns it.
+    at : mapping, optional
+        Grid labels to hold fixed.
     legend : str, optional
         Title of the legend; the grid's parameters by default.
     """
+    dataset = at_points(dataset, at or {})
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
     lines = Lines(dataset, dims)
     samples = dataset.sample.values
@@ -56,7 +64,7 @@ def fits(dataset: xr.Dataset, legend: str | None = None) -> Figure:
         for row in range(blocks):
             panels[2 * row, 0].set_ylabel("reflectance")
             panels[2 * row + 1, 0].set_ylabel("model − measured")
-        return finished(figure, panels.flat, conditions(dataset))
+        return finished(figure, panels.flat, conditions(dataset, at))
 
 
 def _together(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> None:

@@ -53,6 +53,7 @@ def shifts(
     over: str,
     labels: tuple[str, Sequence[str]],
     note: str = "",
+    ylim: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw the default's curve, and how far each other one lies from it, a panel each.
 
@@ -70,6 +71,8 @@ def shifts(
         Of the horizontal axis, and of the quantities.
     note : str
         For the foot.
+    ylim : (low, high), optional
+        Of the panels of defaults; from zero if there is none.
     """
     dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
                                dataset[quantity[0]].dims and d not in (dim, over)])  # fmt: skip
@@ -86,6 +89,7 @@ def shifts(
             part = panels[number * block : (number + 1) * block].ravel()
             _block(part, dataset, name, dim, over)
             part[0].set_ylabel(words)
+            part[0].set_ylim(ylim or (0.0, None))
             for axes in part:
                 mark_nodes(axes, nodes)
                 axes.spines[["top", "right"]].set_visible(False)
@@ -105,7 +109,6 @@ def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: s
     x = dataset[over].values
     default = dataset.sel({dim: DEFAULT})
     _curve(panels[0], x, default[name].values, default[f"{name}_stderr"].values, "black")
-    panels[0].set_ylim(0.0, None)
     panels[0].set_title("default")
     shift, error = shift_of(dataset, name, dim)
     others = [v for v in dataset[dim].values if str(v) != DEFAULT]

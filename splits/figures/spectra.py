@@ -47,7 +47,7 @@ def spectra(
     """Draw spectra with bands of two standard errors, of many points in several panels.
 
     Where one value of the grid's only parameter is labelled ``default``, panels show how far the
-    others lie from it.
+    others lie from it; then `ylim` is that of the default's panel, and there is no legend.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def spectra(
     dim = None if measured is not None else read_against(dataset, dims)
     if dim:
         labels = ("wavelength (nm)", quantity)
-        return shifts(dataset, quantity, dim, "wavelength", labels, note)
+        return shifts(dataset, quantity, dim, "wavelength", labels, note, ylim)
     lines = Lines(dataset, dims)
     nodes = coarse_nodes(dataset)
     with style():

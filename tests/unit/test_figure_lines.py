@@ -215,6 +215,9 @@ def test_spectra_are_shifts_from_the_default_a_panel_each():
     np.testing.assert_allclose(one.lines[0].get_ydata(), -0.01)
     np.testing.assert_allclose(other.lines[0].get_ydata(), 0.01)
     assert "independent" in next(t.get_text() for t in figure.texts if t.get_gid() == "foot")
+    cut = spectra(made, ylim=(0.2, 0.8))
+    assert cut.axes[0].get_ylim() == (0.2, 0.8)
+    assert cut.axes[1].get_ylim() == one.get_ylim()
     crossed = dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
     assert len(spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 

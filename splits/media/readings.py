@@ -83,7 +83,7 @@ class TransportReadings:
         Fresnel reflection and refraction at the extended boundaries where water fills the pores
         (SPLITS 4.3.1).
     grain_on_last_leg : {"reject", "keep", "skip"}
-        A new grain that lies across the leg just travelled: drawn again from the same origin,
+        A new grain that lies across the last leg through pores: drawn again from the same origin,
         distance included (SPLITS 4.3.3), kept, or left out, so that the next distance counts
         from its place.
     grain_across_boundary : {"reject", "keep", "skip"}

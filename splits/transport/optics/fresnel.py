@@ -5,8 +5,7 @@ index n2 + i k2.  The far side may absorb, totally reflect, or both: one formula
 it (Born & Wolf 1999, Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section
 4.3.4).  Rays follow the planes of constant real phase, so the side of incidence, too, is taken by
 its real index: total reflection then stays total and no surface outshines a black body, which
-a complex tangential wave number would violate to first order in k1/n1.  Against the flux of an
-inhomogeneous wave the neglect is below 1 % of diffuse light up to k1/n1 = 0.1, beyond which a
+a complex tangential wave number would violate to first order in k1/n1.  Where k1/n1 is large, a
 coating or a grain lets hardly any light arrive from inside.
 """
 

@@ -53,7 +53,9 @@ SAID: dict[str, dict[str, Callable[[Any], str]]] = {
         "bottom_albedo": lambda value: (
             "" if str(value) in ("none", "None") else _quantity("bottom albedo")(value)
         ),
-        "surface_rms_slope": _quantity("rms slope"),
+        "surface_rms_slope": lambda value: (
+            "slopes without finite rms" if str(value) == "inf" else _quantity("rms slope")(value)
+        ),
     },
     "stack": {**_COMMON},
 }  # fmt: skip

@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from splits.figures.notes import finished
-from splits.figures.style import BAND, TWO_COLUMNS, colours, style, subplots
+from splits.figures.style import BAND, TWO_COLUMNS, colours, style, subplots, value_label
 
 
 def measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
@@ -29,9 +29,9 @@ def measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
             top, bottom = panels[:, column]
             part = table[table.depth_m == depth]
             groups = list(part.groupby("snow", sort=False))
-            for (snow, rows), colour in zip(groups, colours(len(groups)), strict=True):
+            for (snow, rows), colour in zip(groups, colours(len(groups), "medium"), strict=True):
                 x, error = rows.wavelength_nm, BAND * rows.stderr
-                top.errorbar(x, rows.model, error, color=colour, label=f"{snow}")
+                top.errorbar(x, rows.model, error, color=colour, label=value_label(snow))
                 bottom.errorbar(x, rows.difference, error, color=colour)
             first = groups[0][1]
             top.plot(first.wavelength_nm, first.measured, "ks", ms=2.5, label="measured")

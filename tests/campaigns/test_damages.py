@@ -25,7 +25,7 @@ from splits.checksum import DamagedError
 from splits.experiments import ConfigError, load_experiment
 from splits.unpacking import ArchiveError, unpack
 
-DAMAGES = int(os.environ.get("DAMAGES", "6"))
+DAMAGES = int(os.environ.get("DAMAGES", "4"))
 CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED = sorted((CONFIG / "experiments").rglob("*.yaml"))
 WORK = """

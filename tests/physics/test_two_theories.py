@@ -109,7 +109,7 @@ def test_errors_of_the_optics_are_those_of_the_theory():
     names = ("reflectance", "transmittance", "absorptance")
     found = []
     for seed in range(30):
-        optics = packed(single_scattering(snow, [500.0, 1800.0], 16, 4096, seed))
+        optics = packed(single_scattering(snow, [500.0, 1800.0], 16, 2048, seed))
         result = discrete_ordinates(optics, 30.0, 16)
         values = [[result[f"{n}{end}"].values for n in names] for end in ("", "_stderr")]
         thickness = (optics[f"optical_thickness{end}"].values for end in ("", "_stderr"))

@@ -107,7 +107,8 @@ def test_a_notebook_uses_names_that_are_public_or_documented(name):
     assert used
 
 
-@pytest.mark.slow
+# The documentation runs them, too, and takes errors and warnings as failures.
+@pytest.mark.long
 @NEEDS_JIT
 @every_notebook
 def test_a_notebook_runs_and_draws(name, tmp_path):

@@ -1,13 +1,23 @@
-"""Every kind of figure, medium and instrument, with a grid: from file to figure."""
+"""Every kind of figure, medium and instrument, with a grid: from file to figure.
+
+One of each kind goes through the jobs of the workflow, the others through what those call: a job
+spends seconds on its libraries.
+"""
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
 from compliance import remarks
 
 import splits
-from splits.experiments import Experiment, Simulation, load_experiment
+from splits.experiments import Experiment, Simulation, load_experiment, load_settings
+from splits.experiments.run import run
+from splits.figures import draw, save_figure
 
 pytestmark = pytest.mark.slow
 
@@ -106,26 +116,75 @@ CASES = {
 }  # fmt: skip
 
 
+BY_JOBS = (
+    "trip_snow_spectra", "trip_snow_points", "trip_snow_swatches", "trip_snow_indices",
+    "trip_snow_lobes", "trip_snow_cells", "trip_stack_plane", "trip_sand_fit", "trip_sand_spread",
+    "trip_layer_polarization", "trip_waves_surface", "trip_waves_lens",
+)  # fmt: skip
+"""One of each kind of figure and of instrument."""
+
+
+def read(project, name):
+    path = project.folder / "config" / "experiments" / f"{name}.yaml"
+    return load_experiment(path, project.folder / "config" / "media")
+
+
+def do(project, name, results):
+    """Do what the jobs of an experiment do, with what they are handed."""
+    content = yaml.safe_load((project.folder / "config" / "config.yaml").read_text())
+    settings = load_settings(content)
+    experiment = read(project, name)
+    simulation, figure = json.loads(json.dumps([experiment.simulation(), experiment.drawing()]))
+    accuracy = settings.accuracies["tiny"]
+    dataset = run(Simulation.model_validate(simulation), accuracy, settings.seed)
+    path = results / "data" / f"{name}.nc"
+    splits.save(dataset, path)
+    save_figure(draw(splits.load(path), figure), results / "figures" / name)
+
+
 @pytest.fixture(scope="module")
 def finished(make_project, tmp_path_factory):
     """Return a project in which all cases have run on the tiny profile, and what was printed."""
     project = make_project(tmp_path_factory.mktemp("round_trip"))
-    for name, text in CASES.items():
-        project.put(name, text)
-    return project, project.snakemake("--cores", 2, "--keep-going")
+    for name in BY_JOBS:
+        project.put(name, CASES[name])
+    jobs = project.snakemake("--cores", 2, "--keep-going")
+    for name in set(CASES) - set(BY_JOBS):
+        project.put(name, CASES[name])
+        do(project, name, project.folder / "results" / "tiny")
+    return project, jobs
+
+
+def test_each_kind_goes_through_jobs(finished):
+    project, _ = finished
+    kinds = [
+        {(one.drawing()["kind"], one.instrument.kind) for one in (read(project, n) for n in names)}
+        for names in (BY_JOBS, CASES)
+    ]
+    for place in (0, 1):
+        assert {kind[place] for kind in kinds[0]} == {kind[place] for kind in kinds[1]}
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
-    project, run = finished
+    project, jobs = finished
     results = project.folder / "results" / "tiny"
-    assert (results / "data" / f"{name}.nc").is_file(), run.text[-3000:]
+    assert (results / "data" / f"{name}.nc").is_file(), jobs.text[-3000:]
     for suffix in (".png", ".svg", ".pdf"):
-        assert (results / "figures" / f"{name}{suffix}").is_file(), run.text[-3000:]
+        assert (results / "figures" / f"{name}{suffix}").is_file(), jobs.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name
     for variable in dataset.data_vars.values():
         assert np.isfinite(variable).all()
+
+
+def test_a_fit_has_a_table_of_what_it_found(finished):
+    project, jobs = finished
+    path = project.folder / "results" / "tiny" / "tables" / "trip_sand_fit_parameters.csv"
+    assert path.is_file(), jobs.text[-3000:]
+    table = pd.read_csv(path)
+    assert set(table["sample"]) == {"quartzipsamment_87P706"}
+    assert set(table["porosity"]) == {0.5}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -138,8 +197,7 @@ def test_a_dataset_follows_the_cf_conventions(finished, name):
 @pytest.mark.parametrize("name", CASES)
 def test_what_a_job_is_handed_is_the_same_simulation(finished, name):
     project, _ = finished
-    path = project.folder / "config" / "experiments" / f"{name}.yaml"
-    experiment = load_experiment(path, project.folder / "config" / "media")
+    experiment = read(project, name)
     handed = Simulation.model_validate(experiment.simulation())
     assert handed.simulation() == experiment.simulation()
     assert isinstance(experiment, Experiment)

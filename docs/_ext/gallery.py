@@ -59,7 +59,10 @@ class Page:
         """Return the page in MyST Markdown."""
         parts = [f"# {self.title}"]
         if self.image.exists():
-            parts.append(f"```{{image}} ../images/{self.image.name}\n:alt: {self.title}\n```")
+            # With a width Sphinx makes it a link to the image alone, as large as it is.
+            parts.append(
+                f"```{{image}} ../images/{self.image.name}\n:alt: {self.title}\n:width: 100%\n```"
+            )
         parts.append(self.caption)
         parts.append(f"```console\n$ snakemake --cores 2 {self.target}\n```")
         parts += [f"{name}:\n\n```yaml\n{text.rstrip()}\n```" for name, text in self.files.items()]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from splits.checks import refuse
+from splits.checks import one_of, refuse
 
 _ROUNDING = 1e-6
 """Part of a variance that deviations in single precision may miss."""
@@ -73,6 +73,51 @@ def error_parts(
         _by_stretches, *xr.broadcast(weights, weighed), input_core_dims=[["wavelength"]] * 2
     )
     return scatter, missed
+
+
+def difference(
+    dataset: xr.Dataset, quantity: str, one: str, other: str, dim: str = "medium"
+) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return by how much one medium exceeds another that shares its paths, and the error of that.
+
+    What they scatter by is largely the same and cancels, group by group.  Interpolation between
+    refractive indices is the same as well: of what it may miss, the difference counts.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.spectra`, or of `splits.albedo` of several media.
+    quantity : str
+        Such as ``reflectance`` or ``band_albedo``, with its ``_stderr`` and ``_groups``.
+    one, other : str
+        Labels along `dim`.
+    dim : str
+
+    Returns
+    -------
+    difference, stderr : xarray.DataArray
+        Over all other dimensions.
+
+    Raises
+    ------
+    ValueError
+        For a label that is not there, or a dataset without groups.
+    """
+    if f"{quantity}_groups" not in dataset:
+        raise refuse("quantity", quantity, "one with groups of rays", "such as reflectance")
+    labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
+    parts = [
+        dataset.sel({dim: one_of(key, label, labels)}, drop=True)
+        for key, label in (("one", one), ("other", other))
+    ]
+    groups = [part[f"{quantity}_groups"].astype(float) for part in parts]
+    bounds = [
+        np.maximum(part[f"{quantity}_stderr"] ** 2 - (found**2).sum("group"), 0.0) ** 0.5
+        for part, found in zip(parts, groups, strict=True)
+    ]
+    scatter = ((groups[0] - groups[1]) ** 2).sum("group")
+    stderr = (scatter + (bounds[0] - bounds[1]) ** 2) ** 0.5
+    return (parts[0][quantity] - parts[1][quantity]).drop_attrs(), stderr.drop_attrs()
 
 
 def _by_stretches(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:

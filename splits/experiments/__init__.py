@@ -1,5 +1,9 @@
 """Experiments as configuration: validation, grids, names, runs."""
 
+from splits.extras import optional
+
+optional("pydantic", "experiments", "experiments and fits need")
+
 from splits.experiments.load import load_experiment, load_experiments, load_settings
 from splits.experiments.model import Experiment
 from splits.experiments.settings import Settings

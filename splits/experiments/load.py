@@ -99,7 +99,10 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
 def _measured(key: str, folder: Path, name: str) -> pd.DataFrame:
     """Return a measured table, or refuse its name or what the file holds."""
     if not (folder / name).is_file():
-        one_of(key, name, [p.name for p in folder.glob("*.csv")])
+        there = [p.name for p in folder.glob("*.csv")]
+        if not there:
+            raise refuse(key, name, f"a CSV file in {folder}", "there is none")
+        one_of(key, name, there)
     try:
         return pd.read_csv(folder / name, comment="#")
     except ValueError as error:

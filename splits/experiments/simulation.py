@@ -171,7 +171,8 @@ class Simulation(Section):
             hint = "the spectrophotometer takes packs without end"
             raise refuse("medium.depth_m", math.inf, "finite", hint)
         if instrument.estimator == "local" and (rough or not layer):
-            raise refuse("instrument.estimator", "local", "left out but for smooth layers")
+            hint = "of these, cells have Stokes parameters"
+            raise refuse("instrument.estimator", "local", "expansion or cells", hint)
         if instrument.target == "btdf" and ground_of(medium) is not None:
             raise refuse("instrument.target", "btdf", "brdf over a ground")
         told = "wavelength_nm" in instrument.model_fields_set

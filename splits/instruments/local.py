@@ -160,7 +160,7 @@ def listen(
     if medium.fields() is not None:
         raise refuse(
             "estimator", "local", "expansion or cells under a rough surface",
-            "no single path leads from a scattering through it to a given direction",
+            "no single path leads through it to a given direction; cells have Stokes parameters",
         )  # fmt: skip
     light = Light(float(np.cos(np.radians(incidence_deg))), 0.0)
     layer = medium.turbid(False)

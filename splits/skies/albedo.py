@@ -11,7 +11,7 @@ import xarray as xr
 
 from splits.analysis.errors import weighted_error
 from splits.checks import in_range, known_arguments
-from splits.instruments import spectrophotometer
+from splits.instruments import spectra, spectrophotometer
 from splits.instruments.arguments import check_threads, check_whole
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.progress import Report
@@ -24,7 +24,7 @@ from splits.uncertainty import deviations, quantity
 
 @known_arguments
 def albedo(
-    medium: Medium,
+    medium: Medium | Mapping[str, Medium],
     sky: Sky | str | Mapping[str, Any],
     wavelength_nm: Any = None,
     max_stderr: float = 0.005,
@@ -38,7 +38,9 @@ def albedo(
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium
+    medium : GranularMedium or TurbidMedium, or a mapping
+        Names to media that share paths, as for `splits.spectra`: their differences are known far
+        better than their albedos (`splits.analysis.errors.difference`).
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like, optional
@@ -64,8 +66,8 @@ def albedo(
         ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_groups`` for
         what combines wavelengths; ``direct_share`` of the light; and over ``band``, the first of
         which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by irradiance
-        times response, and ``irradiance_covered``, the part of the band's light within the
-        wavelengths.
+        times response, ``band_albedo_groups``, and ``irradiance_covered``, the part of the band's
+        light within the wavelengths.  Of several media all but the last are over ``medium``, too.
 
     Raises
     ------
@@ -80,42 +82,59 @@ def albedo(
     named = light.bands(bands)
     light.check_bands(named, w)
 
+    many = isinstance(medium, Mapping)
+
     def run(incidence: float | str, number: int) -> xr.Dataset:
-        return spectrophotometer(
+        measure: Any = spectra if many else spectrophotometer
+        return measure(
             medium, w, incidence, max_stderr, seed + number, threads=threads, progress=progress
         )
 
     found = mixed(light, w, run, ["reflectance"])
-    label = "albedo under this sky"
-    variables = quantity(
-        "albedo", "wavelength", found.reflectance.values, found.reflectance_stderr.values, label
-    )
-    groups = found.reflectance_groups.transpose("group", "wavelength").values
-    variables |= deviations("albedo", "wavelength", groups, label)
     facts = {
-        **run_facts("Albedo under a sky", "albedo", medium, begun, seed, threads),
+        **run_facts("Albedo under a sky", "albedo", _first(medium), begun, seed, threads),
         **sky_facts(light),
         "max_stderr": max_stderr,
     }
     facts |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
-    spectrum = xr.Dataset(variables, {"wavelength": wavelength_axis(w)}, facts)
+    axes = {name: axis for name, axis in found.coords.items() if name != "wavelength"}
+    facts = {name: fact for name, fact in facts.items() if name == "medium" or name not in axes}
+    axes["wavelength"] = wavelength_axis(w)
+    dims = ("medium", "wavelength") if many else ("wavelength",)
+    spectrum = xr.Dataset(_named("albedo", dims, found, "albedo under this sky"), axes, facts)
     about = {"long_name": "part of the light that comes straight from the sun", "units": "1"}
     spectrum["direct_share"] = ("wavelength", light.direct_share(w), about)
     return spectrum.assign(_over_bands(spectrum, light, named)).assign_coords(band=list(named))
 
 
+def _first(medium: Medium | Mapping[str, Medium]) -> Medium:
+    return next(iter(medium.values())) if isinstance(medium, Mapping) else medium
+
+
+def _named(name: str, dims: tuple[str, ...], found: xr.Dataset, label: str) -> dict[str, Any]:
+    """Return what was found of reflectance under another name: values, errors and groups."""
+    value, error = (found[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr"))
+    groups = found.reflectance_groups.transpose("group", *dims).values
+    return quantity(name, dims, value, error, label) | deviations(name, dims, groups, label)
+
+
 def _over_bands(spectrum: xr.Dataset, light: Sky, bands: Mapping[str, Band]) -> dict[str, Any]:
     """Return the albedo of every band, its error, and how much of the band's light is known."""
     w = spectrum.wavelength.values
-    value, error, covered = [], [], []
+    value, error, groups, covered = [], [], [], []
     for band in bands.values():
         weights = light.weights(w, band)
         all_light = light.weights(light.wavelength_nm, band).sum()
         normal = xr.DataArray(weights / weights.sum(), {"wavelength": w}, ("wavelength",))
-        value.append(float((normal * spectrum.albedo).sum()))
-        error.append(float(weighted_error(spectrum, "albedo", normal)))
+        value.append((normal * spectrum.albedo).sum("wavelength").values)
+        error.append(weighted_error(spectrum, "albedo", normal).values)
+        groups.append((normal * spectrum.albedo_groups).sum("wavelength").values)
         covered.append(weights.sum() / all_light)
     label = "albedo over a band, weighted by irradiance"
-    found: dict[str, Any] = quantity("band_albedo", "band", np.array(value), np.array(error), label)
+    dims = (*(d for d in spectrum.albedo.dims if d != "wavelength"), "band")
+    found: dict[str, Any] = quantity(
+        "band_albedo", dims, np.stack(value, axis=-1), np.stack(error, axis=-1), label
+    )
+    found |= deviations("band_albedo", dims, np.stack(groups, axis=-1), label)
     about = {"long_name": "part of the band's light within the wavelengths", "units": "1"}
     return found | {"irradiance_covered": ("band", np.array(covered), about)}

@@ -8,6 +8,7 @@ import xarray as xr
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.analysis.errors import difference
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
 MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
@@ -102,3 +103,46 @@ def test_the_reflectance_factor_under_a_sky_mixes_both():
 def test_only_the_expansion_knows_diffuse_light():
     with pytest.raises(ValueError, match="incidence_deg = 'diffuse'"):
         splits.goniophotometer(splits.Snow(), [500.0], "diffuse", estimator="cells")
+
+
+def soiled(soot):
+    natural = {"specific_surface_area_m2_kg": 20, "depth_m": 0.05, "ground": 0.2}
+    return splits.Snow.natural(**natural, impurities_ng_g={"black_carbon": soot})
+
+
+@NEEDS_JIT
+def test_what_soot_does_to_an_albedo_has_the_error_that_seeds_scatter_by():
+    """Far less than the albedo's own; 20 seeds, bands share rays and count as one comparison."""
+    media, mine = {"clean": soiled(0.0), "dirty": soiled(200.0)}, splits.sky(MINE, 50.0)
+    found, stated = [], []
+    for seed in range(20):
+        ds = splits.albedo(media, mine, W, 0.02, 2 * seed, bands={"visible": (400, 700)})
+        change, error = difference(ds, "band_albedo", "dirty", "clean")
+        found.append(change.values)
+        stated.append(error.values)
+        assert (error < ds.band_albedo_stderr.min("medium")).all()
+    found, stated = np.array(found), np.array(stated)
+    assert (found < 0.0).all()
+    scale = np.sqrt((stated**2).mean(axis=0) * (1.0 - 1.0 / len(found)))
+    judge_z((found - found.mean(axis=0)) / scale, independent=len(found), bound_added=True)
+
+
+@NEEDS_JIT
+def test_albedos_of_several_media_are_those_of_each():
+    mine = splits.sky(MINE, 50.0)
+    both = splits.albedo({"a": soiled(0.0), "b": soiled(200.0)}, mine, W, 0.01, 3)
+    assert both.attrs["medium"] == "snow"
+    assert both.snow_black_carbon_ng_g.values.tolist() == [0.0, 200.0]
+    z = []
+    for number, (name, soot) in enumerate((("a", 0.0), ("b", 200.0))):
+        own = splits.albedo(soiled(soot), mine, W, 0.01, 50 + 2 * number)
+        here = both.sel(medium=name)
+        error = np.hypot(own.albedo_stderr, here.albedo_stderr)
+        z.append(((here.albedo - own.albedo) / error).values)
+    judge_z(np.array(z), independent=1, bound_added=True)
+    with pytest.raises(ValueError, match=r"media\['b'\]"):
+        splits.albedo({"a": soiled(0.0), "b": splits.Sand()}, mine, W)
+    with pytest.raises(ValueError, match="one = 'c': must be one of a, b"):
+        difference(both, "albedo", "c", "a")
+    with pytest.raises(ValueError, match="quantity = 'direct_share'"):
+        difference(both, "direct_share", "a", "b")

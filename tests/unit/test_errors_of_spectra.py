@@ -8,7 +8,7 @@ import xarray as xr
 
 import splits
 from splits.analysis.colour import colours, gradient, lab, tristimulus
-from splits.analysis.errors import band, band_error, error_parts, weighted_error
+from splits.analysis.errors import band, band_error, difference, error_parts, weighted_error
 from splits.analysis.trends import band_mean, steps
 from splits.experiments.model import Experiment
 from splits.experiments.run import run
@@ -86,6 +86,29 @@ def test_an_unknown_value_is_not_taken_for_an_exact_one(groups):
         ds = dataset(groups)
         ds.reflectance_stderr[5] = np.nan
         assert band_error(ds, "reflectance", 400, 590).isnull()
+
+
+def test_what_two_media_share_cancels_in_their_difference():
+    chance = np.random.default_rng(5)
+    shared, own = chance.normal(size=(2, GROUPS, 1, 2))
+    groups = np.concatenate([shared, shared + 0.1 * own], axis=1)
+    bounds = np.array([[0.3, 0.2], [0.2, 0.2]])
+    dims = ("medium", "wavelength")
+    made = xr.Dataset(
+        {
+            "reflectance": (dims, [[0.9, 0.8], [0.5, 0.6]]),
+            "reflectance_stderr": (dims, np.sqrt((groups**2).sum(axis=0) + bounds**2)),
+            "reflectance_groups": (("group", *dims), groups),
+        },
+        {"medium": ["clean", "dirty"], "wavelength": [500.0, 600.0]},
+    )
+    change, stderr = difference(made, "reflectance", "dirty", "clean")
+    np.testing.assert_allclose(change, [-0.4, -0.2])
+    scatter = 0.01 * (own[:, 0] ** 2).sum(axis=0)
+    np.testing.assert_allclose(stderr, np.sqrt(scatter + np.array([0.1, 0.0]) ** 2), atol=1e-6)
+    back, same = difference(made, "reflectance", "clean", "dirty")
+    np.testing.assert_allclose(back, -change)
+    np.testing.assert_allclose(same, stderr)
 
 
 def test_a_band_without_wavelengths_is_refused():

@@ -110,7 +110,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
         ({"instrument": {"kind": "surface", "half_width_m": 1}}, "a layer with a surface"),
         ({"medium": LAYER, "instrument": {"kind": "lens", "radius_m": 1}}, "screen_depth_m"),
         ({"medium": LAYER, "instrument": {"kind": "goniophotometer", "estimator": "local"}},
-         "left out but for smooth layers"),
+         "expansion or cells"),
         ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
         ({"medium": {"kind": "layer", "density_kg_m3": 3}}, "density_kg_m3"),
         ({"medium": {"kind": "layer"}}, "layers have no colour"),

@@ -153,6 +153,8 @@ class SurfaceField:
         if self.spectrum is not None:
             raise refuse("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
         key = "wave_number_per_m"
+        if self.wave_number_per_m is None:
+            raise refuse(key, None, "given (1/m)", "the inverse of the length of its correlation")
         k0 = in_range(key, self.wave_number_per_m, 1e-9, 1e9, "1/m")
         put(key, k0)
         key, limit = "band_limit_per_m", self.band_limit_per_m

@@ -203,8 +203,9 @@ def sky(
     zenith = in_range(
         "zenith_deg", 60.0 if zenith_deg is None else zenith_deg, 0.0, 89.0, "degrees"
     )
+    air = _checked(atmosphere)
     if given == CLEAR:
-        return _clear(zenith, _checked(atmosphere))
+        return _clear(zenith, air)
     if atmosphere:
         raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
     if given == ASTM:
@@ -248,10 +249,10 @@ def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:
 
 def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
     """Return all that a clear sky depends on, or refuse what is given."""
+    names = ["zenith_deg", *ATMOSPHERE]
     for name in atmosphere:
         if name not in ATMOSPHERE:
-            allowed = "one of " + ", ".join(ATMOSPHERE)
-            raise refuse("atmosphere", name, allowed, suggestion(name, list(ATMOSPHERE)))
+            raise refuse("sky", name, "one of " + ", ".join(names), suggestion(name, names))
     return {
         name: in_range(name, atmosphere.get(name, default), *limits)
         for name, (default, limits) in ATMOSPHERE.items()

@@ -17,7 +17,7 @@ BAD = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),
     ("rms_height_m", "1e-1", "this is text, not a number"),
     ("wave_number_per_m", 0.0, "in [1e-09, 1e+09] 1/m"),
-    ("wave_number_per_m", None, "in [1e-09, 1e+09] 1/m"),
+    ("wave_number_per_m", None, "given (1/m)"),
     ("correlation", "gausian", "did you mean gaussian?"),
     ("waves", 0, "a whole number from 1 to 100000"),
     ("waves", 100_001, "a whole number from 1 to 100000"),

@@ -66,9 +66,9 @@ _LONGEST_S = 300.0
 
 
 def check_whole(folder):
-    """Assert that every file that is there under its own name is whole."""
+    """Assert that every file that is there under its own name, as are its folders, is whole."""
     for path in folder.rglob("*"):
-        if path.name.startswith("."):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
         if path.suffix == ".nc":
             splits.load(path)

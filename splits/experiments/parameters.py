@@ -175,7 +175,7 @@ class Fitted:
     determined: bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """The sand found.
 
@@ -201,6 +201,7 @@ class FitResult:
     others : list of (float, dict)
         Misfit and parameters of the sands that each descent of the first stage ended at, best
         first: values far apart at nearly the same misfit mean that there are several answers.
+        Their misfits are of few rays; `rmse` is not.
     evaluations : int
         Sands simulated.
     seconds : float
@@ -223,3 +224,11 @@ class FitResult:
     others: list[tuple[float, dict[str, float]]]
     evaluations: int
     seconds: float
+
+    def __repr__(self) -> str:
+        """Return the misfit, and every parameter with its error in a line of its own."""
+        lines = [f"misfit {self.rmse:.4f} ± {self.rmse_stderr:.4f}"]
+        for name, one in self.parameters.items():
+            told = "told by the spectrum" if one.determined else "not told"
+            lines.append(f"{name:16} {one.value:.4f} ± {one.stderr:.4f}  {told}")
+        return "\n".join(lines)

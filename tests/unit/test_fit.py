@@ -137,9 +137,9 @@ def test_a_known_sand_is_met():
     )
     result = fit({}, WAVELENGTHS, wanted.values, 10.0, ranges, say=lines.append, effort=effort)
     assert result.rmse < 0.006
-    lines = repr(result).splitlines()
-    assert lines[0].startswith("misfit 0.00") and len(lines) == 1 + len(result.parameters)
-    assert lines[1].startswith("iron_oxide") and lines[1].endswith("told by the spectrum")
+    shown = repr(result).splitlines()
+    assert shown[0].startswith("misfit 0.00") and len(shown) == 1 + len(result.parameters)
+    assert shown[1].startswith("iron_oxide") and shown[1].endswith("told by the spectrum")
     assert result.rmse_stderr <= 0.002
     misfit = np.sqrt(np.mean((result.modelled - wanted.values) ** 2))
     assert result.rmse == pytest.approx(misfit)

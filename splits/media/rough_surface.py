@@ -152,11 +152,10 @@ class SurfaceField:
             return
         if self.spectrum is not None:
             raise refuse("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
-        key = "wave_number_per_m"
-        if self.wave_number_per_m is None:
+        key, k0 = "wave_number_per_m", self.wave_number_per_m
+        if k0 is None:
             raise refuse(key, None, "given (1/m)", "the inverse of the length of its correlation")
-        k0 = in_range(key, self.wave_number_per_m, 1e-9, 1e9, "1/m")
-        put(key, k0)
+        put(key, k0 := in_range(key, k0, 1e-9, 1e9, "1/m"))
         key, limit = "band_limit_per_m", self.band_limit_per_m
         if limit is None and self.correlation == "exponential":
             raise refuse(

@@ -70,8 +70,6 @@ HARMLESS = {
     "water": "wet",
     "extinction in reflection": "absorbing",
     "mixed types, coatings": "mixed",
-    "other readings": "variant",
-    "positions": "positions",
 }
 """Features that can be on in a scene without them.  Facets cannot: without roughness, near-grazing
 rays would be refused about 1/cosine times."""

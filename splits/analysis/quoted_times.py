@@ -90,7 +90,7 @@ def _kernels() -> dict[str, Number]:
             KERNELS, cell("speedup", part="two_cores", case=case), ".2f"
         )
     unused = (
-        "water", "extinction in reflection", "mixed types, coatings", "other readings", "positions",
+        "water", "extinction in reflection", "mixed types, coatings",
     )  # fmt: skip
     cases = {"facets": "facets"} | {
         f"{grains}.{feature.split()[0]}": f"{grains}, {feature} unused"

@@ -28,7 +28,7 @@ from splits.instruments.nodes import choose_nodes
 from splits.instruments.progress import Report, shows_progress
 from splits.instruments.runner import BATCH, Runner
 from splits.instruments.scenes import constants_of
-from splits.instruments.tracers import KERNELS, Heard
+from splits.instruments.tracers import KERNELS
 from splits.media.turbid import Medium
 from splits.transport.grains.scene import shared_optics
 from splits.transport.sums.positions import spread
@@ -129,8 +129,7 @@ def bssrdf(
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
-    heard = Heard(positions=True, orders=True)
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
 
     def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
         each = enumerate(zip(nodes.index, nodes.weights, strict=True), start=start)

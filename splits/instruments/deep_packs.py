@@ -23,7 +23,15 @@ import xarray as xr
 from splits.checks import refuse
 from splits.diffusion import Rest, diffuse_reflectance, scattering_mean_step
 from splits.instruments.cut import DOUBT, SHARE, Cut
-from splits.instruments.grain_optics import BATCH, Plan, pooled_by_type, roughly
+from splits.instruments.grain_optics import (
+    BATCH,
+    Plan,
+    materials_of,
+    pooled_by_type,
+    roughly,
+)
+from splits.instruments.scenes import Constants
+from splits.instruments.shared_paths import Family
 from splits.media.granular import GranularMedium, absorption_of
 from splits.media.ground import Ground
 from splits.media.particles import ParticleLayer
@@ -100,7 +108,7 @@ class _Diffusing(NamedTuple):
 
 
 def cut_of(
-    media: Sequence[Medium],
+    family: Family,
     wavelengths: np.ndarray,
     max_stderr: float,
     seed: int,
@@ -110,8 +118,8 @@ def cut_of(
 
     Parameters
     ----------
-    media : sequence of Medium
-        That share paths, see `splits.instruments.shared_paths`.
+    family : Family
+        Media that share paths.
     wavelengths : float, shape (wavelengths,)
         nm.
     max_stderr, seed, threads
@@ -122,7 +130,7 @@ def cut_of(
     ValueError
         For a pack without end whose lowest layer is not of grains.
     """
-    lowest = [_lowest(medium) for medium in media]
+    lowest = [_lowest(medium) for medium in family.media]
     part = lowest[0]
     if not isinstance(part, GranularMedium):
         return None
@@ -134,42 +142,66 @@ def cut_of(
         if math.isinf(depth):
             raise refuse("depth_m", depth, "finite where pores hold other media or other air")
         return None
-    finite = [replace(one, depth_m=1.0) for one in lowest] if math.isinf(depth) else lowest
+    finite = _shallow(lowest[0]) if math.isinf(depth) else part
+    constants = _constants(lowest, family.scales, wavelengths)
     plan = Plan(1, RAYS, seed, threads, "equilibrium")
     if not math.isinf(depth):
-        rough = plan._replace(rays=ROUGHLY)
-        looks = (_Diffusing.of(roughly(one, wavelengths, rough)) for one in finite)
-        if not any(look.serves(part, max_stderr, CLEARLY) for look in looks):
+        look = roughly(finite, constants, plan._replace(rays=ROUGHLY))
+        looks = _by_medium(look, len(lowest))
+        if not any(_Diffusing.of(one).serves(part, max_stderr, CLEARLY) for one in looks):
             return None
-    optics = [pooled_by_type(one, wavelengths, plan) for one in finite]
-    return _cut(media, depth, optics, max_stderr)
+    optics = _by_medium(pooled_by_type(finite, constants, plan), len(lowest))
+    return _cut(family, wavelengths, optics, max_stderr)
+
+
+def _shallow(lowest: Any) -> Any:
+    """Return a layer that ends, as scenes need one."""
+    return replace(lowest, depth_m=1.0)
+
+
+def _constants(
+    lowest: Sequence[GranularMedium], scales: np.ndarray, wavelengths: np.ndarray
+) -> Constants:
+    """Return what lowest layers are to light, one after the other, in units of the first's size."""
+    found = [materials_of(one, wavelengths) for one in lowest]
+    return Constants(
+        np.concatenate([one.indices for one in found]),
+        np.concatenate([s * one.absorption for one, s in zip(found, scales, strict=True)]),
+    )
+
+
+def _by_medium(optics: xr.Dataset, count: int) -> list[xr.Dataset]:
+    """Return parts of what grains do, which hold for one medium after the other."""
+    parts = {name: np.split(one.values, count) for name, one in optics.data_vars.items()}
+    return [xr.Dataset({n: ("row", part[i]) for n, part in parts.items()}) for i in range(count)]
 
 
 def _cut(
-    media: Sequence[Medium], depth: float, optics: Sequence[xr.Dataset], max_stderr: float
+    family: Family, wavelengths: np.ndarray, optics: Sequence[xr.Dataset], max_stderr: float
 ) -> Cut | None:
-    """Return what `cut_of` returns, for lowest layers of such optics and depth (m)."""
+    """Return what `cut_of` returns, for lowest layers of such optics."""
+    media, scales = family
     found = [_Diffusing.of(one) for one in optics]
     part = _lowest(media[0])
-    if math.isinf(depth):
+    if math.isinf(part.depth_m):
         if min(one.turn.min() for one in found) < LEAST_TURN:
-            raise refuse("depth_m", depth, "finite", "these grains hardly turn light")
+            raise refuse("depth_m", math.inf, "finite", "these grains hardly turn light")
     elif not any(one.serves(part, max_stderr) for one in found):
         return None
     height = max(one.height(part, max_stderr) for one in found)
     rests = [
-        _Rested.of(medium, one, o.wavelength.values, height)
-        for medium, one, o in zip(media, found, optics, strict=True)
+        _Rested.of(medium, scale, one, wavelengths, height)
+        for medium, scale, one in zip(media, scales, found, strict=True)
     ]
     # Media that share paths all have a ground, or none.
     least = np.finfo(float).tiny if len(media) > 1 else 0.0
-    wavelengths = optics[0].wavelength.values
-    grounds = [
-        _ground(wavelengths, np.maximum(_through_face(rest.sent, _lowest(medium), o), least))
-        for medium, rest, o in zip(media, rests, optics, strict=True)
+    sent = [
+        _through_face(rest.sent, materials_of(_lowest(m), wavelengths).indices, _lowest(m), o)
+        for m, rest, o in zip(media, rests, optics, strict=True)
     ]
+    grounds = [_ground(wavelengths, np.maximum(one, least)) for one in sent]
     return Cut(
-        tuple(_shorter(m, height, g) for m, g in zip(media, grounds, strict=True)),
+        tuple(_shorter(m, s * height, g) for m, s, g in zip(media, scales, grounds, strict=True)),
         height,
         np.stack([rest.passed for rest in rests]),
         np.stack([rest.clear for rest in rests]),
@@ -210,10 +242,15 @@ class _Rested(NamedTuple):
 
     @classmethod
     def of(
-        cls, medium: Medium, found: _Diffusing, wavelengths: np.ndarray, height: float
+        cls,
+        medium: Medium,
+        scale: float,
+        found: _Diffusing,
+        wavelengths: np.ndarray,
+        height: float,
     ) -> _Rested:
-        """Return it for a pack among whose grains light diffuses so."""
-        depth = float(_lowest(medium).depth_m)
+        """Return it for a pack of a size among whose grains light diffuses so."""
+        depth = float(_lowest(medium).depth_m) / scale
         rate, diffusion = found.rate_at(height), found.diffusion
         below = Ground.of(medium.ground)  # type: ignore[union-attr]
         albedo = np.zeros_like(rate) if below is None else below.albedo(wavelengths)
@@ -252,7 +289,9 @@ def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float
     return float(depths[min(far.sum(), len(depths) - 1), 0])
 
 
-def _through_face(sent: np.ndarray, lowest: GranularMedium, optics: xr.Dataset) -> np.ndarray:
+def _through_face(
+    sent: np.ndarray, indices: np.ndarray, lowest: GranularMedium, optics: xr.Dataset
+) -> np.ndarray:
     """Return the albedo of a ground that, below the face of wet pores, sends back so much.
 
     A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
@@ -260,7 +299,7 @@ def _through_face(sent: np.ndarray, lowest: GranularMedium, optics: xr.Dataset) 
     """
     if not lowest.saturation or not lowest.readings.rules(False).boundary_fresnel:
         return sent
-    index = lowest.indices(optics.wavelength.values).real
+    index = indices.real
     n = index[:, WET_PORE] / index[:, DRY_PORE]
     outer = diffuse_reflectance(n)
     inner = 1.0 - (1.0 - outer) / n**2

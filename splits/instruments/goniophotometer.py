@@ -32,7 +32,7 @@ from splits.instruments.nodes import choose_nodes
 from splits.instruments.progress import Report, shows_progress
 from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of, ground_of
-from splits.instruments.tracers import KERNELS, Heard
+from splits.instruments.tracers import KERNELS
 from splits.instruments.views import Found, collected, facts_of, heard_by, traced, under_sky
 from splits.media.turbid import Medium
 from splits.uncertainty import Variable, quantity
@@ -158,8 +158,7 @@ def goniophotometer(
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
-    heard = Heard(orders=True)
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
     polar, azimuth = _directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
     check_size(len(wavelengths), len(polar) * len(azimuth))
     goal = Goal(side, relative_stderr, rays, max_rays)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.instruments import streams
 from splits.instruments.nodes import Nodes, choose_nodes, nodes_at
-from splits.instruments.scenes import granular_scene
+from splits.instruments.scenes import Constants, granular_scene
 from splits.instruments.threads import Threads
 from splits.media.granular import GranularMedium, absorption_of
 from splits.transport.grains.scattering import PARTS, Solitary, scatter
@@ -66,13 +66,14 @@ class _Node:
     parts: np.ndarray
 
 
-def nodes_of(medium: GranularMedium, wavelengths: np.ndarray) -> Nodes:
-    """Return the nodes that `single_scattering` traces at."""
-    return choose_nodes(medium.indices(wavelengths), medium.interfaces(), INTERPOLATION)
+def materials_of(medium: GranularMedium, wavelengths: np.ndarray) -> Constants:
+    """Return what a medium's materials are to light at wavelengths (nm), without a ground."""
+    index = medium.indices(wavelengths)
+    return Constants(index, absorption_of(medium, index, wavelengths))
 
 
 def optics_of(
-    medium: GranularMedium, scene: Scene, wavelengths: np.ndarray, plan: Plan, nodes: Nodes
+    medium: GranularMedium, scene: Scene, constants: Constants, plan: Plan, nodes: Nodes
 ) -> dict[str, np.ndarray]:
     """Return what a scene's grains do to light, by the names of `single_scattering`.
 
@@ -81,14 +82,13 @@ def optics_of(
     medium : GranularMedium
     scene : Scene
         Of the medium, perhaps of some of its grains only.
-    wavelengths : float, shape (wavelengths,)
-        nm.
+    constants : Constants
+        Of its materials, at every wavelength.
     plan : Plan
     nodes : Nodes
         Of the medium at these wavelengths.
     """
-    index = medium.indices(wavelengths)
-    absorption = absorption_of(medium, index, wavelengths)
+    index, absorption = constants
     wet = _wet_share(medium.saturation, index, plan.wet_pores)
     at_nodes = _wet_share(medium.saturation, nodes.index, plan.wet_pores)
     traced = _trace(scene, nodes, at_nodes, absorption, plan)
@@ -102,45 +102,51 @@ def optics_of(
     return values
 
 
-def roughly(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
+def roughly(medium: GranularMedium, constants: Constants, plan: Plan) -> xr.Dataset:
     """Return about what `pooled_by_type` does, for a part of its time.
 
-    All grains together, and everything but absorption as at one wavelength: that of the least, at
-    which light gets farthest.
+    All grains together, and everything but absorption as at one row: that of the least, at which
+    light gets farthest.
     """
-    index = medium.indices(wavelengths)
-    clearest = int(absorption_of(medium, index, wavelengths).max(axis=1).argmin())
-    nodes = nodes_at(index, medium.interfaces(), [clearest])
+    clearest = int(constants.absorption.max(axis=1).argmin())
+    nodes = nodes_at(constants.indices, medium.interfaces(), [clearest])
     scene = granular_scene(medium, 0.0, False)
-    values = optics_of(medium, scene, wavelengths, plan, nodes)
+    values = optics_of(medium, scene, constants, plan, nodes)
     names = ("single_scattering_albedo", "asymmetry_parameter", "extinction", *RATIOS)
-    found = {
-        name: ("wavelength", np.broadcast_to(values[name], wavelengths.shape)) for name in names
-    }
-    return xr.Dataset(found, {"wavelength": wavelengths})
+    rows = len(constants.indices)
+    found = {name: ("row", np.broadcast_to(values[name], rows)) for name in names}
+    return xr.Dataset(found)
 
 
-def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) -> xr.Dataset:
+def pooled_by_type(medium: GranularMedium, constants: Constants, plan: Plan) -> xr.Dataset:
     """Return means over grains of which each type was met by so many rays, however rare it is.
 
     A few rays among all types would miss rare ones, and all that these absorb.
 
+    Parameters
+    ----------
+    medium : GranularMedium
+    constants : Constants
+        Of its materials, at as many rows as are wanted.
+    plan : Plan
+
     Returns
     -------
     xarray.Dataset
-        Over ``wavelength``, without errors: ``single_scattering_albedo``,
-        ``asymmetry_parameter``, `RATIOS`, ``extinction``.
+        Over ``row``, without errors: ``single_scattering_albedo``, ``asymmetry_parameter``,
+        `RATIOS`, ``extinction``.
     """
     scene = granular_scene(medium, 0.0, False)
     shares = np.diff(scene.layers.share[0], prepend=0.0)
     names = ("asymmetry_parameter", *RATIOS)
-    nodes = nodes_of(medium, wavelengths)
-    scattered, lost, extinction = np.zeros((3, wavelengths.size))
-    sums = {name: np.zeros(wavelengths.size) for name in names}
+    rows = len(constants.indices)
+    nodes = choose_nodes(constants.indices, medium.interfaces(), INTERPOLATION)
+    scattered, lost, extinction = np.zeros((3, rows))
+    sums = {name: np.zeros(rows) for name in names}
     for kind in np.flatnonzero(shares > 0.0):
         only = (np.arange(shares.size) >= kind).astype(float)[np.newaxis]
         alone = scene._replace(layers=scene.layers._replace(share=only))
-        values = optics_of(medium, alone, wavelengths, plan, nodes)
+        values = optics_of(medium, alone, constants, plan, nodes)
         weight = shares[kind] * values["single_scattering_albedo"]
         scattered, extinction = scattered + weight, values["extinction"]
         # Nothing lost is exactly that, whatever shares add up to.
@@ -148,10 +154,10 @@ def pooled_by_type(medium: GranularMedium, wavelengths: np.ndarray, plan: Plan) 
         for name in names:
             sums[name] += weight * values[name]
     least = np.maximum(scattered, np.finfo(float).tiny)
-    means = {name: ("wavelength", total / least) for name, total in sums.items()}
-    means["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
-    means["extinction"] = ("wavelength", extinction)
-    return xr.Dataset(means, {"wavelength": wavelengths})
+    means = {name: ("row", total / least) for name, total in sums.items()}
+    means["single_scattering_albedo"] = ("row", 1.0 - lost)
+    means["extinction"] = ("row", extinction)
+    return xr.Dataset(means)
 
 
 def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarray:

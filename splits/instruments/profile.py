@@ -32,7 +32,7 @@ from splits.instruments.planes import Planes
 from splits.instruments.progress import Report, shows_progress
 from splits.instruments.runner import Runner
 from splits.instruments.scenes import constants_of
-from splits.instruments.tracers import KERNELS, Heard
+from splits.instruments.tracers import KERNELS
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.particles import ParticleLayer
 from splits.transport.sums.passages import DOWN, UP
@@ -125,8 +125,8 @@ def profile(
     max_rays = check_whole("max_rays", max_rays, 1)
     threads = check_threads(threads)
     begun = time.perf_counter()
-    heard = Heard(depths_m=tuple(depths.tolist()))
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, heard=heard)
+    planes = depths.tolist()
+    runner = Runner(medium, incidence, seed, threads, False, kernel, progress, planes_m=planes)
     index, absorption = constants_of(medium, wavelengths)
     nodes = choose_nodes(index, medium.interfaces(), _BIAS_SHARE * max_stderr)
     faces = runner.tracer.depths_m

@@ -11,7 +11,7 @@ import numpy as np
 from splits.instruments.ensemble import BATCH, Level, Paths
 from splits.instruments.progress import Progress, Report
 from splits.instruments.threads import Threads, cpus
-from splits.instruments.tracers import NOTHING_MORE, Heard, tracer_of
+from splits.instruments.tracers import tracer_of
 from splits.media.turbid import Medium
 from splits.transport.compiling.features import Features
 from splits.transport.sums.notes import NOTE_RAY
@@ -41,8 +41,8 @@ class Runner:
     kernel : {"auto", "lanes", "scalar"}
     report : callable, optional
         Receives a `Progress` a few times per second at most.
-    heard : Heard
-        What rays are to tell besides their lengths.
+    planes_m : sequence of float
+        Depths (m) of planes to listen at, see `splits.instruments.tracers.GrainTracer`.
     """
 
     def __init__(
@@ -55,10 +55,10 @@ class Runner:
         kernel: str = "auto",
         report: Report = None,
         *,
-        heard: Heard = NOTHING_MORE,
+        planes_m: Sequence[float] = (),
     ) -> None:
         self.seed = seed
-        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, heard)
+        self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, planes_m)
         self.threads = threads or cpus()
         self.report = report if callable(report) else None
         self.started = time.perf_counter()

@@ -15,12 +15,53 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.ensemble import GROUPS, Ensemble, Level, Manner
-from splits.instruments.scenes import constants_of, granular_scene, ground_of
+from splits.instruments.scenes import Constants, constants_of, granular_scene, ground_of
 from splits.media.granular import GranularMedium, Interface, LayeredMedium
 from splits.media.turbid import Medium
 from splits.transport.grains.scene import NO_GROUND
 from splits.transport.sums.slopes import slopes
 from splits.transport.sums.tally import BLOCK
+
+
+class Family(NamedTuple):
+    """Media that share paths: alike but for what absorbs, for the ground, and for size.
+
+    Where all lengths of a medium are s times those of another, light takes the same paths in both,
+    s times as long; it is as if the other one absorbed s times as much per metre.
+
+    Attributes
+    ----------
+    media : tuple of Medium
+        Rays are traced in the first.
+    scales : float, shape (media,)
+        Sizes in units of the first's.
+    """
+
+    media: tuple[Medium, ...]
+    scales: np.ndarray
+
+    @classmethod
+    def of_one_size(cls, media: Sequence[Medium]) -> Family:
+        """Return the family of media that are of one size."""
+        return cls(tuple(media), np.ones(len(media)))
+
+    def part(self, some: slice) -> Family:
+        """Return some of it."""
+        return Family(self.media[some], self.scales[some])
+
+    def constants(self, wavelength_nm: np.ndarray) -> list[Constants]:
+        """Return what each is to light at wavelengths (nm), lengths in units of the first's size.
+
+        Meetings with a ground are no lengths.
+        """
+        found = []
+        for medium, scale in zip(*self, strict=True):
+            one = constants_of(medium, wavelength_nm)
+            absorption = scale * one.absorption
+            if ground_of(medium) is not None:
+                absorption[:, -1] = one.absorption[:, -1]
+            found.append(one._replace(absorption=absorption))
+        return found
 
 
 @dataclass(frozen=True)
@@ -34,8 +75,8 @@ class Rows:
     absorption : float, shape (rows, columns)
         Absorption coefficients (1/m); of the ground, −ln of its albedo.
     weakest : float, shape (rows, columns)
-        The least of those among the media at a row's wavelength.  It alone decides on roulette and
-        on the rays that a row listens to: so media at one wavelength listen to the same.
+        The least of those among the media of one size at a row's wavelength.  It alone decides on
+        roulette and on the rays that a row listens to: so these media listen to the same.
     changes : float, shape (parameters, rows, columns)
         Derivatives of absorption.
     interfaces : sequence of Interface
@@ -48,18 +89,21 @@ class Rows:
     interfaces: Sequence[Interface]
 
     @classmethod
-    def of(cls, media: Sequence[Medium], wavelength_nm: np.ndarray) -> Rows:
+    def of(cls, family: Family, wavelength_nm: np.ndarray) -> Rows:
         """Return the rows of media that share paths, medium after medium."""
-        found = [constants_of(medium, wavelength_nm) for medium in media]
+        found = family.constants(wavelength_nm)
         absorption = np.stack([one.absorption for one in found])
-        weakest = np.broadcast_to(absorption.min(axis=0), absorption.shape)
+        weakest = np.empty_like(absorption)
+        for scale in np.unique(family.scales):
+            alike = family.scales == scale
+            weakest[alike] = absorption[alike].min(axis=0)
         columns = absorption.shape[-1]
         return cls(
             np.concatenate([one.indices for one in found]),
             absorption.reshape(-1, columns),
             weakest.reshape(-1, columns),
-            np.zeros((0, len(media) * wavelength_nm.size, columns)),
-            media[0].interfaces(),
+            np.zeros((0, absorption[..., 0].size, columns)),
+            family.media[0].interfaces(),
         )
 
     def changing(

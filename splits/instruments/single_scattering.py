@@ -10,8 +10,16 @@ import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
 from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
-from splits.instruments.grain_optics import BATCH, WET_PORES, Plan, nodes_of, optics_of
+from splits.instruments.grain_optics import (
+    BATCH,
+    INTERPOLATION,
+    WET_PORES,
+    Plan,
+    materials_of,
+    optics_of,
+)
 from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.nodes import choose_nodes
 from splits.instruments.scenes import granular_scene
 from splits.media.granular import GranularMedium
 from splits.uncertainty import Variable, quantity
@@ -117,8 +125,9 @@ def single_scattering(
     begun = time.perf_counter()
     scene = granular_scene(medium, 0.0, False)
     plan = Plan(moments, rays, seed, threads, wet_pores)
-    nodes = nodes_of(medium, wavelengths)
-    values = optics_of(medium, scene, wavelengths, plan, nodes)
+    constants = materials_of(medium, wavelengths)
+    nodes = choose_nodes(constants.indices, medium.interfaces(), INTERPOLATION)
+    values = optics_of(medium, scene, constants, plan, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
     facts = {
         **run_facts(

@@ -13,7 +13,7 @@ from splits.checks import known_arguments, refuse
 from splits.instruments.arguments import check_medium
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.progress import Report, shows_progress
-from splits.instruments.shared_paths import check_shared
+from splits.instruments.shared_paths import Family, check_shared
 from splits.instruments.spectral_run import TITLE, Run
 from splits.media.turbid import Medium
 
@@ -80,7 +80,7 @@ def spectra(
     check_shared(named)
     run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
     begun = time.perf_counter()
-    found = run.estimated(list(named.values()), progress=progress)
+    found = run.estimated(Family.of_one_size(list(named.values())), progress=progress)
     differing = _differing(list(named.values()))
     one = next(iter(named.values()))
     about = run_facts(TITLE, "spectrophotometer", one, begun, run.seed, run.threads)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +19,8 @@ from splits.instruments.estimators import ESTIMATORS, Estimate
 from splits.instruments.jacobian import Moves
 from splits.instruments.progress import Report
 from splits.instruments.runner import Runner
-from splits.instruments.shared_paths import Rows
+from splits.instruments.shared_paths import Family, Rows
 from splits.instruments.tracers import KERNELS
-from splits.media.turbid import Medium
 from splits.transport.grains.scene import NO_GROUND
 from splits.uncertainty import Variable, deviations, quantity
 
@@ -78,18 +76,19 @@ class Run(NamedTuple):
 
     def estimated(
         self,
-        media: Sequence[Medium],
+        family: Family,
         moves: Moves = NO_MOVES,
         estimator: str = "spectral",
         progress: Report = None,
     ) -> Found:
         """Return estimates for media that share paths, or for one, and its derivatives."""
         analog = estimator == "analog"
-        family = [*media, *moves.media]
-        w = self.wavelengths
+        w, count = self.wavelengths, len(family.media)
+        if moves.media:
+            family = Family.of_one_size([*family.media, *moves.media])
         cut = None if analog else cut_of(family, w, self.max_stderr, self.seed, self.threads)
-        traced = family if cut is None else cut.media
-        rows = Rows.of(traced[: len(media)], w)
+        traced = family if cut is None else family._replace(media=cut.media)
+        rows = Rows.of(traced.part(slice(count)), w)
         if moves.media:
             white = [] if cut is None else w[cut.below[0] == 0.0]
             if len(white):
@@ -97,12 +96,11 @@ class Run(NamedTuple):
                 hint = f"as at {white[0]:g} nm"
                 raise refuse("jacobian", list(moves.parameters), allowed, hint)
             ground = NO_GROUND if cut is None else rows.absorption.shape[1] - 1
-            rows = rows.changing(traced[len(media) :], moves.steps, w, ground)
+            rows = rows.changing(traced.media[count:], moves.steps, w, ground)
 
         def estimate(goal: float) -> Estimate:
-            runner = Runner(
-                traced[0], self.incidence, self.seed, self.threads, analog, self.kernel, progress
-            )
+            how = (self.seed, self.threads, analog, self.kernel, progress)
+            runner = Runner(traced.media[0], self.incidence, *how)
             return ESTIMATORS[estimator](runner, rows, goal, self.max_rays)
 
         if cut is None:

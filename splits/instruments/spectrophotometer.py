@@ -14,6 +14,7 @@ from splits.instruments.estimators import ESTIMATORS
 from splits.instruments.jacobian import Moves, parameter_axis, slope_variables
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.progress import Report, shows_progress
+from splits.instruments.shared_paths import Family
 from splits.instruments.spectral_run import SIDES, TITLE, Run
 from splits.media.turbid import Medium
 
@@ -97,7 +98,7 @@ def spectrophotometer(
     if moves.parameters and estimator != "spectral":
         raise refuse("jacobian", list(moves.parameters), "left out for this estimator")
     begun = time.perf_counter()
-    found = run.estimated([medium], moves, estimator, progress)
+    found = run.estimated(Family.of_one_size([medium]), moves, estimator, progress)
     result = found.result
 
     variables = run.variables(result, ("wavelength",))

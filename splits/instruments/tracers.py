@@ -32,27 +32,6 @@ KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
 
-class Heard(NamedTuple):
-    """What rays are to tell besides their lengths.
-
-    Attributes
-    ----------
-    positions, orders : bool
-        Where a ray left, and how many grains it had met.
-    depths_m : tuple of float
-        Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
-        listens at these.
-    """
-
-    positions: bool = False
-    orders: bool = False
-    depths_m: tuple[float, ...] = ()
-
-
-NOTHING_MORE = Heard()
-"""What rays tell in any case: the side where they left, direction, lengths."""
-
-
 class Followed(NamedTuple):
     """What pieces of levels yielded besides their exits.
 
@@ -135,7 +114,9 @@ class GrainTracer:
     analog : bool
         Absorption by coin toss.
     kernel : {"auto", "lanes", "scalar"}
-    heard : Heard
+    planes_m : sequence of float
+        Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
+        listens at these.
     """
 
     LOST = (
@@ -150,11 +131,11 @@ class GrainTracer:
         seed: int,
         analog: bool,
         kernel: str,
-        heard: Heard,
+        planes_m: Sequence[float],
     ) -> None:
         self.scene = granular_scene(medium, incidence_deg, analog)
-        if heard.depths_m:
-            self.scene = listening(self.scene, heard.depths_m)
+        if planes_m:
+            self.scene = listening(self.scene, planes_m)
         self.fields = fields_of(medium)
         self.depths_m = -self.scene.layers.face
         densest = float(self.scene.layers.attenuation.max())
@@ -166,7 +147,6 @@ class GrainTracer:
         self.columns = columns_of(medium)
         self.seed = seed
         self.kernel = kernel
-        self.heard = heard
         self._features: dict[Level, Features | None] = {}
 
     def prepare(self, levels: Sequence[Level]) -> None:
@@ -192,9 +172,7 @@ class GrainTracer:
         if self.kernel == "scalar":
             return None
         if level not in self._features:
-            self._features[level] = features_for(
-                self.scene, level.optics, self.heard.positions, self.heard.orders
-            )
+            self._features[level] = features_for(self.scene, level.optics)
         features = self._features[level]
         if features is None and self.kernel == "lanes":
             raise refuse(
@@ -307,9 +285,9 @@ def tracer_of(
     seed: int,
     analog: bool,
     kernel: str,
-    heard: Heard,
+    planes_m: Sequence[float],
 ) -> Tracer:
     """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
     if isinstance(medium, TurbidMedium):
         return LayerTracer(medium, light_of(incidence_deg), seed, analog, kernel)
-    return GrainTracer(medium, incidence_deg, seed, analog, kernel, heard)
+    return GrainTracer(medium, incidence_deg, seed, analog, kernel, planes_m)

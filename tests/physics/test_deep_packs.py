@@ -13,7 +13,8 @@ from splits.checks import Refusal
 from splits.diffusion import Rest, diffuse_reflectance
 from splits.instruments import deep_packs
 from splits.instruments.deep_packs import DOUBT, cut_of
-from splits.instruments.grain_optics import BATCH, RATIOS, Plan, pooled_by_type
+from splits.instruments.grain_optics import BATCH, RATIOS, Plan, materials_of, pooled_by_type
+from splits.instruments.shared_paths import Family
 
 CLEAR = {"ice": 1.31, "water": 1.33}
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
@@ -41,7 +42,7 @@ def always(monkeypatch):
 def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
     """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
     pack = PACKS[name]
-    cut = cut_of([pack], WAVELENGTHS, 0.02, 1, 2)
+    cut = cut_of(Family.of_one_size([pack]), WAVELENGTHS, 0.02, 1, 2)
     assert cut is not None
     assert cut.depth_m < 0.7 * pack.depth_m
     monkeypatch.setattr(deep_packs, "LEAST", math.inf)
@@ -72,15 +73,15 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [cut_of([pack], WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    decided = [cut_of(Family.of_one_size([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     monkeypatch.setattr(deep_packs, "CLEARLY", math.inf)
-    better = [cut_of([pack], WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    better = [cut_of(Family.of_one_size([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
     monkeypatch.setattr(deep_packs, "pooled_by_type", lambda *_: looked.append(1))
-    assert cut_of([splits.Sand()], WAVELENGTHS, max_stderr, 1, 2) is None
+    assert cut_of(Family.of_one_size([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
     assert not looked
 
 
@@ -130,7 +131,7 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
 def test_rare_dark_grains_are_not_overlooked():
     """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
-    cut = cut_of([sand], np.array([600.0]), 0.005, 1, 2)
+    cut = cut_of(Family.of_one_size([sand]), np.array([600.0]), 0.005, 1, 2)
     assert cut is not None
     assert cut.passed[0, 0] < 0.5
 
@@ -155,13 +156,15 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
 def test_types_measured_one_by_one_are_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])
-    each = pooled_by_type(sand, light, Plan(1, 100 * BATCH, 1, 2, "equilibrium"))
+    each = pooled_by_type(
+        sand, materials_of(sand, light), Plan(1, 100 * BATCH, 1, 2, "equilibrium")
+    )
     mixed = splits.single_scattering(sand, light, 1, 100 * BATCH, 2, wet_pores="equilibrium")
     z = []
     for name in ("single_scattering_albedo", "asymmetry_parameter", *RATIOS):
         # Types by themselves know a mean at least as well as a mixture.
         error = np.sqrt(2.0) * mixed[f"{name}_stderr"]
-        z.append(((each[name] - mixed[name]) / error).values)
+        z.append(((each[name].values - mixed[name]) / error).values)
     judge_z(np.array(z), independent=2, bound_added=True)
 
 

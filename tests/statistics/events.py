@@ -17,7 +17,7 @@ from splits.transport.compiling.features import EVERYTHING
 from splits.transport.grains import facets, granular, scalar, spheroid, surface
 from splits.transport.grains.flight import FIRST_ROULETTE, Meeting
 from splits.transport.grains.scalar import Candidate, Found
-from splits.transport.grains.scene import LOBE
+from splits.transport.grains.scene import LOBE, UNLIMITED
 from splits.transport.grains.spheroid import Spheroid
 from splits.transport.grains.surface import Numbers, Stand
 from splits.transport.grains.walk import trial, walk
@@ -54,6 +54,7 @@ def lane_words(ray=0):
         words[rows.KEY_HIGH + lane] = start >> 32
         words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
         words[rows.COUNT + lane] = 1
+        words[rows.MOST + lane] = UNLIMITED
     return words
 
 
@@ -64,7 +65,7 @@ def lane_words(ray=0):
 def struck(state, d, size, entry):
     """Return where a ray along d strikes a grain."""
     aim = scalar.aim_of(state, size.flattening)
-    return spheroid.strike(d, size, aim, entry, True)
+    return spheroid.strike(d, size, aim, entry)
 
 
 @njit
@@ -110,7 +111,7 @@ def facet_struck(state, d, normal, facetness, rule):
         azimuth = rng.unit_circle(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         numbers = Numbers(rng.uniform(state), 0.5, 0.0, rng.half_normal(state), azimuth)
-        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, rule, True)
+        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, rule)
         if facet.accepted:
             return facet
 
@@ -121,7 +122,7 @@ def facet_struck_by_lane(words, d, normal, sigma, rule):
     smooth = facets.facing(d, flat_by_lane(normal), single(1.0))
     while True:
         numbers = numbers_at(words, 0, True, True)
-        facet = facets.rough(d, smooth, sigma, numbers, False, rule, True)
+        facet = facets.rough(d, smooth, sigma, numbers, False, rule)
         if facet.accepted:
             return facet
 
@@ -146,7 +147,7 @@ def tried_by_lane(words, d, stand, normal, sigma, media, rules):
     numbers = numbers_at(words, 0, True, True)
     facet = facets.facing(d, flat_by_lane(normal), stand.side)
     if sigma > single(0.0):
-        facet = facets.rough(d, facet, sigma, numbers, stand.lobe, rules.facets, True)
+        facet = facets.rough(d, facet, sigma, numbers, stand.lobe, rules.facets)
     mirrored = rules.wrong_side != LOBE
     return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, EVERYTHING)
 

@@ -28,7 +28,7 @@ COLUMNS = rows.KIND // LANES + 1
 DEPTH = 1e4
 
 
-def deep_scene(medium, variant):
+def deep_scene(medium):
     """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
     scene = boundless(medium_scene(medium, depth=DEPTH, saturation=0.0))
     types = scene.types
@@ -38,9 +38,8 @@ def deep_scene(medium, variant):
         (0.5 * types.facetness).astype(single),
     )
     features = Features(*[None] * len(Features._fields))._replace(
-        faceted=True, mixed=True if types.shells.size > 1 else None,
-        variant=True if variant else None, positions=True,
-    )  # fmt: skip
+        faceted=True, mixed=True if types.shells.size > 1 else None
+    )
     return passing(scene), features, tables, scene.layers.share
 
 
@@ -63,9 +62,9 @@ def _fly(state, words, features, scene, tables, share, out):
                 state[rows.Z + lane] = single(-0.5 * DEPTH)
 
 
-def met(medium, variant=False, count=COUNT):
+def met(medium, count=COUNT):
     """Return the rows of the state of lanes that have just met a grain, by row."""
-    scene, features, tables, share = deep_scene(medium, variant)
+    scene, features, tables, share = deep_scene(medium)
     state = np.zeros(rows.STATE, dtype=single)
     words = lane_words()
     for lane in range(LANES):
@@ -92,7 +91,7 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     medium = splits.Snow(
         sphericity=(psi, psi, psi, 0.0), saturation=0.0, depth_m=1.0, readings={"entry": entry}
     )
-    rows_of = met(medium, entry == "projected")
+    rows_of = met(medium)
     q = rows_of(rows.QX, rows.QY, rows.QZ)
     w = rows_of(rows.WX, rows.WY, rows.WZ)
     flattening = rows_of(rows.FLATTENING)

@@ -102,7 +102,7 @@ def _outcomes(x, lobe, through, features, rule, turn, out):
         facet = facets.facing(d, Spheroid(n, n, zero, one), one)
         numbers = Numbers(row[8], row[9], row[9], row[10], Angle(abs(row[11]), row[12]))
         if features.faceted is not None:
-            facet = facets.rough(d, facet, row[13], numbers, lobe, rule, features.variant)
+            facet = facets.rough(d, facet, row[13], numbers, lobe, rule)
         media = surface.contrast(Index(row[14], row[15]), Index(row[16], row[17]))
         stand = Stand(zero, one, lobe, through)
         after = surface.outcome(d, stand, facet, media, row[9], turn, features)
@@ -139,11 +139,8 @@ def test_trials_at_a_surface(random, name, lobe):
     columns = surfaces(random, indices, 0.5 if shows else 0.0)
     if features.mixed is None:
         columns[8] = np.where(columns[8] == columns[10], 1.55, columns[8])
-    rules = [facets.PROJECTED]
-    if features.variant is not None:
-        rules += [facets.UNWEIGHTED, facets.ANY]
-    for rule in rules:
-        for turn in (False, True) if features.variant is not None else (False,):
+    for rule in (facets.PROJECTED, facets.UNWEIGHTED, facets.ANY):
+        for turn in (False, True):
             for through in (False, True) if lobe else (False,):
                 label = f"{name}, lobe {lobe}, through {through}, rule {rule}, turn {turn}"
                 one, other = both(_outcomes, columns, 13, lobe, through, features, rule, turn)
@@ -212,7 +209,7 @@ def _strikes(x, entry, out):
         row = x[i]
         d, size = Vector(row[0], row[1], row[2]), Size(row[3], row[4])
         aim = Aim(row[5], Angle(row[6], row[7]), Angle(row[8], row[9]), row[10], row[11])
-        hit = spheroid.strike(d, size, aim, entry, True)
+        hit = spheroid.strike(d, size, aim, entry)
         q, w, n = hit.grain.q, hit.grain.w, hit.normal
         out[i, 0], out[i, 1], out[i, 2] = q.x, q.y, q.z
         out[i, 3], out[i, 4], out[i, 5] = w.x, w.y, w.z
@@ -269,7 +266,7 @@ def test_overlaps_with_boundaries_and_legs(random):
 
 
 @njit
-def _next(x, fates, features, out):
+def _next(x, fates, out):
     for i in range(len(x)):
         row = x[i]
         d, size = Vector(row[0], row[1], row[2]), Size(row[3], row[4])
@@ -279,7 +276,7 @@ def _next(x, fates, features, out):
         last = Segment(way, Vector(row[17], row[18], row[19]), row[20])
         ray = Flier(place, way, d, last, row[21])
         space = Space(row[22], row[23], row[25], row[26], zero, zero)
-        met = flight.next_grain(ray, size, aim, row[24], space, fates, features)
+        met = flight.next_grain(ray, size, aim, row[24], space, fates)
         there = flight.to_boundary(ray, space)
         n = met.entry.normal
         out[i, 0], out[i, 1], out[i, 2] = met.leg, met.height, there.leg
@@ -290,9 +287,9 @@ def _next(x, fates, features, out):
 
 DEPTH = 30.0 * SCALE
 FATES = {
-    "redrawn": (Fates(spheroid.UNIFORM, True, True, False, False), BARE),
-    "kept": (Fates(spheroid.PROJECTED, False, False, False, False), EVERYTHING),
-    "skipped": (Fates(spheroid.UNIFORM, True, True, True, True), EVERYTHING),
+    "redrawn": Fates(spheroid.UNIFORM, True, True, False, False),
+    "kept": Fates(spheroid.PROJECTED, False, False, False, False),
+    "skipped": Fates(spheroid.UNIFORM, True, True, True, True),
 }
 
 
@@ -308,7 +305,7 @@ def test_next_grains(random, name):
         skipped, 5.0 * SCALE * ones, -0.9 * DEPTH * ones, random.uniform(1e-6, 1.0, COUNT),
         -0.1 * DEPTH * ones, -DEPTH * ones,
     ]  # fmt: skip
-    one, other = both(_next, columns, 12, *FATES[name])
+    one, other = both(_next, columns, 12, FATES[name])
     same = judge_decisions(one[:, 9:], other[:, 9:], name)
     judge(one[:, :2], other[:, :2], "leg and height", DEPTH)
     # Ways to a boundary are as long as rays are level.

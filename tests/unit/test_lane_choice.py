@@ -17,7 +17,7 @@ from splits.transport.lanes.choice import DEEPEST, FAINT, GRAZING, extinction_sh
 from splits.transport.optics.fresnel import interface
 
 
-def features(medium, k=0.0, analog=False, positions=False, depth=None):
+def features(medium, k=0.0, analog=False, depth=None):
     """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
     materials = int(medium.grains().types.material.max()) + 1
     n = np.full(materials, 1.5)
@@ -25,7 +25,7 @@ def features(medium, k=0.0, analog=False, positions=False, depth=None):
     extinction = np.full(materials, k)
     extinction[[DRY_PORE, WET_PORE]] = 0.0
     scene = medium_scene(medium, analog=analog, depth=depth or float(medium.depth_m))
-    return features_for(scene, optics_of(n, extinction), positions)
+    return features_for(scene, optics_of(n, extinction))
 
 
 def having(**present):
@@ -33,24 +33,18 @@ def having(**present):
     return Features(*(True if present.pop(name, False) else None for name in Features._fields))
 
 
-def parents_snow(**settings):
-    """Return snow with the readings that lanes take as their plain case."""
-    return splits.Snow(readings="splits_2007", **settings)
-
-
 SMOOTH = (0.0, 0.0, 0.0, 0.0)
 SCENES = {
-    "Table 1": (parents_snow(), {}, {"wet", "faceted"}),
-    "dry": (parents_snow(saturation=0.0), {}, {"faceted"}),
-    "smooth": (parents_snow(facetness=SMOOTH), {}, {"wet"}),
-    "dry and smooth": (parents_snow(saturation=0.0, facetness=SMOOTH), {}, set()),
-    "with positions": (parents_snow(), {"positions": True}, {"wet", "faceted", "positions"}),
-    "k that does not show": (parents_snow(), {"k": 1e-8}, {"wet", "faceted"}),
-    "k that shows": (parents_snow(), {"k": 0.01}, {"wet", "faceted", "absorbing"}),
+    "Table 1": (splits.Snow(), {}, {"wet", "faceted"}),
+    "dry": (splits.Snow(saturation=0.0), {}, {"faceted"}),
+    "smooth": (splits.Snow(facetness=SMOOTH), {}, {"wet"}),
+    "dry and smooth": (splits.Snow(saturation=0.0, facetness=SMOOTH), {}, set()),
+    "k that does not show": (splits.Snow(), {"k": 1e-8}, {"wet", "faceted"}),
+    "k that shows": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "absorbing"}),
     "sand": (splits.Sand(), {}, {"faceted", "mixed"}),
     "wet sand": (splits.Sand(saturation=0.3), {}, {"wet", "faceted", "mixed"}),
     "barely deep enough": (
-        parents_snow(), {"depth": 0.999 * DEEPEST * parents_snow().mean_grain_distance_m},
+        splits.Snow(), {"depth": 0.999 * DEEPEST * splits.Snow().mean_grain_distance_m},
         {"wet", "faceted"},
     ),
 }  # fmt: skip
@@ -62,29 +56,8 @@ def test_features_are_those_of_the_scene(scene):
     assert features(medium, **how) == having(**dict.fromkeys(expected, True))
 
 
-@pytest.mark.parametrize(
-    ("reading", "value", "variant"),
-    [
-        ("entry", "uniform", False),
-        ("entry", "projected", True),
-        ("facets", "projected", False),
-        ("facets", "unweighted", True),
-        ("facets", "any", True),
-        ("wrong_side", "lobe", False),
-        ("wrong_side", "mirrored", True),
-        ("grain_on_last_leg", "keep", False),
-        ("grain_across_boundary", "keep", False),
-        ("grain_on_last_leg", "skip", True),
-        ("grain_across_boundary", "skip", True),
-    ],
-)
-def test_readings_other_than_the_default_are_variants(reading, value, variant):
-    snow = splits.Snow(readings={"set": "splits_2007", reading: value})
-    assert features(snow) == having(wet=True, faceted=True, variant=variant)
-
-
 def test_grazing_beams_are_left_to_the_scalar_kernel_unless_there_is_none():
-    grains, optics = parents_snow().grains(), optics_of([1.0, 1.33, 1.31])
+    grains, optics = splits.Snow().grains(), optics_of([1.0, 1.33, 1.31])
     for cos, diffuse, served in (
         (0.99 * GRAZING, 0.0, False),
         (1.01 * GRAZING, 0.0, True),
@@ -96,16 +69,16 @@ def test_grazing_beams_are_left_to_the_scalar_kernel_unless_there_is_none():
 
 
 def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
-    assert features(parents_snow(), analog=True) is None
-    deep = 1.001 * DEEPEST * parents_snow().mean_grain_distance_m
-    assert features(parents_snow(), depth=deep) is None
+    assert features(splits.Snow(), analog=True) is None
+    deep = 1.001 * DEEPEST * splits.Snow().mean_grain_distance_m
+    assert features(splits.Snow(), depth=deep) is None
 
 
 @pytest.mark.parametrize("coats", [0, 1, 2, 3])
 def test_at_most_one_coating(coats):
     grains = coated([0.01] * coats, [*range(3, 3 + coats), 2])
     found = features_for(scene_of(grains, 0.1), optics_of(np.full(6, 1.5)))
-    assert found == (having(mixed=coats == 1, variant=True) if coats < 2 else None)
+    assert found == (having(mixed=coats == 1) if coats < 2 else None)
 
 
 pytestmark = NEEDS_JIT
@@ -129,7 +102,7 @@ GRAINS = {
 def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
     """Return whether extinction coefficients of wet pores and of grains are left out."""
     optics = optics_of([1.0, n_pore, n_core], [0.0, k_pore, k_core])
-    found = features_for(scene_of(parents_snow().grains(), 0.1, saturation), optics)
+    found = features_for(scene_of(splits.Snow().grains(), 0.1, saturation), optics)
     return found.absorbing is None
 
 
@@ -159,9 +132,9 @@ def test_the_public_interface_refuses_lanes_that_cannot_serve():
     match = r"kernel = 'lanes'.*'auto' or 'scalar'"
     with pytest.raises(ValueError, match=match):
         splits.spectrophotometer(
-            parents_snow(), 500.0, max_stderr=0.5, kernel="lanes", estimator="analog"
+            splits.Snow(), 500.0, max_stderr=0.5, kernel="lanes", estimator="analog"
         )
-    deep = parents_snow(depth_m=1.001 * DEEPEST * parents_snow().mean_grain_distance_m)
+    deep = splits.Snow(depth_m=1.001 * DEEPEST * splits.Snow().mean_grain_distance_m)
     with pytest.raises(ValueError, match=match):
         splits.bssrdf(deep, 500.0, rays=10, kernel="lanes")
 

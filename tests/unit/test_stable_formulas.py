@@ -338,6 +338,6 @@ def check_tilt(facetness):
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
-        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED, True)
+        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED)
         assert facet.leaned.cos == 1.0 - tilt
         assert off(0.6 * facet.leaned.sin, exact) < RELATIVE

@@ -1,4 +1,8 @@
-"""What a scene has: kernels are compiled for that and carry nothing else."""
+"""What a scene has: kernels are compiled for that and carry nothing else that costs time.
+
+What costs none is compiled in always (benchmarks/kernels.py): the papers' readings, horizontal
+positions, the number of grains met.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +24,8 @@ class Features(NamedTuple):
         Extinction coefficients show in reflection.
     mixed : True or None
         Several types, or coatings; includes `absorbing`.
-    variant : True or None
-        Readings of the papers other than the default in entry point, facets or wrong side, or
-        grains that are skipped.
     layered : True or None
         There are several layers; includes `mixed`.
-    positions : True or None
-        Horizontal positions are tracked.
-    orders : True or None
-        Grains met are counted, and limited.
     """
 
     wet: bool | None
@@ -36,10 +33,7 @@ class Features(NamedTuple):
     faceted: bool | None
     absorbing: bool | None
     mixed: bool | None
-    variant: bool | None
     layered: bool | None
-    positions: bool | None
-    orders: bool | None
 
 
 EVERYTHING = Features(*[True] * len(Features._fields))

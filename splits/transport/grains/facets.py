@@ -140,7 +140,7 @@ def facing(d, grain, side):
 
 
 @kernel
-def rough(d, smooth, roughness, numbers, lobe, rule, variant):
+def rough(d, smooth, roughness, numbers, lobe, rule):
     """Return a facet of a rough surface, drawn by a rule; by default `PROJECTED`."""
     normal, cos_i = smooth.normal, smooth.cos_i
     tangential = along(cos_i, normal, d)
@@ -155,7 +155,7 @@ def rough(d, smooth, roughness, numbers, lobe, rule, variant):
     )
     half = numbers.azimuth
     cos_lobe = -half.cos if numbers.choice < HALF else half.cos
-    if variant is not None and rule != PROJECTED:
+    if rule != PROJECTED:
         choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)
     else:
         choice = projected_choice(tilt, half.cos, incidence, numbers.choice)

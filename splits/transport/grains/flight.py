@@ -165,7 +165,7 @@ def roulette(purse, u, active):
 
 
 @kernel
-def next_grain(ray, size, aim, u, space, fates, features):
+def next_grain(ray, size, aim, u, space, fates):
     """Draw the next grain on a ray.
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
@@ -180,7 +180,6 @@ def next_grain(ray, size, aim, u, space, fates, features):
         A uniform random number, for the distance.
     space : Space
     fates : Fates
-    features : Features
 
     Returns
     -------
@@ -188,22 +187,19 @@ def next_grain(ray, size, aim, u, space, fates, features):
     """
     d, way = ray.d, ray.way
     leg = -logarithm(u) * space.mean_leg
-    if features.variant is not None or features.layered is not None:
-        leg += ray.skipped
+    leg += ray.skipped
     # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
     start = min(max(ray.place.z + way.z, space.floor), space.ceiling)
     height = fused(leg, d.z, start)
     outside = (height > space.high) if d.z > ZERO else (height < space.low)
-    entry = strike(d, size, aim, fates.entry, features.variant)
+    entry = strike(d, size, aim, fates.entry)
     across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.brim)
     behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
     backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)
-    skipped = ray.skipped
-    if features.variant is not None:
-        skips = fates.skip_across_boundary if across else fates.skip_on_last_leg & backwards
-        skipped = leg if (not outside) & skips else skipped
-        skipped = ZERO if fits | outside else skipped
+    skips = fates.skip_across_boundary if across else fates.skip_on_last_leg & backwards
+    skipped = leg if (not outside) & skips else ray.skipped
+    skipped = ZERO if fits | outside else skipped
     return Meeting(leg, height, entry, outside, fits, skipped)
 
 

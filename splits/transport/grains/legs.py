@@ -8,7 +8,6 @@ therefore changes nothing.
 
 from __future__ import annotations
 
-from splits.transport.compiling.features import EVERYTHING
 from splits.transport.compiling.jit import part
 from splits.transport.grains.flight import Fates, Flier, next_grain, to_boundary
 from splits.transport.grains.scalar import (
@@ -94,7 +93,7 @@ def find(state, flier, beam, scene, optics):
         if layers.particles[layer] != GRAINS:
             # A particle is a point: it fits everywhere.
             fates = Fates(usual.entry, False, False, False, False)
-        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates, EVERYTHING)
+        meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates)
         if meeting.fits:
             return Found(candidate, meeting, layer, False)
         if meeting.outside:

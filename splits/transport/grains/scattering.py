@@ -47,7 +47,7 @@ def met(state, solitary):
     """Draw the grain that a ray along +z strikes."""
     candidate = candidate_of(state, solitary.scene, 0)
     aim = aim_of(state, candidate.size.flattening)
-    hit = strike(UP, candidate.size, aim, solitary.scene.rules.entry, True)
+    hit = strike(UP, candidate.size, aim, solitary.scene.rules.entry)
     return Found(candidate, Meeting(0.0, 0.0, hit, False, True, 0.0), 0, False)
 
 

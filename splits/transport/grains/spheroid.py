@@ -158,7 +158,7 @@ def placed(aim, flattening):
 
 
 @kernel
-def strike(d, size, aim, entry, variant):
+def strike(d, size, aim, entry):
     """Return where a ray along d strikes a grain, and how that grain lies.
 
     A grain turned at random shows the normal at any fixed point of it in a random direction; so
@@ -171,8 +171,6 @@ def strike(d, size, aim, entry, variant):
     aim : Aim
     entry : int
         `UNIFORM` or `PROJECTED`.
-    variant : True or None
-        None where it is `UNIFORM`.
 
     Returns
     -------
@@ -181,9 +179,7 @@ def strike(d, size, aim, entry, variant):
     flattening = size.flattening
     axial = TWO * aim.axial - ONE
     square = slope_squared(axial, flattening)
-    facing = aim.facing
-    if variant is not None:
-        facing = root(aim.facing) if entry == PROJECTED else aim.facing
+    facing = root(aim.facing) if entry == PROJECTED else aim.facing
     polar = Angle(facing, root(max(ONE - facing * facing, ZERO)))
     n = around(Vector(-d.x, -d.y, -d.z), polar, aim.azimuth)
     per_slope = reciprocal_root(square)

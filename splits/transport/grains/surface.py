@@ -205,8 +205,7 @@ def outcome(d, stand, facet, media, u, turn, features):
     h = TWO * cos_facet if reflected else ratio * (cos_facet - wave.a)
     struck = normal
     if features.faceted is not None:
-        if features.variant is not None:
-            h = -h if facet.turned else h
+        h = -h if facet.turned else h
         g = ZERO if lobe else g
         h = ONE if lobe else h
         passed = stand.through if lobe else passed
@@ -224,9 +223,8 @@ def outcome(d, stand, facet, media, u, turn, features):
     if features.faceted is None:
         return Outcome(e, passed, True, False, out)
     right = (out < ZERO) if passed else (out > ZERO)
-    if features.variant is not None:
-        e = chosen(turn & (not right), mirrored(e, normal), e)
-        right = right | turn
+    e = chosen(turn & (not right), mirrored(e, normal), e)
+    right = right | turn
     done = lobe | (facet.accepted & right)
     return Outcome(e, passed, done, (not lobe) & facet.accepted & (not right), out)
 

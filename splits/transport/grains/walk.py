@@ -62,7 +62,7 @@ def trial(state, d, stand, grain, roughness, media, rules):
         azimuth = unit_circle(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         numbers = Numbers(uniform(state), u, 0.0, half_normal(state), azimuth)
-        found = rough(d, facet, roughness, numbers, stand.lobe, rules.facets, True)
+        found = rough(d, facet, roughness, numbers, stand.lobe, rules.facets)
         if found.accepted or stand.lobe:
             facet = found
             break

@@ -120,7 +120,7 @@ def refill(lanes, lane, task, exits, queue):
         queue = Queue(queue.ray + 1, queue.rays, queue.item, queue.number + 1, busy, False)
         if entered:
             return queue
-        leave(lanes, lane, exits, task.features)
+        leave(lanes, lane, exits)
     state[rows.STATUS + lane] = rows.IDLE
     return queue
 
@@ -166,7 +166,7 @@ def serve(lanes, width, task, notes, exits, legs, queue):
                 legs[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
             if leaves:
                 put_down(lanes, lane, task.scene)
-                leave(lanes, lane, exits, task.features)
+                leave(lanes, lane, exits)
             queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
             queue = refill(lanes, lane, task, exits, queue)
             break
@@ -194,9 +194,9 @@ def batch(seed, work, scene, optics, exits, features):
     ----------
     seed : int
     work : int64[items, 4]
-        Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed,
-        which takes ``features.orders``.  Seed, ensemble and number name a ray's random stream: it
-        is the same in whatever lane and batch, and in whatever company.
+        Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
+        Seed, ensemble and number name a ray's random stream: it is the same in whatever lane and
+        batch, and in whatever company.
     scene : Scene
         See `splits.transport.grains.scene`; at most one coating.
     optics : Optics

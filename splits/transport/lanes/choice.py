@@ -9,8 +9,7 @@ from numba import config
 
 from splits.transport.compiling.features import Features
 from splits.transport.compiling.jit import borrower
-from splits.transport.grains import facets, spheroid
-from splits.transport.grains.scene import DRY_PORE, GRAINS, LOBE, SKIPPED, WET_PORE, Optics, Scene
+from splits.transport.grains.scene import DRY_PORE, GRAINS, WET_PORE, Optics, Scene
 from splits.transport.optics.fresnel import interface
 
 FAINT = 1e-5
@@ -31,12 +30,7 @@ DEEPEST = 1e5
 steps are then below 1 % of that distance."""
 
 
-def features_for(
-    scene: Scene,
-    optics: Optics,
-    positions: bool = False,
-    orders: bool = False,
-) -> Features | None:
+def features_for(scene: Scene, optics: Optics) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
     Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
@@ -47,10 +41,6 @@ def features_for(
     ----------
     scene, optics
         See `splits.transport.grains.scene`.
-    positions : bool
-        Whether horizontal positions of exit are wanted.
-    orders : bool
-        Whether the number of grains met is wanted, or limited.
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
@@ -72,21 +62,13 @@ def features_for(
         pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
         absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
-    default = (rules.entry, rules.facets, rules.wrong_side) == (
-        spheroid.UNIFORM,
-        facets.PROJECTED,
-        LOBE,
-    ) and SKIPPED not in (rules.on_last_leg, rules.across_boundary)
     return Features(
         wet=_feature(layers.saturation.max() > 0.0),
         foggy=_feature(bool(optics.absorbs[layers.pore].any())),
         faceted=_feature(bool((types.facetness > 0.0).any())),
         absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),
-        variant=_feature(not default),
         layered=_feature(layered),
-        positions=_feature(positions),
-        orders=_feature(orders),
     )
 
 

@@ -229,17 +229,12 @@ def at_boundary(lanes, lane, task):
 
 
 @part
-def leave(lanes, lane, exits, features):
+def leave(lanes, lane, exits):
     """Write a ray that left into its row of the exits."""
     state, row = lanes.state, exits[lanes.ray[lane]]
-    place = Vector(np.nan, np.nan, np.nan)
-    order = np.nan
-    if features.positions is not None:
-        x = vector(state, rows.X + lane)
-        place = Vector(np.float64(x.x), np.float64(x.y), np.float64(x.z))
-    if features.orders is not None:
-        order = np.float64(lanes.words[rows.ORDER + lane])
-    d = vector(state, rows.DX + lane)
+    x, d = vector(state, rows.X + lane), vector(state, rows.DX + lane)
+    place = Vector(np.float64(x.x), np.float64(x.y), np.float64(x.z))
+    order = np.float64(lanes.words[rows.ORDER + lane])
     record(row, d.z > ZERO, place, d, state[rows.WEIGHT + lane], order)
     write(row, EXIT_LENGTH, lanes.length[lane])
 

@@ -117,7 +117,7 @@ def fly(state, words, i, features, scene):
     # The trial of the axial position comes before all else that a draw can lead to, so that its
     # failures leave no trace in distances, shapes and types.
     size = Size(ONE / state[rows.NEW_CURVATURE + i], state[rows.NEW_FLATTENING + i])
-    met = next_grain(ray, size, numbers.aim, numbers.leg, space, scene.fates, features)
+    met = next_grain(ray, size, numbers.aim, numbers.leg, space, scene.fates)
     sound = placed(numbers.aim, size.flattening)
     going = active & sound & (not played.ended)
     strays = False
@@ -133,7 +133,7 @@ def fly(state, words, i, features, scene):
         after = rows.ASTRAY if strays else after
         landed = state[rows.LANDED + i]
         state[rows.LANDED + i] = ZERO if fits else landed
-    elif features.variant is not None:
+    else:
         state[rows.SKIP_LEG + i] = met.skipped if going else ray.skipped
     state[rows.KEEP + i] = ONE if active & (not sound) else ZERO
     tries = state[rows.TRIES + i]
@@ -143,11 +143,10 @@ def fly(state, words, i, features, scene):
     take(state, i, met.entry.grain, fits, features)
     after = rows.LOST if tries > _MOST_TRIES else after
     after = rows.ABSORBED if played.ended else after
-    if features.orders is not None:
-        order = words[rows.ORDER + i]
-        over = fits & (order >= words[rows.MOST + i])
-        words[rows.ORDER + i] = np.uint32(order + np.uint32(1)) if fits else order
-        after = rows.ABSORBED if over else after
+    order = words[rows.ORDER + i]
+    over = fits & (order >= words[rows.MOST + i])
+    words[rows.ORDER + i] = np.uint32(order + np.uint32(1)) if fits else order
+    after = rows.ABSORBED if over else after
     after = after if active else status
     state[rows.STATUS + i] = after
     return after
@@ -157,9 +156,8 @@ def fly(state, words, i, features, scene):
 def arrive(state, i, ray, met, fits, features):
     """Bring a lane's ray to the grain that it meets, if there is one."""
     place, way, d, leg = ray.place, ray.way, ray.d, met.leg
-    if features.positions is not None:
-        state[rows.X + i] = place.x + way.x + leg * d.x if fits else place.x
-        state[rows.Y + i] = place.y + way.y + leg * d.y if fits else place.y
+    state[rows.X + i] = place.x + way.x + leg * d.x if fits else place.x
+    state[rows.Y + i] = place.y + way.y + leg * d.y if fits else place.y
     state[rows.Z + i] = met.height if fits else place.z
     put(state, rows.GX + i, chosen(fits, Vector(ZERO, ZERO, ZERO), way))
     put(state, rows.LX + i, chosen(fits, d, ray.last.d))

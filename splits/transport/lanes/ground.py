@@ -40,8 +40,7 @@ def at_ground(lanes, lane, task, notes):
         set_out(state, lane)
     state[rows.TRIES + lane] = ZERO
     state[rows.STATUS + lane] = rows.FLYING if passed else rows.AT_GROUND
-    if task.features.orders is not None:
-        order = words[rows.ORDER + lane]
-        words[rows.ORDER + lane] = np.uint32(order + np.uint32(1))
-        if order >= words[rows.MOST + lane]:
-            state[rows.STATUS + lane] = rows.ABSORBED
+    order = words[rows.ORDER + lane]
+    words[rows.ORDER + lane] = np.uint32(order + np.uint32(1))
+    if order >= words[rows.MOST + lane]:
+        state[rows.STATUS + lane] = rows.ABSORBED

@@ -115,9 +115,7 @@ def trial(state, words, i, features, scene):
     outward = stand.side < ZERO
     facet = facing(d, grain, stand.side)
     if features.faceted is not None:
-        facet = rough(
-            d, facet, state[rows.SIGMA + i], numbers, stand.lobe, scene.facets, features.variant
-        )
+        facet = rough(d, facet, state[rows.SIGMA + i], numbers, stand.lobe, scene.facets)
     # A ray that reaches the outermost interface from the inside draws the pore that it may go
     # into, unless it is on its way there in a lobe.
     new_wet = wet

@@ -207,7 +207,7 @@ def _cut(
         np.stack([rest.clear for rest in rests]),
         np.stack([rest.escape for rest in rests]),
         np.stack([ground.depth(wavelengths) for ground in grounds]),
-        max(_enough(one.rate_at(height), one.diffusion, max_stderr) for one in found),
+        _enough(*_clearest(found, height), max_stderr),
     )
 
 
@@ -277,6 +277,15 @@ def _absorbing_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
     ]
     dark = (absorption[:, :above] > 0.0).any(axis=1)
     return np.asarray(dark | any(pale))
+
+
+def _clearest(found: Sequence[_Diffusing], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return rate (1/m) and D (m) of the medium that light gets deepest in, by wavelength."""
+    rate, diffusion = (
+        np.stack(x) for x in ([one.rate_at(height) for one in found], [f.diffusion for f in found])
+    )
+    clearest = rate.argmin(axis=0), np.arange(rate.shape[1])
+    return rate[clearest], diffusion[clearest]
 
 
 def _enough(rate: np.ndarray, diffusion: np.ndarray, max_stderr: float) -> float:

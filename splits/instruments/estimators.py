@@ -21,6 +21,8 @@ ANALOG_PILOT = 2048
 foretold.  Stopping on the variance of the very rays that form the mean draws dark values down; a
 first round that is large against the few events seen there keeps this far below the error."""
 _GROWTH = 8.0
+MANY = 4000
+"""Rows of which all are looked at where rays are shared out."""
 _BIAS_SHARE = 0.4
 """Part of the error asked for that interpolation between indices may take."""
 
@@ -140,16 +142,20 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
     """
     levels = [level for e in ensembles for level in e.levels]
     member = np.array([i for i, e in enumerate(ensembles) for _ in e.levels])
-    served = np.stack([level.served for level in levels]).astype(float)
+    all_served = np.stack([level.served for level in levels])
     floor = np.array([level.rays for level in levels], dtype=float)
     cost = np.array([level.legs / level.rays for level in levels]) + 1.0
-    share = parts / target
+    all_shares = parts / target
+    binding = _binding(all_shares, all_served)
+    share, served = all_shares[..., binding], all_served[:, binding].astype(float)
     owner = np.zeros((len(ensembles), len(levels)))
     owner[member, np.arange(len(levels))] = 1.0
     rays = floor.copy()
-    multipliers = np.full(target.shape, 1.0 / target.size)
+    multipliers = np.full(share.shape[1:], 1.0 / share[0].size)
 
-    def excess(rays: np.ndarray) -> np.ndarray:
+    def excess(
+        rays: np.ndarray, share: np.ndarray = share, served: np.ndarray = served
+    ) -> np.ndarray:
         count = np.maximum((owner * rays) @ served, 1e-9)
         return (share / count[:, np.newaxis]).sum(axis=0)
 
@@ -167,9 +173,32 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
     rays = np.maximum(rays, floor)
     # What the floor gives away can be saved elsewhere; a little is added against falling short,
     # but only where more is wanted, or levels that have enough would grow with every round.
-    wanted = rays * max(excess(rays).max(), 0.1)
+    wanted = rays * max(excess(rays, all_shares, all_served.astype(float)).max(), 0.1)
     more = wanted > floor * (1.0 + 1e-6)
     return np.where(more, np.ceil(1.03 * wanted), floor) if more.any() else floor + BATCH
+
+
+def _binding(share: np.ndarray, served: np.ndarray) -> np.ndarray:
+    """Return the rows that decide how many rays are wanted: of few all.
+
+    Of many that draw on the same levels, those that want most of an ensemble, or of all together.
+
+    Parameters
+    ----------
+    share : float, shape (ensembles, quantities, rows)
+    served : bool, shape (levels, rows)
+    """
+    many = share.shape[2]
+    if many <= MANY:
+        return np.arange(many)
+    _, which = np.unique(np.packbits(served, axis=0), axis=1, return_inverse=True)
+    chosen: list[int] = []
+    for alike in range(int(which.max()) + 1):
+        rows = np.flatnonzero(which.ravel() == alike)
+        part = share[..., rows]
+        chosen += rows[part.argmax(axis=2)].ravel().tolist()
+        chosen += rows[part.sum(axis=0).argmax(axis=1)].tolist()
+    return np.unique(chosen)
 
 
 def analog(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -180,21 +181,23 @@ def _trace(
         work = np.array([streams.SINGLE_SCATTERING + node, first, min(rays - first, BATCH)])
         return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
 
+    served = nodes.weights > 0.0
+    rows = [absorption[some] for some in served]
+    optics = [shared_optics(m, part) for m, part in zip(nodes.index, rows, strict=True)]
+    firsts = range(0, rays, BATCH)
+    jobs = [(i, first, optics[i], part) for i, part in enumerate(rows) for first in firsts]
     traced = []
     with Threads(plan.threads) as pool:
-        for node, (m, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True)):
-            served = weight > 0.0
-            part = absorption[served]
-            optics = shared_optics(m, part)
+        found = pool.map(run, jobs)
+        for some, weight, part in zip(served, nodes.weights, rows, strict=True):
             sums = np.zeros((3, orders + len(RATIOS), len(part)))
             parts = np.zeros((PARTS, *sums.shape[1:]))
-            jobs = [(node, first, optics, part) for first in range(0, rays, BATCH)]
             # In a fixed order, so that rounding does not depend on the threads.
-            for one, other in pool.map(run, jobs):
+            for one, other in itertools.islice(found, len(firsts)):
                 sums += one
                 parts += other
             # Parts per ray of theirs: their mean is that of all rays.
-            traced.append(_Node(served, weight[served], sums / rays, parts * (PARTS / rays)))
+            traced.append(_Node(some, weight[some], sums / rays, parts * (PARTS / rays)))
     return traced
 
 

@@ -156,10 +156,8 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
 def test_types_measured_one_by_one_are_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])
-    each = pooled_by_type(
-        sand, materials_of(sand, light), Plan(1, 100 * BATCH, 1, 2, "equilibrium")
-    )
-    mixed = splits.single_scattering(sand, light, 1, 100 * BATCH, 2, wet_pores="equilibrium")
+    each = pooled_by_type(sand, materials_of(sand, light), Plan(1, 50 * BATCH, 1, 2, "equilibrium"))
+    mixed = splits.single_scattering(sand, light, 1, 50 * BATCH, 2, wet_pores="equilibrium")
     z = []
     for name in ("single_scattering_albedo", "asymmetry_parameter", *RATIOS):
         # Types by themselves know a mean at least as well as a mixture.

@@ -41,18 +41,18 @@ CASES = [
 
 
 def test_integrals_are_the_spectrophotometers_reflectance_and_transmittance():
-    """A reflectance that is off by 0.01 is seen in 99 of 100 cases: 5.5 errors of 0.0018."""
+    """A reflectance that is off by 0.014 is seen in 99 of 100 cases: 5.5 errors of 0.0025."""
     polar, weights = quadrature()
     azimuth = np.arange(0.0, 360.0, 10.0)
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES):
         # Seeds of their own: both instruments name their random streams alike.
         ds = splits.goniophotometer(
-            medium, [wavelength], incidence, 200_000, seed=100 + number,
+            medium, [wavelength], incidence, 100_000, seed=100 + number,
             polar_deg=polar, azimuth_deg=azimuth,
         )  # fmt: skip
         total = splits.spectrophotometer(
-            medium, [wavelength], incidence, max_stderr=0.0015, seed=number
+            medium, [wavelength], incidence, max_stderr=0.002, seed=number
         )
         for name, function, straight in (
             ("reflectance", "brdf", "specular_reflectance"),
@@ -150,7 +150,7 @@ def test_grains_far_apart_reflect_as_discrete_ordinates_say(thickness, incidence
     cosine = np.cos(np.radians(incidence))
     for seed in range(1, 9):
         optics = splits.single_scattering(
-            snow, [600.0], moments=streams + 1, rays=200_000, seed=seed
+            snow, [600.0], moments=streams + 1, rays=100_000, seed=seed
         )
         chi = optics.legendre_moment.values.reshape(-1)[: streams + 1].clip(-1.0, 1.0)
         chi[0], peak = 1.0, max(float(chi[streams]), 0.0)
@@ -166,7 +166,7 @@ def test_grains_far_apart_reflect_as_discrete_ordinates_say(thickness, incidence
     order = np.argsort(polar)
     order = order[polar[order] < 80.0]
     ds = splits.goniophotometer(
-        snow, [600.0], incidence, relative_stderr=0.01, seed=7,
+        snow, [600.0], incidence, relative_stderr=0.015, seed=7,
         polar_deg=polar[order], azimuth_deg=[0.0, 90.0, 180.0],
     )  # fmt: skip
     theory = np.mean(expected, axis=0)[order]

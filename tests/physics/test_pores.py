@@ -169,7 +169,7 @@ def test_rays_are_in_ice_and_water_for_as_much_of_their_way_as_these_fill(wet):
         specific_surface_area_m2_kg=20, density_kg_m3=400, depth_m=0.08, liquid_water_content=wet,
         refractive_index=alike,
     )  # fmt: skip
-    ds = splits.profile(snow, 500.0, [0.02, 0.06], 0.0, 0.001)
+    ds = splits.profile(snow, 500.0, [0.02, 0.06], 0.0, 0.0015)
     taken = ds.absorptance_of_material.isel(interval=1).squeeze()
     error = ds.absorptance_of_material_stderr.isel(interval=1).squeeze()
     expected = {"ice": snow.ice_fraction, "water": wet, "air": snow.porosity - wet}

@@ -62,7 +62,7 @@ def test_grains_in_pores_of_their_own_index_are_invisible(estimator):
             refractive_index={"ice": complex(N, K), "water": complex(N, K)},
         )
         ds = splits.spectrophotometer(
-            snow, WAVELENGTHS, incidence, max_stderr=0.004, seed=100 + seed, estimator=estimator
+            snow, WAVELENGTHS, incidence, max_stderr=0.006, seed=100 + seed, estimator=estimator
         )
         z.append((both_sides(ds) - plate_under(incidence)) / both_sides(ds, "_stderr"))
     judge_z(z, f"plate, {estimator}", independent=len(z))
@@ -95,8 +95,10 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     judge_z(z, f"opaque, {entry}")
 
 
-@pytest.mark.parametrize("depth_m", [0.001, 0.12, 2.0])
-@pytest.mark.parametrize("estimator", ["spectral", "analog"])
+@pytest.mark.parametrize(
+    ("estimator", "depth_m"),
+    [*(("spectral", d) for d in (0.001, 0.12, 2.0)), *(("analog", d) for d in (0.001, 0.12, 0.5))],
+)
 def test_nothing_is_lost_without_absorption(depth_m, estimator):
     # Coin tosses trace every wavelength by itself, and all are the same here.
     light = [300.0, 2500.0] if estimator == "spectral" else [500.0]

@@ -108,7 +108,7 @@ def test_errors_of_the_optics_are_those_of_the_theory():
     snow = sample(10.0, 275.0)
     names = ("reflectance", "transmittance", "absorptance")
     found = []
-    for seed in range(30):
+    for seed in range(20):
         optics = packed(single_scattering(snow, [500.0, 1800.0], 16, 2048, seed))
         result = discrete_ordinates(optics, 30.0, 16)
         values = [[result[f"{n}{end}"].values for n in names] for end in ("", "_stderr")]
@@ -117,8 +117,8 @@ def test_errors_of_the_optics_are_those_of_the_theory():
     values, stated = np.array(found).transpose(1, 0, 2, 3)
     ratio = values.std(axis=0, ddof=1) / np.sqrt((stated**2).mean(axis=0))
     print("scatter of seeds over stated errors:", ratio.round(2).tolist())
-    # 30 seeds know a scatter to 13 %, and 16 parts of the rays an error to 18 %, less over seeds.
-    assert (np.abs(ratio - 1.0) < 4.0 * 0.13).all()
+    # 20 seeds know a scatter to 16 %, and 16 parts of the rays an error to 18 %, less over seeds.
+    assert (np.abs(ratio - 1.0) < 4.0 * 0.16).all()
 
 
 def vars_of(snow):

@@ -89,15 +89,6 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert not any(str(own.parent) in text or str(tmp_path) in text for text in texts)
 
 
-@pytest.mark.slow
-def test_the_report_needs_no_cores(project, tmp_path):
-    project.put("alone", EXPERIMENT)
-    assert project.snakemake("alone", "--cores", 1).code == 0
-    run = project.snakemake("alone", "--report", "report.html")
-    assert run.code == 0, run.text
-    assert "alone" in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
 def test_packing_keeps_relative_places(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("out/data/a.nc", "out/tables/b.csv"):

@@ -29,6 +29,7 @@ def finished(make_project, tmp_path_factory):
     assert run.code == 0, run.text
     run = project.snakemake("--report", "report.html")
     assert run.code == 0, run.text
+    assert "indices" in (clone / "report.html").read_text(encoding="utf-8")
     return project
 
 

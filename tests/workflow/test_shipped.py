@@ -24,8 +24,8 @@ def shipped(make_project, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def few(shipped):
-    """Return the datasets of a few experiments."""
-    run = shipped.snakemake(*FEW, "--cores", 2)
+    """Return the datasets of a few experiments; the tables of sand are made with them."""
+    run = shipped.snakemake(*FEW, "sand_tables", "sand_compositions", "--cores", 2)
     assert run.code == 0, run.text
     for name in FEW:
         for suffix in (".png", ".svg", ".pdf"):
@@ -90,9 +90,8 @@ def test_scene_of_aviris(few):
     assert (np.abs(at.reflectance - published) < 0.03 + 4.0 * at.reflectance_stderr).all()
 
 
+@pytest.mark.usefixtures("few")
 def test_sand_from_configuration_to_tables(shipped):
-    run = shipped.snakemake("sand_tables", "sand_compositions", "--cores", 2)
-    assert run.code == 0, run.text
     tables = {
         path.stem: pd.read_csv(path)
         for path in (shipped.folder / "results" / "tiny" / "tables").glob("sand_*.csv")

@@ -16,8 +16,6 @@ class Features(NamedTuple):
     ----------
     wet : True or None
         Some legs run through wet pores.
-    foggy : True or None
-        Dry pores absorb.
     faceted : True or None
         Grains are not all smooth.
     absorbing : True or None
@@ -29,7 +27,6 @@ class Features(NamedTuple):
     """
 
     wet: bool | None
-    foggy: bool | None
     faceted: bool | None
     absorbing: bool | None
     mixed: bool | None

@@ -64,7 +64,6 @@ def features_for(scene: Scene, optics: Optics) -> Features | None:
         absorbing = any(extinction_shows(optics, near, far) > FAINT for near, far in pairs)
     return Features(
         wet=_feature(layers.saturation.max() > 0.0),
-        foggy=_feature(bool(optics.absorbs[layers.pore].any())),
         faceted=_feature(bool((types.facetness > 0.0).any())),
         absorbing=_feature(absorbing),
         mixed=_feature(bool(mixed)),

@@ -175,10 +175,9 @@ def travel(state, i, leg, features):
         path = leg * wet
         state[rows.WET_PATH + i] += path
         state[rows.DEPTH + i] += path * state[rows.A_WET + i]
-    if features.foggy is not None:
-        path = leg * (ONE - wet)
-        state[rows.DRY_PATH + i] += path
-        state[rows.DEPTH + i] += path * state[rows.A_DRY + i]
+    path = leg * (ONE - wet)
+    state[rows.DRY_PATH + i] += path
+    state[rows.DEPTH + i] += path * state[rows.A_DRY + i]
 
 
 @part

@@ -1,0 +1,158 @@
+"""Which media share paths: those alike but for what absorbs, for the ground, and for size.
+
+Where all lengths of a medium are s times those of another (grains, the distances between them, the
+depths of faces), light takes the same paths in both, s times as long.  In a pack without end no
+depth is left to tell sizes apart.  Nothing is assumed about parameters: the scenes themselves are
+compared, so a family is found whatever the names of what its members differ in.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments.scenes import constants_of, fields_of, granular_scene, ground_of
+from splits.instruments.shared_paths import Family
+from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.stack import Stack
+
+MOST_ROWS = 50_000
+"""Spectra times wavelengths that one ensemble serves: what bounds its memory."""
+_DIGITS = 36
+"""Binary digits to which numbers of two scenes must agree."""
+
+
+class Members(NamedTuple):
+    """Media that share paths, by their places among all.
+
+    Attributes
+    ----------
+    family : Family
+        Each that is different, once.
+    places : int, shape (members,)
+    which : int, shape (members,)
+        Of the family's media.
+    """
+
+    family: Family
+    places: np.ndarray
+    which: np.ndarray
+
+
+def families(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[Members]:
+    """Return media in families that share paths, each in order of size.
+
+    Parameters
+    ----------
+    media : sequence of GranularMedium or LayeredMedium
+    wavelength_nm : float, shape (wavelengths,)
+
+    Raises
+    ------
+    ValueError
+        For a medium that is not made of grains.
+    """
+    found: dict[bytes, list[tuple[float, int]]] = {}
+    for place, medium in enumerate(media):
+        if not isinstance(medium, GranularMedium | LayeredMedium):
+            raise refuse("medium", medium.kind, "a medium of grains, or a stack")
+        key, unit = likeness(medium)
+        found.setdefault(key, []).append((unit, place))
+    most = max(1, MOST_ROWS // wavelength_nm.size)
+    grouped = []
+    for alike in found.values():
+        ordered = sorted(alike)
+        for first in range(0, len(ordered), most):
+            grouped.append(_members(ordered[first : first + most], media, wavelength_nm))
+    return grouped
+
+
+def _members(
+    alike: Sequence[tuple[float, int]], media: Sequence[Any], wavelength_nm: np.ndarray
+) -> Members:
+    """Return a family of media, given by size and place, in which none is there twice."""
+    smallest = alike[0][0]
+    first: dict[bytes, int] = {}
+    distinct: list[tuple[Any, float]] = []
+    which = []
+    for unit, place in alike:
+        key = _absorbing(media[place], wavelength_nm) + np.float64(unit).tobytes()
+        if key not in first:
+            first[key] = len(distinct)
+            distinct.append((media[place], unit / smallest))
+        which.append(first[key])
+    family = Family(tuple(m for m, _ in distinct), np.array([s for _, s in distinct]))
+    return Members(family, np.array([place for _, place in alike]), np.array(which))
+
+
+def _absorbing(medium: Any, wavelength_nm: np.ndarray) -> bytes:
+    """Return what a medium is to light, and its ground but below a pack without end, as bytes."""
+    found = constants_of(medium, wavelength_nm)
+    columns = len(medium.materials()) if math.isinf(medium.depth_m) else None
+    digest = hashlib.sha256()
+    for table in found:
+        digest.update(np.ascontiguousarray(table[:, :columns]).tobytes())
+    return digest.digest()
+
+
+def likeness(medium: Any) -> tuple[bytes, float]:
+    """Return what media that share paths have in common, as bytes, and the unit of its lengths (m).
+
+    Parameters
+    ----------
+    medium : GranularMedium or LayeredMedium
+    """
+    endless = math.isinf(medium.depth_m)
+    scene = granular_scene(_ending(medium) if endless else medium, 0.0, False)
+    layers, types = scene.layers, scene.types
+    # A rough surface has a scale of its own.
+    unit = 1.0 if fields_of(medium) is not None else float(1.0 / layers.attenuation[0])
+    face = layers.face / unit
+    if endless:
+        face[-1] = -math.inf
+    digest = hashlib.sha256()
+    for table in (
+        face,
+        unit * layers.attenuation,
+        unit * types.curvature,
+        *(
+            t
+            for t, n in zip(layers, layers._fields, strict=True)
+            if n not in ("face", "attenuation")
+        ),
+        *(t for t, n in zip(types, types._fields, strict=True) if n != "curvature"),
+        *scene.particles,
+        np.array(scene.rules, dtype=float),
+        np.array([(i.share, i.near, i.far, i.layer) for i in medium.interfaces()], dtype=float),
+        np.array([len(medium.materials()), not endless and ground_of(medium) is not None]),
+    ):
+        digest.update(repr(np.shape(table)).encode())
+        digest.update(_rounded(np.asarray(table, dtype=float)).tobytes())
+    names = [type(medium).__name__, *(i.place for i in medium.interfaces())]
+    fields = fields_of(medium)
+    digest.update(repr([names, fields]).encode())
+    return digest.digest(), unit
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Return numbers without their last digits.
+
+    A little is added, as those that a unit has made whole numbers lie where rounding turns.
+    """
+    mantissa, exponent = np.frexp(values * (1.0 + 1e-6 * 2.0 ** (-_DIGITS / 2)))
+    finite = np.isfinite(values)
+    whole = np.where(finite, np.round(np.where(finite, mantissa, 0.0) * 2.0**_DIGITS), values)
+    return np.stack([whole, exponent.astype(float)])
+
+
+def _ending(medium: Any) -> Any:
+    """Return a pack without end with an end somewhere, as scenes need one."""
+    if isinstance(medium, Stack):
+        return replace(medium, layers=(*medium.layers[:-1], _ending(medium.layers[-1])))
+    return replace(medium, depth_m=1.0)

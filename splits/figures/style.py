@@ -231,9 +231,15 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     """
     stem = Path(stem)
     paths = []
-    for suffix in SUFFIXES:
-        path = stem.with_name(stem.name + suffix)
-        with style(), whole(path) as aside:
-            figure.savefig(aside, format=suffix[1:], dpi=DPI, metadata=METADATA[suffix])
-        paths.append(path)
+    layout = figure.get_layout_engine()
+    try:
+        for suffix in SUFFIXES:
+            path = stem.with_name(stem.name + suffix)
+            with style(), whole(path) as aside:
+                figure.savefig(aside, format=suffix[1:], dpi=DPI, metadata=METADATA[suffix])
+            paths.append(path)
+            # Everything now has its place, and finding it takes as long as drawing.
+            figure.set_layout_engine("none")
+    finally:
+        figure.set_layout_engine(layout)
     return paths

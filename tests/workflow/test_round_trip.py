@@ -18,7 +18,9 @@ import splits
 from splits.experiments import Experiment, Simulation, load_experiment, load_settings
 from splits.experiments.run import run
 from splits.experiments.sections import FIGURES
-from splits.figures import draw, save_figure
+from splits.figures import draw
+from splits.figures.style import SUFFIXES
+from splits.files import whole
 
 pytestmark = pytest.mark.slow
 
@@ -127,7 +129,7 @@ def read(project, name):
 
 
 def do(project, name, results):
-    """Do what the jobs of an experiment do, with what they are handed."""
+    """Do what the jobs of an experiment do, with what they are handed, in one format of three."""
     content = yaml.safe_load((project.folder / "config" / "config.yaml").read_text())
     settings = load_settings(content)
     experiment = read(project, name)
@@ -136,7 +138,9 @@ def do(project, name, results):
     dataset = run(Simulation.model_validate(simulation), accuracy, settings.seed)
     path = results / "data" / f"{name}.nc"
     splits.save(dataset, path)
-    save_figure(draw(splits.load(path), figure), results / "figures" / name)
+    figure = draw(splits.load(path), figure)
+    with whole(results / "figures" / f"{name}.png") as aside:
+        figure.savefig(aside)
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +168,7 @@ def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
     project, jobs = finished
     results = project.folder / "results" / "tiny"
     assert (results / "data" / f"{name}.nc").is_file(), jobs.text[-3000:]
-    for suffix in (".png", ".svg", ".pdf"):
+    for suffix in SUFFIXES if name in BY_JOBS else SUFFIXES[:1]:
         assert (results / "figures" / f"{name}{suffix}").is_file(), jobs.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name

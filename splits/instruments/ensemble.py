@@ -99,6 +99,13 @@ class Paths(Protocol):
         ...
 
 
+def strengths(absorption: np.ndarray, manner: Manner) -> np.ndarray:
+    """Return the absorption over one mean distance between scatterings, by wavelength."""
+    materials = np.arange(absorption.shape[1]) != manner.ground
+    strength: np.ndarray = absorption[:, materials].max(axis=1) / manner.attenuation
+    return strength
+
+
 def levels_of(
     first: int,
     index: np.ndarray,
@@ -111,8 +118,7 @@ def levels_of(
 
     For the other parameters see `Ensemble`.
     """
-    materials = np.arange(absorption.shape[1]) != manner.ground
-    strength = absorption[:, materials].max(axis=1) / manner.attenuation
+    strength = strengths(absorption, manner)
     levels: list[Level] = []
     for step, threshold in enumerate(thresholds):
         part = served & (strength >= threshold)
@@ -143,13 +149,15 @@ class Ensemble:
     Attributes
     ----------
     levels : list of Level
-    count : float, shape (wavelengths,)
-        Rays that each wavelength listens to.
-    moments : float, shape (3, 3, wavelengths)
-        Over those, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
-    least : float, shape (wavelengths,)
-        Smallest weight with which any of them left; 0 once one was absorbed.
-    groups : float, shape (GROUPS, 2, wavelengths)
+    rows : int, shape (drawing,)
+        The wavelengths that draw on it, from the palest to the darkest, so that those which a
+        level serves are the last ones.
+    moments : float, shape (3, 3, drawing)
+        Over the rays that each of them listens to, [reflected, transmitted, both][Σ weight,
+        Σ weight², largest weight].
+    least : float, shape (drawing,)
+        Smallest weight with which any of those left; 0 once one was absorbed.
+    groups : float, shape (GROUPS, 2, drawing)
         Σ weight of the rays of every group, reflected and transmitted.
     """
 
@@ -164,10 +172,11 @@ class Ensemble:
     ) -> None:
         self.absorption = absorption
         self.manner = manner
-        self.count = np.zeros(len(absorption))
-        self.moments = np.zeros((3, 3, len(absorption)))
-        self.least = np.full(len(absorption), np.inf)
-        self.groups = np.zeros((GROUPS, 2, len(absorption)))
+        rows = np.flatnonzero(served)
+        self.rows = rows[np.argsort(strengths(absorption[rows], manner), kind="stable")]
+        self.moments = np.zeros((3, 3, len(rows)))
+        self.least = np.full(len(rows), np.inf)
+        self.groups = np.zeros((GROUPS, 2, len(rows)))
         used = levels[:1] if manner.analog else levels
         first = streams.ANALOG if manner.analog else streams.SPECTRAL
         first += number * len(LEVELS)
@@ -175,36 +184,51 @@ class Ensemble:
 
     def size(self) -> int:
         """Return how many numbers a tally holds, those of blocks being half as long."""
-        return (10 + BATCH // BLOCK) * len(self.absorption)
+        return (10 + BATCH // BLOCK) * len(self.rows)
+
+    def part(self, level: Level) -> slice:
+        """Return which of the rows a level serves."""
+        return slice(len(self.rows) - int(level.served.sum()), None)
 
     def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Tally:
-        """Return the sums of a batch of a level, for the wavelengths it serves."""
-        absorption = self.absorption[level.served]
+        """Return the sums of a batch of a level, for the rows it serves."""
+        absorption = self.absorption[self.rows[self.part(level)]]
         weighted, ground = not self.manner.analog, self.manner.ground
         return *tally(exits, notes, absorption, weighted, ground), len(exits)
 
     def add(self, level: Level, tallies: Sequence[Tally]) -> None:
         """Add the tallies of batches one by one: sums do not depend on who traced them."""
-        served = level.served
-        moments, least = self.moments[:, :, served], self.least[served]
-        groups = self.groups[:, :, served]
+        part = self.part(level)
+        moments, least = self.moments[:, :, part], self.least[part]
+        groups = self.groups[:, :, part]
         for more, lightest, blocks, rays in tallies:
             first = level.rays // BLOCK % GROUPS
             groups[first : first + len(blocks)] += blocks
             level.rays += rays
-            self.count[served] += rays
             moments[:, :2] += more[:, :2]
             np.maximum(moments[:, 2], more[:, 2], out=moments[:, 2])
             np.minimum(least, lightest, out=least)
-        self.moments[:, :, served], self.least[served] = moments, least
-        self.groups[:, :, served] = groups
+
+    @property
+    def count(self) -> np.ndarray:
+        """Rays that each row listens to, shape (drawing,)."""
+        count = np.zeros(len(self.rows))
+        for level in self.levels:
+            count[self.part(level)] += level.rays
+        return count
+
+    def everywhere(self, values: np.ndarray) -> np.ndarray:
+        """Return what is known of the rows for all wavelengths, 0 for those that do not draw."""
+        found = np.zeros((*values.shape[:-1], len(self.absorption)))
+        found[..., self.rows] = values
+        return found
 
     def means(self) -> np.ndarray:
-        """Return the mean weight, shape (2, wavelengths): reflected, transmitted."""
+        """Return the mean weight, shape (2, drawing): reflected, transmitted."""
         return self.moments[:2, 0] / np.maximum(self.count, 1.0)
 
     def deviations(self) -> np.ndarray:
-        """Return how far each group of rays takes the means off, shape (GROUPS, 2, wavelengths).
+        """Return how far each group of rays takes the means off, shape (GROUPS, 2, drawing).
 
         Sums over groups of products of two of them estimate covariances of means (random groups;
         Wolter 2007, Introduction to Variance Estimation, chapter 2).
@@ -213,11 +237,11 @@ class Ensemble:
         return off / np.maximum(self.count, 1.0)
 
     def rays_of_groups(self) -> np.ndarray:
-        """Return how many rays of each group every wavelength listens to, (GROUPS, wavelengths)."""
-        rays = np.zeros((GROUPS, len(self.absorption)))
+        """Return how many rays of each group every row listens to, (GROUPS, drawing)."""
+        rays = np.zeros((GROUPS, len(self.rows)))
         for level in self.levels:
             turns, rest = divmod(level.rays // BLOCK, GROUPS)
-            rays[:, level.served] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
+            rays[:, self.part(level)] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
         return rays
 
     def variances(self) -> np.ndarray:
@@ -229,7 +253,7 @@ class Ensemble:
         total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
-        absorbs = self.absorption.max(axis=1) > 0.0
+        absorbs = self.absorption[self.rows].max(axis=1) > 0.0
         tossed = self.manner.fading | (self.manner.analog & absorbs)
         smallest[2] = np.where(tossed | (self.count == 0.0), 0.0, self.least)
         n = self.count + 2.0

@@ -81,13 +81,15 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
     runner.prepare(ensembles)
     runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
     while True:
-        mean = np.einsum("jw,jqw->qw", nodes.weights, np.stack([e.means() for e in ensembles]))
+        mean = np.einsum(
+            "jw,jqw->qw", nodes.weights, np.stack([e.everywhere(e.means()) for e in ensembles])
+        )
         mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
         # Near 0 and 1 a share changes in proportion to its distance from there; 8 allows for
         # elasticities up to 2.4, what a single reflection has is 4/(2 + c).
         bias = nodes.bias * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
-        parts = weights**2 * np.stack([e.variances() for e in ensembles])
-        count = np.stack([np.maximum(e.count, 1.0) for e in ensembles])
+        parts = weights**2 * np.stack([e.everywhere(e.variances()) for e in ensembles])
+        count = np.stack([np.maximum(e.everywhere(e.count), 1.0) for e in ensembles])
         variance = (parts / count[:, np.newaxis]).sum(axis=0)
         stderr = np.sqrt(variance + bias**2)
         converged = bool(stderr.max() <= max_stderr)
@@ -102,7 +104,9 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
         least = min(1.0, step.max())
         work = [(*who, int(np.ceil(s))) for who, s in zip(levels, step, strict=True) if s >= least]
         runner.trace(work, float(stderr.max()), max_stderr, left)
-    groups = np.einsum("jw,jgqw->gqw", nodes.weights, np.stack([e.deviations() for e in ensembles]))
+    groups = np.zeros((GROUPS, 2, len(rows.absorption)))
+    for e, w in zip(ensembles, nodes.weights, strict=True):
+        groups[..., e.rows] += w[e.rows] * e.deviations()
     return Estimate(
         mean,
         stderr,
@@ -118,9 +122,13 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
 
 def _slopes(nodes: Nodes, ensembles: Sequence[SharedPaths]) -> Slopes:
     """Return derivatives, rows taking the weighted mean of the nodes around them."""
-    found = [e.slope_deviations() for e in ensembles]
-    mean = np.einsum("jw,jqpw->qpw", nodes.weights, np.stack([mean for mean, _ in found]))
-    groups = np.einsum("jw,jgqpw->gqpw", nodes.weights, np.stack([off for _, off in found]))
+    some, wavelengths = len(ensembles[0].changes), nodes.weights.shape[1]
+    mean = np.zeros((2, some, wavelengths))
+    groups = np.zeros((GROUPS, *mean.shape))
+    for e, w in zip(ensembles, nodes.weights, strict=True):
+        own, off = e.slope_deviations()
+        mean[..., e.rows] += w[e.rows] * own
+        groups[..., e.rows] += w[e.rows] * off
     # As much of themselves as of light that is nearly all reflected or nearly all absorbed.
     return Slopes(mean, groups, np.clip(8.0 * nodes.bias, 0.0, 1.0) * np.abs(mean))
 

@@ -88,12 +88,13 @@ def fixed_spectrum(
     ]
     weights = nodes.weights[nodes.weights.any(axis=1)]
     runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.levels], 1.0, 0.0)
-    mean = np.einsum("jw,jqw->qw", weights, np.stack([e.means() for e in ensembles]))
+    mean = np.einsum("jw,jqw->qw", weights, np.stack([e.everywhere(e.means()) for e in ensembles]))
     variance = np.zeros((3, len(wavelengths)))
     groups = np.zeros((GROUPS, 2, len(wavelengths)))
     for e, w in zip(ensembles, weights, strict=True):
-        variance += w**2 * e.variances() / np.maximum(e.count, 1.0)
-        groups += w * e.deviations()
+        part = w[e.rows]
+        variance[:, e.rows] += part**2 * e.variances() / np.maximum(e.count, 1.0)
+        groups[..., e.rows] += part * e.deviations()
     mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
     return mean, np.sqrt(variance), scaled(groups, variance[:2])
 

@@ -169,7 +169,7 @@ class SharedPaths(Ensemble):
     ) -> None:
         super().__init__(number, index, rows.weakest, served, manner)
         self.absorption, self.changes = rows.absorption, rows.changes
-        self.slopes = np.zeros((GROUPS, 2, len(rows.changes), len(rows.absorption)))
+        self.slopes = np.zeros((GROUPS, 2, len(rows.changes), len(self.rows)))
         for level in self.levels:
             some = self.absorption[level.served].max(axis=0) > 0.0
             some |= (self.changes[:, level.served] != 0.0).any(axis=(0, 1))
@@ -177,14 +177,15 @@ class SharedPaths(Ensemble):
 
     def size(self) -> int:
         """Return how many numbers a tally holds."""
-        return super().size() + self.changes[:, :, 0].size * (1 + BLOCK)
+        return super().size() + len(self.changes) * len(self.rows) * (1 + BLOCK)
 
     def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
         """Return the sums of a batch of a level, and their derivatives by block."""
         sums = super().tally(level, first, exits, notes)
         if not len(self.changes):
             return sums, None
-        absorption, changes = self.absorption[level.served], self.changes[:, level.served]
+        served = self.rows[self.part(level)]
+        absorption, changes = self.absorption[served], self.changes[:, served]
         return sums, slopes(exits, notes, absorption, changes, self.manner.ground)
 
     def add(self, level: Level, tallies: Sequence[Any]) -> None:
@@ -193,7 +194,7 @@ class SharedPaths(Ensemble):
             first = level.rays // BLOCK % GROUPS
             super().add(level, [sums])
             if blocks is not None:
-                self.slopes[first : first + len(blocks), :, :, level.served] += blocks
+                self.slopes[first : first + len(blocks), :, :, self.part(level)] += blocks
 
     def slope_deviations(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mean derivatives, and how far groups take them off, as `deviations` does."""

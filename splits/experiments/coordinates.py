@@ -7,49 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.experiments.stacks import path_of
-
-PARAMETERS: dict[str, tuple[str, str]] = {
-    "algae_cells_ml": ("cells of algae per volume of meltwater", "1"),
-    "asymmetry": ("mean cosine of the scattering angle", "1"),
-    "bottom_albedo": ("albedo of the bottom", "1"),
-    "density_kg_m3": ("mass of ice per volume", "kg m-3"),
-    "depth_m": ("thickness of the sample", "m"),
-    "facetness": ("facetness of the grains, mean", "1"),
-    "ground": ("ground below", "1"),
-    "grain_size_um": ("major-axis diameter of the grains, smallest to largest", "um"),
-    "hematite_ratio": ("mass of hematite per mass of iron oxide", "1"),
-    "impurities_in": ("where impurities are", "1"),
-    "impurities_ng_g": ("mass of impurities per mass of ice", "1e-9"),
-    "incidence_deg": ("angle of incidence", "degree"),
-    "iron_oxide": ("mass of hematite and goethite per mass of sand", "1"),
-    "layers": ("layers", "1"),
-    "liquid_water_content": ("volume of water per volume of snow", "1"),
-    "magnetite": ("mass of magnetite per mass of sand", "1"),
-    "max_polarization": ("largest degree of polarization of light scattered once", "1"),
-    "medium": ("sample", "1"),
-    "opaque": ("whether nothing comes back from below the surface", "1"),
-    "optical_radius_um": ("radius of spheres of the same surface area per mass", "um"),
-    "optical_thickness": ("optical thickness", "1"),
-    "partition": ("mass fractions of pure, mixed and coated particles", "1"),
-    "phase_function": ("phase function", "1"),
-    "polarized": ("whether the Stokes vector is followed", "1"),
-    "pores": ("what fills the pores besides air and water", "1"),
-    "porosity": ("volume of pores per volume", "1"),
-    "readings": ("reading of the papers", "1"),
-    "refractive_index": ("refractive index", "1"),
-    "relative_coating_thickness": ("thickness of coatings per major axis of the particle", "1"),
-    "roundness": ("roundness of the particles, mean and standard deviation", "1"),
-    "saturation": ("volume of water per volume of pores", "1"),
-    "single_scattering_albedo": ("single-scattering albedo", "1"),
-    "size_tail": ("mass beyond the outermost size limits per mass", "1"),
-    "specific_surface_area_m2_kg": ("surface area of the ice per mass", "m2 kg-1"),
-    "sphericity": ("sphericity of the grains, mean", "1"),
-    "surface": ("surface of the layer", "1"),
-    "temperature_c": ("temperature", "degC"),
-    "texture": ("mass fractions of clay, silt and sand", "1"),
-}
-"""Long names and units (UDUNITS) of all parameters that a grid can have."""
+from splits.media.names import parameter_about, path_of
 
 MEANS: dict[str, Callable[[Sequence[float]], float]] = {
     "facetness": lambda given: given[2],
@@ -102,15 +60,6 @@ def means_of(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | None:
     if mean is None or not several:
         return None
     return np.array([float(mean(value)) for value in choices.values()])
-
-
-def parameter_about(parameter: str) -> tuple[str, str]:
-    """Return the long name and the units of a parameter, or of that of a layer by its path."""
-    path = path_of(parameter)
-    if path is None:
-        return PARAMETERS[parameter]
-    long_name, units = PARAMETERS[path[1]]
-    return f"{long_name}, layer {path[0]}", units
 
 
 def coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:

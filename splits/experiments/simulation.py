@@ -26,7 +26,6 @@ from splits.experiments.stacks import (
     MERGED,
     check_grid,
     check_layers,
-    path_of,
     stack_of,
     with_paths,
 )
@@ -37,6 +36,7 @@ from splits.instruments.scenes import constants_of, ground_of
 from splits.media import Stack
 from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.measured_inputs import on_top
+from splits.media.names import path_of
 from splits.media.readings import together
 from splits.media.turbid import Medium, TurbidMedium
 

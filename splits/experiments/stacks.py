@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from splits.checks import keywords_taken, named, one_of, refuse, under, unknown_key
 from splits.media import Layer, Sand, Snow, Stack
 from splits.media.measured_inputs import on_top
+from splits.media.names import path_of
 from splits.media.readings import together
 
 LAYERS = "layers"
@@ -21,13 +21,6 @@ MAKERS: dict[str, Callable[..., Any]] = MEDIA | {"natural_snow": Snow.natural}
 """What makes a medium of a kind of its settings."""
 NOT_IN_STACKS = ("ground", "bottom_albedo", "polarized", "max_polarization", "opaque")
 """Keywords that these have by themselves, but not in a stack."""
-_PATH = re.compile(rf"{LAYERS}\.(\d+)\.(\w+)")
-
-
-def path_of(parameter: str) -> tuple[int, str] | None:
-    """Return the number of the layer and the keyword that a path such as layers.0.depth_m names."""
-    found = _PATH.fullmatch(parameter)
-    return (int(found[1]), found[2]) if found else None
 
 
 def kind_of(layer: Mapping[str, Any]) -> str:

@@ -253,7 +253,8 @@ class _Rested(NamedTuple):
         depth = float(_lowest(medium).depth_m) / scale
         rate, diffusion = found.rate_at(height), found.diffusion
         below = Ground.of(medium.ground)  # type: ignore[union-attr]
-        albedo = np.zeros_like(rate) if below is None else below.albedo(wavelengths)
+        open_below = below is None or math.isinf(depth)
+        albedo = np.zeros_like(rate) if open_below else below.albedo(wavelengths)  # type: ignore[union-attr]
         rest = Rest(
             rate * diffusion, rate * (depth - height), 0.5 * (1.0 - albedo) / (1.0 + albedo)
         )

@@ -74,6 +74,10 @@ class Run(NamedTuple):
             one_of("kernel", kernel, KERNELS),
         )
 
+    def cut(self, family: Family) -> Cut | None:
+        """Return where packs are cut, which does not depend on the incidence."""
+        return cut_of(family, self.wavelengths, self.max_stderr, self.seed, self.threads)
+
     def estimated(
         self,
         family: Family,
@@ -82,11 +86,22 @@ class Run(NamedTuple):
         progress: Report = None,
     ) -> Found:
         """Return estimates for media that share paths, or for one, and its derivatives."""
-        analog = estimator == "analog"
-        w, count = self.wavelengths, len(family.media)
         if moves.media:
             family = Family.of_one_size([*family.media, *moves.media])
-        cut = None if analog else cut_of(family, w, self.max_stderr, self.seed, self.threads)
+        cut = None if estimator == "analog" else self.cut(family)
+        return self.estimated_above(cut, family, moves, estimator, progress)
+
+    def estimated_above(
+        self,
+        cut: Cut | None,
+        family: Family,
+        moves: Moves = NO_MOVES,
+        estimator: str = "spectral",
+        progress: Report = None,
+    ) -> Found:
+        """Return what `estimated` does, where it is known where packs are cut."""
+        analog = estimator == "analog"
+        w, count = self.wavelengths, len(family.media) - len(moves.media)
         traced = family if cut is None else family._replace(media=cut.media)
         rows = Rows.of(traced.part(slice(count)), w)
         if moves.media:

@@ -17,9 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.checks import refuse
-from splits.instruments.scenes import constants_of, fields_of, granular_scene, ground_of
+from splits.instruments.scenes import (
+    Constants,
+    constants_of,
+    fields_of,
+    granular_scene,
+    ground_of,
+)
 from splits.instruments.shared_paths import Family
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.granular import GranularMedium, LayeredMedium, absorption_of
 from splits.media.stack import Stack
 
 MOST_ROWS = 50_000
@@ -82,7 +88,7 @@ def _members(
     distinct: list[tuple[Any, float]] = []
     which = []
     for unit, place in alike:
-        key = _absorbing(media[place], wavelength_nm) + np.float64(unit).tobytes()
+        key = absorbing(media[place], wavelength_nm) + np.float64(unit).tobytes()
         if key not in first:
             first[key] = len(distinct)
             distinct.append((media[place], unit / smallest))
@@ -91,14 +97,14 @@ def _members(
     return Members(family, np.array([place for _, place in alike]), np.array(which))
 
 
-def _absorbing(medium: Any, wavelength_nm: np.ndarray) -> bytes:
+def absorbing(medium: Any, wavelength_nm: np.ndarray) -> bytes:
     """Return what a medium is to light, and its ground but below a pack without end, as bytes."""
-    found = constants_of(medium, wavelength_nm)
-    columns = len(medium.materials()) if math.isinf(medium.depth_m) else None
-    digest = hashlib.sha256()
-    for table in found:
-        digest.update(np.ascontiguousarray(table[:, :columns]).tobytes())
-    return digest.digest()
+    if math.isinf(medium.depth_m):
+        index = medium.indices(wavelength_nm)
+        found = Constants(index, absorption_of(medium, index, wavelength_nm))
+    else:
+        found = constants_of(medium, wavelength_nm)
+    return hashlib.sha256(found.indices.tobytes() + found.absorption.tobytes()).digest()
 
 
 def likeness(medium: Any) -> tuple[bytes, float]:

@@ -1,0 +1,5 @@
+"""Look-up tables: spectra over a grid of parameters, from as few paths as serve them all."""
+
+from splits.lookup.table import table
+
+__all__ = ["table"]

@@ -1,0 +1,108 @@
+"""The axes of a table: parameters, and the values that each of them takes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import named, refuse, scalar
+from splits.media.names import parameter_about
+
+INCIDENCE = "incidence_deg"
+MOST_SPECTRA = 100_000_000
+
+
+class Axes(NamedTuple):
+    """Parameters and their values: increasing numbers, or texts.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : tuple of tuple
+    """
+
+    names: tuple[str, ...]
+    values: tuple[tuple[Any, ...], ...]
+
+    @classmethod
+    def of(cls, grid: Any) -> Axes:
+        """Return the axes of a user's grid, or refuse it.
+
+        Parameters
+        ----------
+        grid : mapping
+            From parameters to rows of different values: numbers, or texts such as "diffuse" and the
+            names of soils.
+
+        Raises
+        ------
+        ValueError
+            For an empty row, values given twice, numbers among texts, or numbers in no order.
+        """
+        if not isinstance(grid, Mapping) or not grid:
+            raise refuse("grid", grid, "a mapping from parameters to rows of values")
+        axes = cls(tuple(map(str, grid)), tuple(_row(str(k), v) for k, v in grid.items()))
+        if axes.size > MOST_SPECTRA:
+            raise refuse("grid", f"{axes.size} spectra", f"at most {MOST_SPECTRA}")
+        return axes
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return tuple(len(row) for row in self.values)
+
+    @property
+    def size(self) -> int:
+        """How many spectra the table has."""
+        return math.prod(self.shape)
+
+    def without(self, name: str) -> Axes:
+        """Return all axes but one, which need not be there."""
+        kept = [(n, row) for n, row in zip(*self, strict=True) if n != name]
+        return Axes(tuple(n for n, _ in kept), tuple(row for _, row in kept))
+
+    def row(self, name: str, otherwise: Any) -> tuple[Any, ...]:
+        """Return the values of an axis, or one value where there is no such axis."""
+        return self.values[self.names.index(name)] if name in self.names else (otherwise,)
+
+    def points(self) -> Iterator[dict[str, Any]]:
+        """Yield the parameters of every point, the last axis running fastest."""
+        for values in itertools.product(*self.values):
+            yield dict(zip(self.names, values, strict=True))
+
+    def coordinates(self) -> dict[str, Any]:
+        """Return the axes as coordinates of a dataset, numbers with their units."""
+        return {name: (name, *_coordinate(name, row)) for name, row in zip(*self, strict=True)}
+
+
+def _row(name: str, given: Any) -> tuple[Any, ...]:
+    """Return the values of an axis, or refuse them."""
+    key = f"grid.{named(name)}"
+    allowed = "a row of different values, numbers or texts"
+    if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+        raise refuse(key, given, allowed)
+    values = tuple(scalar(value) for value in given)
+    if not values or len(set(values)) < len(values):
+        raise refuse(key, list(values), allowed)
+    if all(isinstance(value, str) for value in values):
+        return values
+    if not all(isinstance(value, Real) and not isinstance(value, bool) for value in values):
+        raise refuse(key, list(values), allowed)
+    numbers = tuple(float(value) for value in values)
+    if not np.isfinite(numbers).all() or list(numbers) != sorted(numbers):
+        raise refuse(key, list(numbers), "increasing numbers")
+    return numbers
+
+
+def _coordinate(name: str, row: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
+    """Return the values of an axis and what they are."""
+    long_name, units = parameter_about(name)
+    values = np.array(row)
+    if values.dtype.kind != "f":
+        return values, {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+    return values, {"long_name": long_name, "units": units}

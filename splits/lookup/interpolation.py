@@ -1,0 +1,114 @@
+"""Interpolation along one axis of a table, and what it misses.
+
+Values between nodes are those of the cubic through the four nearest nodes, in a coordinate along
+which light changes evenly: the logarithm of a size, the cosine of an angle.  What a cubic misses at
+x is f⁗/24 times the product of the distances of its nodes from x.  So every node that is left out,
+and found again from its neighbours, tells f⁗ near it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.checks import refuse
+
+MOST = 4
+"""Nodes that a value is drawn from."""
+
+
+class Weights(NamedTuple):
+    """How a value between nodes is drawn from them.
+
+    Attributes
+    ----------
+    nodes : int, shape (drawn,)
+    share : float, shape (drawn,)
+        Their sum is 1.
+    left_out : int, shape (near,)
+        Nodes nearby that are to be found again from others.
+    others : float, shape (near, nodes of the axis)
+        What is to be added up for what these others miss there, as large as what is missed here.
+    """
+
+    nodes: np.ndarray
+    share: np.ndarray
+    left_out: np.ndarray
+    others: np.ndarray
+
+
+def spaced(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
+    """Return by which law an axis is interpolated, and its nodes so.
+
+    Of amounts: logarithms where all are positive and the largest is three times the smallest;
+    roots where they begin with 0, as absorption goes.
+    """
+    if name == "incidence_deg":
+        return "cosine", law("cosine", nodes)
+    if name != "wavelength" and nodes[0] > 0.0 and nodes[-1] >= 3.0 * nodes[0]:
+        return "logarithm", law("logarithm", nodes)
+    if name != "wavelength" and nodes[0] == 0.0 and nodes.size > 2:
+        return "root", law("root", nodes)
+    return "itself", law("itself", nodes)
+
+
+def law(kind: str, values: np.ndarray) -> np.ndarray:
+    """Return values as a law has them."""
+    values = np.asarray(values, dtype=float)
+    if kind == "cosine":
+        return -np.cos(np.radians(values))
+    if kind == "logarithm":
+        return np.log(values)
+    return np.sqrt(values) if kind == "root" else values
+
+
+def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
+    """Return how a value is drawn from the nodes of an axis.
+
+    Raises
+    ------
+    ValueError
+        Outside the axis.
+    """
+    if not nodes[0] <= value <= nodes[-1]:
+        allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
+        raise refuse(name, value, allowed)
+    kind, at = spaced(name, nodes)
+    x = float(law(kind, np.array(value)))
+    drawn = _nearest(at, x, MOST)
+    share = _lagrange(at[drawn], x)
+    beyond = float(np.prod(x - at[drawn]))
+    if len(at) <= MOST or beyond == 0.0:
+        # With no node to leave out nothing is known; at a node nothing is missed.
+        near = drawn[:0] if beyond == 0.0 or len(at) < 3 else drawn
+    else:
+        near = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")[:2]]
+    others = np.zeros((len(near), len(at)))
+    for row, node in enumerate(near):
+        rest = np.delete(np.arange(len(at)), node)
+        few = rest[_nearest(at[rest], at[node], min(MOST, len(rest)))]
+        missed = float(np.prod(at[node] - at[few]))
+        # Fewer nodes than four are left out of a lower polynomial: its order is one less.
+        scale = abs(beyond / missed) if len(few) == len(drawn) else 1.0
+        others[row, node] += scale
+        others[row, few] -= scale * _lagrange(at[few], at[node])
+    return Weights(drawn, share, near, others)
+
+
+def _nearest(at: np.ndarray, x: float, most: int) -> np.ndarray:
+    """Return the nodes around x, as many on either side as there are."""
+    most = min(most, len(at))
+    right = int(np.searchsorted(at, x))
+    first = min(max(right - most // 2, 0), len(at) - most)
+    return np.arange(first, first + most)
+
+
+def _lagrange(at: np.ndarray, x: float) -> np.ndarray:
+    """Return the weights of Lagrange's polynomial."""
+    share = np.ones(len(at))
+    for i, one in enumerate(at):
+        for j, other in enumerate(at):
+            if i != j:
+                share[i] *= (x - other) / (one - other)
+    return share

@@ -1,0 +1,173 @@
+"""Tables that were made: opened, looked up, and read between their nodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import number, one_of, refuse, unknown_key
+from splits.dataset import attributes, load
+from splits.lookup.axes import INCIDENCE
+from splits.lookup.interpolation import weights_at
+
+
+class Table:
+    """A table of spectra.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `splits.table` returns it.
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+    """
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        if "axes_that_share_paths" not in dataset.attrs:
+            given = dataset.attrs.get("title", "a dataset")
+            raise refuse("table", given, "what splits.table returned, or wrote")
+        self.dataset = dataset
+
+    def __repr__(self) -> str:
+        """Return what the table holds, an axis to a line."""
+        lines = [f"Table of {', '.join(self.quantities)}"]
+        for name in self.axes:
+            values = self.dataset[name].values
+            span = f"{values[0]} to {values[-1]}" if values.dtype.kind == "f" else ", ".join(values)
+            lines.append(f"  {name}: {values.size} from {span}")
+        return "\n".join(lines)
+
+    @property
+    def quantities(self) -> list[str]:
+        """What the table holds, besides errors."""
+        return [str(n) for n in self.dataset.data_vars if f"{n}_stderr" in self.dataset.data_vars]
+
+    @property
+    def axes(self) -> list[str]:
+        """Its axes, the wavelength last."""
+        return [str(dim) for dim in self.dataset[self.quantities[0]].dims]
+
+    def interp(self, **at: Any) -> xr.Dataset:
+        """Return values between nodes, with errors that hold what interpolation adds.
+
+        Parameters
+        ----------
+        **at
+            From axes to a number within it, or to one of its texts; ``wavelength`` may be a row
+            of numbers.  Axes of one value may be left out, and so may the wavelength: then all of
+            the table's are returned.  ``sza`` is short for ``incidence_deg``.
+
+        Returns
+        -------
+        xarray.Dataset
+            Each quantity over ``wavelength``, with ``…_stderr``: the error of the cells, those
+            that share paths as if they were off alike, and of interpolation, in quadrature;
+            ``…_interpolation_error`` is the second of these.
+
+        Raises
+        ------
+        ValueError
+            For an axis that there is not or that is missing, and outside the table.
+        """
+        if "sza" in at:
+            at[INCIDENCE] = at.pop("sza")
+        for name in at:
+            if name not in self.axes:
+                raise unknown_key(name, self.axes)
+        part, shared = self.dataset[self._variables()], self._shared()
+        parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
+                 for q in self.quantities]  # fmt: skip
+        for name in self.axes[:-1]:
+            values = self.dataset[name].values
+            if name not in at and values.size > 1:
+                raise refuse(name, None, "given", "an axis of the table")
+            given = at.get(name, values[0])
+            parts = [_along(read, name, values, given, name in shared) for read in parts]
+        wavelengths = self.dataset.wavelength.values
+        wanted = np.atleast_1d(np.asarray(at.get("wavelength", wavelengths), dtype=float))
+        if not np.array_equal(wanted, wavelengths):
+            parts = [_spectra(read, wavelengths, wanted) for read in parts]
+        return self._named(parts, wanted, at)
+
+    def _variables(self) -> list[str]:
+        return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]
+
+    def _shared(self) -> list[str]:
+        return str(self.dataset.attrs["axes_that_share_paths"]).split(", ")
+
+    def _named(self, parts: list[_Read], wavelengths: np.ndarray, at: Any) -> xr.Dataset:
+        """Return what was read as a dataset."""
+        variables: dict[str, Any] = {}
+        for name, read in zip(self.quantities, parts, strict=True):
+            label = self.dataset[name].attrs["long_name"]
+            error = np.sqrt(read.stderr**2 + read.missed**2)
+            for end, values, about in (
+                ("", read.value, label),
+                ("_stderr", error, f"standard error of {label}"),
+                ("_interpolation_error", read.missed, f"error of interpolation of {label}"),
+            ):
+                facts = {"long_name": about, "units": "1"}
+                variables[name + end] = ("wavelength", values, facts)
+        axis = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
+        facts = {k: v for k, v in at.items() if k != "wavelength"}
+        return xr.Dataset(variables, {"wavelength": axis}, attributes(facts))
+
+
+class _Read:
+    """Values, errors of the cells, and of interpolation, over the axes that are left."""
+
+    def __init__(
+        self, value: np.ndarray, stderr: np.ndarray, missed: np.ndarray | None = None
+    ) -> None:
+        self.value, self.stderr = value, stderr
+        self.missed = np.zeros_like(value) if missed is None else missed
+
+
+def _along(read: _Read, name: str, nodes: np.ndarray, given: Any, shared: bool) -> _Read:
+    """Return what is read at a place of the first axis."""
+    if nodes.dtype.kind != "f":
+        one_of(name, str(given), nodes.tolist())
+        place = int((nodes == str(given)).argmax())
+        return _Read(read.value[place], read.stderr[place], read.missed[place])
+    w = weights_at(name, nodes, number(name, given))
+    some = [read.value[w.nodes], read.stderr[w.nodes], read.missed[w.nodes]]
+    value = np.tensordot(w.share, some[0], 1)
+    # Cells of the same paths are off alike, others are not.
+    if shared:
+        stderr = np.abs(np.tensordot(w.share, some[1], 1))
+    else:
+        stderr = np.sqrt(np.tensordot(w.share**2, some[1] ** 2, 1))
+    before = np.tensordot(np.abs(w.share), some[2], 1)
+    off = np.abs(np.tensordot(w.others, read.value, 1))
+    here = off.max(axis=0) if len(off) else np.zeros_like(value)
+    return _Read(value, stderr, np.hypot(before, here))
+
+
+def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
+    """Return what is read at other wavelengths."""
+    points = [_along(read, "wavelength", nodes, one, True) for one in wanted]
+    value, stderr, missed = (
+        np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
+    )
+    return _Read(value, stderr, missed)
+
+
+def open_table(path: str | Path) -> Table:
+    """Open a table that was written.
+
+    Parameters
+    ----------
+    path : path
+        Of a file that `splits.save` wrote, or the workflow.
+
+    Raises
+    ------
+    ValueError
+        For a file that holds no table, or is damaged.
+    """
+    return Table(load(path))

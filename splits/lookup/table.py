@@ -1,0 +1,174 @@
+"""Tables of spectra over a grid of parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.progress import Progress, Report, shows_progress
+from splits.instruments.spectral_run import SIDES, Run
+from splits.lookup.assembly import blank, fill, finished
+from splits.lookup.axes import Axes
+from splits.lookup.block import Cuts, Order, keep, kept, measure
+from splits.lookup.families import absorbing, likeness
+from splits.lookup.plan import Ensemble, Plan
+from splits.media.turbid import Medium
+from splits.sources import physics_digest
+
+
+@known_arguments
+@shows_progress
+def table(
+    make: Callable[..., Medium],
+    grid: Mapping[str, Any],
+    wavelength_nm: Any,
+    incidence_deg: float | str = 0.0,
+    max_stderr: float = 0.003,
+    seed: int = 1,
+    *,
+    quantities: Sequence[str] = ("reflectance",),
+    covariance: bool = False,
+    folder: str | Path | None = None,
+    max_rays: int = 20_000_000,
+    threads: int | None = None,
+    kernel: str = "auto",
+    progress: Report = None,
+) -> xr.Dataset:
+    """Measure spectra over a grid of parameters, from as few paths as serve them all.
+
+    Points that differ only in what absorbs, in the ground, or, in packs without end, in size share
+    one ensemble of paths; which these are is found from the media themselves.
+
+    Parameters
+    ----------
+    make : callable
+        Takes the parameters of a point as keywords and returns its medium: `splits.Snow.natural`,
+        or a function of your own.
+    grid : mapping
+        From parameters to their values: increasing numbers, or texts.  ``incidence_deg`` may be
+        one of them: degrees, or "diffuse".
+    wavelength_nm : array_like
+        Strictly increasing vacuum wavelengths (nm).
+    incidence_deg : float or "diffuse"
+        Where the grid has no such axis.
+    max_stderr, seed, max_rays, threads, kernel
+        As for `splits.spectrophotometer`; the error is reached in every cell, and `max_rays` is
+        the limit of an ensemble.
+    quantities : sequence of str
+        Of "reflectance" and "transmittance".
+    covariance : bool
+        Whether ``…_groups`` are kept, 32 deviations by group of rays for each value: sums of
+        products are covariances of cells that share paths.
+    folder : path, optional
+        Keeps what has been measured, ensemble by ensemble.  A run that was broken off goes on
+        from there, and gives the same numbers.
+    progress : callable or bool, optional
+        As for `splits.spectrophotometer`, of the whole table.
+
+    Returns
+    -------
+    xarray.Dataset
+        Values and errors, float32, over the axes of the grid and ``wavelength``.
+
+    Raises
+    ------
+    ValueError
+        For a value outside its range; names the point of the grid that cannot be.
+
+    Examples
+    --------
+    >>> import splits
+    >>> found = splits.table(
+    ...     splits.Snow.natural,
+    ...     {"optical_radius_um": [50, 100, 200], "incidence_deg": [0, 60]},
+    ...     [500, 1030],
+    ...     max_stderr=0.02,
+    ... )
+    >>> dict(found.reflectance.sizes)
+    {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
+    """
+    begun = time.perf_counter()
+    run = Run.checked(wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel)
+    order = Order(run, _quantities(quantities), bool(covariance))
+    plan = Plan.of(make, Axes.of(grid), run.wavelengths, incidence_deg)
+    place = None if folder is None else Path(folder)
+    found = blank(plan, order)
+    facts = []
+    for block in blocks(plan, order, plan.ensembles, place, progress):
+        fill(found, block)
+        facts.append(block.attrs)
+    return finished(found, plan, order, facts, time.perf_counter() - begun)
+
+
+def _quantities(given: Sequence[str]) -> tuple[str, ...]:
+    """Return quantities of a table, or refuse them."""
+    if isinstance(given, str) or not given or len(set(given)) < len(given):
+        raise refuse("quantities", given, f"a list of {' and '.join(SIDES)}")
+    return tuple(one_of("quantities", name, SIDES) for name in given)
+
+
+def digest_of(plan: Plan, ensemble: Ensemble, order: Order) -> str:
+    """Return the SHA-256 of all that decides a block's numbers."""
+    digest = hashlib.sha256(physics_digest().encode())
+    run = order.run._replace(incidence=ensemble.incidence, threads=0)
+    digest.update(repr(run._replace(wavelengths=np.zeros(0))).encode())
+    digest.update(repr([order.quantities, order.covariance]).encode())
+    digest.update(likeness(ensemble.family.media[0])[0])
+    for row in (run.wavelengths, ensemble.places, ensemble.which, ensemble.family.scales):
+        digest.update(np.ascontiguousarray(row).tobytes())
+    for medium in ensemble.family.media:
+        digest.update(absorbing(medium, run.wavelengths))
+    return digest.hexdigest()
+
+
+def blocks(
+    plan: Plan,
+    order: Order,
+    ensembles: Sequence[Ensemble],
+    folder: Path | None,
+    progress: Report = None,
+) -> Iterator[xr.Dataset]:
+    """Yield blocks of a table, those kept in a folder as they are, others measured and kept.
+
+    Parameters
+    ----------
+    plan : Plan
+    order : Order
+    ensembles : sequence of Ensemble
+        Of the plan, all or some.
+    folder : path or None
+    progress : callable, optional
+        Told of the whole.
+    """
+    begun, cuts, measured = time.perf_counter(), Cuts(), 0
+    for number, ensemble in enumerate(ensembles):
+        digest = digest_of(plan, ensemble, order)
+        block = None if folder is None else kept(folder, ensemble.number, digest)
+        if block is None:
+            left = len(ensembles) - number - 1
+            show = _of_all(progress, begun, measured, left) if callable(progress) else None
+            block = measure(ensemble, order, cuts, digest, show)
+            measured += 1
+            if folder is not None:
+                keep(block, folder)
+        yield block
+
+
+def _of_all(
+    report: Callable[[Progress], None], begun: float, done: int, left: int
+) -> Callable[[Progress], None]:
+    """Return what tells of the whole table where one ensemble has got to."""
+
+    def show(one: Progress) -> None:
+        spent = time.perf_counter() - begun
+        each = (spent + one.seconds_left) / (done + 1)
+        report(Progress(one.rays, one.stderr, one.target, spent, one.seconds_left + left * each))
+
+    return show

@@ -1,0 +1,145 @@
+"""Reading a table between its nodes: what is found, what is said of the error, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.checks import Refusal
+from splits.lookup.axes import Axes
+from splits.lookup.interpolation import law, spaced, weights_at
+from splits.lookup.reading import Table
+
+WAVELENGTHS = np.array([500.0, 900.0, 1300.0])
+SIZES = np.geomspace(30.0, 2000.0, 12)
+ANGLES = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 75.0])
+
+
+def truth(size, angle, wavelengths=WAVELENGTHS):
+    """Return what the reflectance of snow is like: smooth, and steep where it is dark."""
+    depth = np.sqrt(size / 1e4) * (wavelengths / 700.0) ** 2.5
+    return np.exp(-depth * (1.0 + 2.0 * np.cos(np.radians(angle))))
+
+
+def table(stderr=0.0, sizes=SIZES, angles=ANGLES, shared="optical_radius_um"):
+    values = np.array([[truth(size, angle) for angle in angles] for size in sizes])
+    dims = ("optical_radius_um", "incidence_deg", "wavelength")
+    about = {"long_name": "hemispherical reflectance"}
+    found = {
+        "reflectance": (dims, values, about),
+        "reflectance_stderr": (dims, np.full_like(values, stderr), about),
+    }
+    axes = dict(zip(dims, (sizes, angles, WAVELENGTHS), strict=True))
+    return Table(xr.Dataset(found, axes, {"axes_that_share_paths": shared}))
+
+
+def test_nodes_are_the_tables_own():
+    found = table(0.003).interp(optical_radius_um=SIZES[3], incidence_deg=40.0)
+    np.testing.assert_allclose(found.reflectance, truth(SIZES[3], 40.0), rtol=1e-12)
+    np.testing.assert_allclose(found.reflectance_stderr, 0.003, rtol=1e-12)
+    assert (found.reflectance_interpolation_error == 0.0).all()
+
+
+def test_cubics_are_read_exactly():
+    nodes = np.array([1.0, 1.2, 1.5, 2.0, 2.2, 2.9])
+    kind, at = spaced("depth_m", nodes)
+    assert kind == "itself"
+    for x in (1.05, 1.3, 2.1, 2.6):
+        w = weights_at("depth_m", nodes, x)
+        cubic = 1.0 - 2.0 * at + 0.5 * at**2 + 0.3 * at**3
+        assert w.share @ cubic[w.nodes] == pytest.approx(1 - 2 * x + 0.5 * x**2 + 0.3 * x**3)
+        np.testing.assert_allclose(w.others @ cubic, 0.0, atol=1e-12)
+        # What a quartic adds is told to the last digit.
+        fourth = at**4
+        missed = x**4 - w.share @ fourth[w.nodes]
+        np.testing.assert_allclose(np.abs(w.others @ fourth), abs(missed), rtol=1e-9)
+
+
+def test_what_is_missed_between_nodes_is_said():
+    """The error told is at least half of the largest that there is, at most ten times it."""
+    random = np.random.default_rng(1)
+    told, missed = [], []
+    for _ in range(200):
+        size = float(np.exp(random.uniform(np.log(SIZES[0]), np.log(SIZES[-1]))))
+        angle = float(random.uniform(ANGLES[0], ANGLES[-1]))
+        found = table().interp(optical_radius_um=size, sza=angle)
+        told.append(found.reflectance_interpolation_error.values)
+        missed.append(np.abs(found.reflectance.values - truth(size, angle)))
+    told, missed = np.ravel(told), np.ravel(missed)
+    assert np.mean(missed <= told) > 0.68
+    assert np.mean(missed <= 2.0 * told + 1e-5) > 0.95
+    assert 0.5 * missed.max() < told.max() < 10.0 * missed.max()
+
+
+def test_errors_of_shared_paths_go_together():
+    between = {"optical_radius_um": float(np.sqrt(SIZES[4] * SIZES[5])), "incidence_deg": 30.0}
+    alike = table(0.003, shared="optical_radius_um, incidence_deg").interp(**between)
+    apart = table(0.003, shared="none").interp(**between)
+    rest = alike.reflectance_interpolation_error**2
+    np.testing.assert_allclose(alike.reflectance_stderr**2 - rest, 0.003**2, rtol=1e-9)
+    assert (apart.reflectance_stderr < alike.reflectance_stderr).all()
+
+
+def test_wavelengths_between_those_of_the_table():
+    found = table().interp(optical_radius_um=100.0, incidence_deg=0.0, wavelength=[500.0, 700.0])
+    assert found.wavelength.values.tolist() == [500.0, 700.0]
+    assert found.reflectance_interpolation_error[0] < found.reflectance_interpolation_error[1]
+
+
+@pytest.mark.parametrize(
+    ("at", "line"),
+    [
+        ({"optical_radius_um": 20.0, "incidence_deg": 0.0}, "optical_radius_um = 20.0: must be fr"),
+        ({"optical_radius_um": 100.0, "incidence_deg": 80.0}, "incidence_deg = 80.0: must be from"),
+        ({"optical_radius_um": 100.0}, "incidence_deg = None: must be given"),
+        ({"radius": 100.0}, "radius: unknown key"),
+        ({"optical_radius_um": "fine", "incidence_deg": 0.0}, "optical_radius_um = 'fine'"),
+        (
+            {"optical_radius_um": 100.0, "incidence_deg": 0.0, "wavelength": 400.0},
+            "wavelength = 40",
+        ),
+    ],
+)
+def test_what_the_table_does_not_hold_is_refused(at, line):
+    with pytest.raises(Refusal, match=rf"^{line}"):
+        table().interp(**at)
+
+
+def test_a_dataset_that_is_no_table_is_refused():
+    with pytest.raises(Refusal, match=r"^table = 'a dataset': must be what splits.table"):
+        Table(xr.Dataset())
+
+
+@pytest.mark.parametrize(
+    ("name", "nodes", "kind"),
+    [
+        ("incidence_deg", [0.0, 60.0], "cosine"),
+        ("optical_radius_um", [30.0, 2000.0], "logarithm"),
+        ("impurities_ng_g", [0.0, 10.0, 100.0], "root"),
+        ("density_kg_m3", [200.0, 300.0], "itself"),
+        ("wavelength", [400.0, 2500.0], "itself"),
+    ],
+)
+def test_laws_of_axes(name, nodes, kind):
+    found, at = spaced(name, np.array(nodes))
+    assert found == kind
+    assert (np.diff(at) > 0.0).all()
+    np.testing.assert_array_equal(at, law(kind, np.array(nodes)))
+
+
+@pytest.mark.parametrize(
+    ("grid", "line"),
+    [
+        ({}, r"grid = \{\}: must be a mapping"),
+        ({"depth_m": []}, r"grid.depth_m = \[\]: must be a row"),
+        ({"depth_m": [1.0, 1.0]}, r"grid.depth_m = .*different"),
+        ({"depth_m": [2.0, 1.0]}, r"grid.depth_m = .*increasing"),
+        ({"depth_m": [1.0, "a"]}, r"grid.depth_m = .*numbers or texts"),
+        ({"depth_m": [1.0, np.inf]}, r"grid.depth_m = .*increasing numbers"),
+        ({"depth_m": "deep"}, r"grid.depth_m = 'deep'"),
+    ],
+)
+def test_axes_that_are_none_are_refused(grid, line):
+    with pytest.raises(Refusal, match=f"^{line}"):
+        Axes.of(grid)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.checksum import DamagedError
-from splits.dataset import load, save
+from splits.dataset import load, provenance, save
 from splits.instruments.cut import Cut
 from splits.instruments.ensemble import GROUPS
 from splits.instruments.progress import Report
@@ -82,6 +81,7 @@ def measure(
                 ("group", "point", "wavelength"), groups.astype(np.float32),
             )  # fmt: skip
     facts = {
+        **provenance("block of a table"),
         DIGEST: digest,
         "ensemble": ensemble.number,
         "rays": found.rays,
@@ -106,7 +106,8 @@ def kept(folder: Path, number: int, digest: str) -> xr.Dataset | None:
         return None
     try:
         block = load(path)
-    except DamagedError:
+    except ValueError:
+        # Damaged, or of another program: it is measured again, and written over.
         return None
     return block if block.attrs.get(DIGEST) == digest else None
 

@@ -79,9 +79,12 @@ def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
     drawn = _nearest(at, x, MOST)
     share = _lagrange(at[drawn], x)
     beyond = float(np.prod(x - at[drawn]))
+    if len(at) == 2 and beyond != 0.0:
+        # No node can be left out: a quarter of the difference, in the middle.
+        return Weights(drawn, share, drawn[:1], np.prod(share) * np.array([[-1.0, 1.0]]))
     if len(at) <= MOST or beyond == 0.0:
-        # With no node to leave out nothing is known; at a node nothing is missed.
-        near = drawn[:0] if beyond == 0.0 or len(at) < 3 else drawn
+        # At a node nothing is missed.
+        near = drawn[:0] if beyond == 0.0 else drawn
     else:
         near = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")[:2]]
     others = np.zeros((len(near), len(at)))

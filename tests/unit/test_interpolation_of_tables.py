@@ -72,6 +72,13 @@ def test_what_is_missed_between_nodes_is_said():
     assert 0.5 * missed.max() < told.max() < 10.0 * missed.max()
 
 
+def test_of_two_nodes_a_quarter_of_their_difference_is_doubtful():
+    two = table(angles=np.array([0.0, 60.0]))
+    found = two.interp(optical_radius_um=SIZES[2], incidence_deg=np.degrees(np.arccos(0.75)))
+    ends = np.abs(truth(SIZES[2], 60.0) - truth(SIZES[2], 0.0))
+    np.testing.assert_allclose(found.reflectance_interpolation_error, 0.25 * ends, rtol=1e-9)
+
+
 def test_errors_of_shared_paths_go_together():
     between = {"optical_radius_um": float(np.sqrt(SIZES[4] * SIZES[5])), "incidence_deg": 30.0}
     alike = table(0.003, shared="optical_radius_um, incidence_deg").interp(**between)

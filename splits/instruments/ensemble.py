@@ -10,7 +10,7 @@ import numpy as np
 
 from splits.instruments import streams
 from splits.transport.grains.scene import NO_GROUND, UNLIMITED, Optics, shared_optics
-from splits.transport.sums.tally import BLOCK, tally
+from splits.transport.sums.tally import BLOCK, GROUPS, tally
 
 LEVELS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
@@ -21,9 +21,8 @@ _FIRST_LEGS = 400.0
 
 BATCH = 128
 """Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
-GROUPS = 32
-"""Groups of rays whose means are told apart.  Blocks of successive rays take turns, so that the
-smallest first round of a level reaches all.  A standard error from 32 groups is known to 13 %."""
+LARGE_BATCH = 1024
+"""So many where sums are of many rows: they take more memory than the rays."""
 
 Tally = tuple[np.ndarray, np.ndarray, np.ndarray, int]
 """What a batch yields here: moments, least weight, sums of blocks, rays."""
@@ -183,8 +182,8 @@ class Ensemble:
         self.levels = levels_of(first, index, absorption, served, manner, used)
 
     def size(self) -> int:
-        """Return how many numbers a tally holds, those of blocks being half as long."""
-        return (10 + BATCH // BLOCK) * len(self.rows)
+        """Return how many numbers a tally holds at most, those of blocks being half as long."""
+        return (10 + GROUPS) * len(self.rows)
 
     def part(self, level: Level) -> slice:
         """Return which of the rows a level serves."""

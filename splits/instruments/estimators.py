@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import BATCH, GROUPS, Ensemble, Paths, scaled
+from splits.instruments.ensemble import BATCH, GROUPS, LARGE_BATCH, Ensemble, Paths, scaled
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Runner
 from splits.instruments.shared_paths import Rows, SharedPaths, Slopes
@@ -78,6 +78,8 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
     levels = [(e, level) for e in ensembles for level in e.levels]
     weights = nodes.weights[:, np.newaxis, :]
 
+    if len(rows.index) > MANY and not len(rows.changes):
+        runner.batch = LARGE_BATCH
     runner.prepare(ensembles)
     runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
     while True:

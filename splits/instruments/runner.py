@@ -16,7 +16,7 @@ from splits.media.turbid import Medium
 from splits.transport.compiling.features import Features
 from splits.transport.sums.notes import NOTE_RAY
 
-MEMORY = 2**26
+MEMORY = 2**27
 LEGS = 2e7
 """Largest memory (bytes) that a thread's job takes, and number of legs on lanes, for signs of life
 every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
@@ -43,6 +43,11 @@ class Runner:
         Receives a `Progress` a few times per second at most.
     planes_m : sequence of float
         Depths (m) of planes to listen at, see `splits.instruments.tracers.GrainTracer`.
+
+    Attributes
+    ----------
+    batch : int
+        Rays whose weights are added up together.
     """
 
     def __init__(
@@ -60,6 +65,7 @@ class Runner:
         self.seed = seed
         self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, planes_m)
         self.threads = threads or cpus()
+        self.batch = BATCH
         self.report = report if callable(report) else None
         self.started = time.perf_counter()
         self._reported = 0.0
@@ -88,7 +94,7 @@ class Runner:
         jobs = self.jobs(work)
         begun = time.perf_counter()
         costs = [sum(self.cost(level) * count for _, level, _, count in job) for job in jobs]
-        rays = BATCH * sum(count for job in jobs for *_, count in job)
+        rays = self.batch * sum(count for job in jobs for *_, count in job)
         total = sum(costs) * (1.0 + left / rays)
         done = 0.0
         with Threads(self.threads) as pool:
@@ -105,7 +111,7 @@ class Runner:
         """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
         kinds: dict[Features | None, list[Piece]] = {}
         for ensemble, level, rays in work:
-            piece = ensemble, level, level.rays, -(-rays // BATCH)
+            piece = ensemble, level, level.rays, -(-rays // self.batch)
             kinds.setdefault(self.tracer.features(level), []).append(piece)
         jobs = []
         for features, pieces in kinds.items():
@@ -123,7 +129,7 @@ class Runner:
 
     def held(self, ensemble: Paths) -> int:
         """Return how many batches a job may hold: exits of their rays, and tallies."""
-        numbers = BATCH * self.tracer.rows(1).shape[1] + ensemble.size()
+        numbers = self.batch * self.tracer.rows(1).shape[1] + ensemble.size()
         return max(1, MEMORY // (8 * numbers))
 
     def cut(
@@ -145,7 +151,7 @@ class Runner:
                 if len(jobs) < number:
                     now = min(now, max(1, round(room / cost)))
                 jobs[-1].append((ensemble, level, first, now))
-                first += now * BATCH
+                first += now * self.batch
                 count -= now
                 room -= now * cost
                 held += now
@@ -154,8 +160,8 @@ class Runner:
     def cost(self, level: Level) -> float:
         """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
         if level.rays == 0:
-            return BATCH * (1.0 + level.guess)
-        return BATCH * (1.0 + level.legs / level.rays)
+            return self.batch * (1.0 + level.guess)
+        return self.batch * (1.0 + level.legs / level.rays)
 
     def prepare(self, ensembles: Sequence[Paths]) -> None:
         """Let all levels of these ensembles share a kernel, if they can."""
@@ -184,7 +190,10 @@ class Runner:
             If a ray was lost.
         """
         work = np.array(
-            [(level.number, first, count * BATCH, level.most) for _, level, first, count in job]
+            [
+                (level.number, first, count * self.batch, level.most)
+                for _, level, first, count in job
+            ]
         )
         exits = self.tracer.rows(int(work[:, 2].sum()))
         followed = self.tracer.trace(work, [level for _, level, *_ in job], exits)
@@ -192,26 +201,27 @@ class Runner:
             raise RuntimeError(followed.lost)
         parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
         return [
-            (_tallied(piece, part, notes), int(cost))
+            (self._tallied(piece, part, notes), int(cost))
             for piece, part, notes, cost in zip(
                 job, parts, followed.notes, followed.legs, strict=True
             )
         ]
+
+    def _tallied(self, piece: Piece, exits: np.ndarray, notes: np.ndarray) -> list[Any]:
+        """Return what a piece's ensemble makes of each of its batches, in order."""
+        ensemble, level, first, count = piece
+        starts = np.arange(count) * self.batch
+        parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], starts[1:]))
+        sums = []
+        for start, batch, part in zip(
+            starts, exits.reshape(count, self.batch, -1), parts, strict=True
+        ):
+            part[:, NOTE_RAY] -= start
+            sums.append(ensemble.tally(level, first + int(start), batch, part))
+        return sums
 
     def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
         now = time.perf_counter()
         if self.report and now - self._reported > 0.5:
             self._reported = now
             self.report(Progress(rays, stderr, target, now - self.started, left))
-
-
-def _tallied(piece: Piece, exits: np.ndarray, notes: np.ndarray) -> list[Any]:
-    """Return what a piece's ensemble makes of each of its batches, in order."""
-    ensemble, level, first, count = piece
-    starts = np.arange(count) * BATCH
-    parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], starts[1:]))
-    sums = []
-    for start, batch, part in zip(starts, exits.reshape(count, BATCH, -1), parts, strict=True):
-        part[:, NOTE_RAY] -= start
-        sums.append(ensemble.tally(level, first + int(start), batch, part))
-    return sums

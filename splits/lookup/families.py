@@ -28,8 +28,8 @@ from splits.instruments.shared_paths import Family
 from splits.media.granular import GranularMedium, LayeredMedium, absorption_of
 from splits.media.stack import Stack
 
-MOST_ROWS = 50_000
-"""Spectra times wavelengths that one ensemble serves: what bounds its memory."""
+MOST_ROWS = 200_000
+"""Wavelengths of different media that one ensemble serves: what bounds its memory."""
 _DIGITS = 36
 """Binary digits to which numbers of two scenes must agree."""
 
@@ -73,28 +73,23 @@ def families(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[Members]:
     most = max(1, MOST_ROWS // wavelength_nm.size)
     grouped = []
     for alike in found.values():
-        ordered = sorted(alike)
-        for first in range(0, len(ordered), most):
-            grouped.append(_members(ordered[first : first + most], media, wavelength_nm))
+        # Places of each medium that is different, in order of size.
+        places: dict[tuple[float, bytes], list[int]] = {}
+        for unit, place in sorted(alike):
+            light = absorbing(media[place], wavelength_nm)
+            places.setdefault((unit, light), []).append(place)
+        different = list(places.items())
+        for first in range(0, len(different), most):
+            part = different[first : first + most]
+            smallest = part[0][0][0]
+            family = Family(
+                tuple(media[one[0]] for _, one in part),
+                np.array([unit / smallest for (unit, _), _ in part]),
+            )
+            which = [number for number, (_, one) in enumerate(part) for _ in one]
+            all_places = [place for _, one in part for place in one]
+            grouped.append(Members(family, np.array(all_places), np.array(which)))
     return grouped
-
-
-def _members(
-    alike: Sequence[tuple[float, int]], media: Sequence[Any], wavelength_nm: np.ndarray
-) -> Members:
-    """Return a family of media, given by size and place, in which none is there twice."""
-    smallest = alike[0][0]
-    first: dict[bytes, int] = {}
-    distinct: list[tuple[Any, float]] = []
-    which = []
-    for unit, place in alike:
-        key = absorbing(media[place], wavelength_nm) + np.float64(unit).tobytes()
-        if key not in first:
-            first[key] = len(distinct)
-            distinct.append((media[place], unit / smallest))
-        which.append(first[key])
-    family = Family(tuple(m for m, _ in distinct), np.array([s for _, s in distinct]))
-    return Members(family, np.array([place for _, place in alike]), np.array(which))
 
 
 def absorbing(medium: Any, wavelength_nm: np.ndarray) -> bytes:

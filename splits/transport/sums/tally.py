@@ -41,6 +41,9 @@ EXIT_LENGTH = 8
 
 BLOCK = 8
 """Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
+GROUPS = 32
+"""Groups of rays whose means are told apart.  Blocks of successive rays take turns, so that the
+smallest first round of a level reaches all.  A standard error from 32 groups is known to 13 %."""
 
 
 class Traced(NamedTuple):
@@ -115,12 +118,13 @@ def tally(exits, notes, absorption, weighted, ground):
     least : float64[wavelengths]
         Smallest weight with which any ray left; 0 once one did not.
     blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK` successive rays, the last of which may be fewer.
+        Σ weight of every `BLOCK` successive rays, the last of which may be fewer.  More than
+        `GROUPS` blocks take turns.
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((3, 3, wavelengths))
     rays = exits.shape[0]
-    blocks = np.empty((-(-rays // BLOCK), 2, wavelengths), dtype=np.float32)
+    blocks = np.zeros((min(-(-rays // BLOCK), GROUPS), 2, wavelengths), dtype=np.float32)
     before = np.zeros((2, wavelengths))
     least = np.full(wavelengths, np.inf)
     alpha = _alpha(absorption, weighted)
@@ -135,6 +139,15 @@ def tally(exits, notes, absorption, weighted, ground):
                 weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
                 add(moments[side], sides[side])
                 least_of(least, sides[side])
+        elif side <= 0 and not (first < notes.shape[0] and notes[first, NOTE_RAY] == j):
+            # Nothing of it came near the ground, as is so for most rays in deep packs.
+            if side < 0:
+                least[:] = 0.0
+            else:
+                weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[0])
+                add(moments[0], sides[0])
+                add(moments[2], sides[0])
+                least_of(least, sides[0])
         else:
             sides[:] = ZERO
             if side >= 0:
@@ -149,7 +162,8 @@ def tally(exits, notes, absorption, weighted, ground):
         if (j + 1) % BLOCK == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
-                    blocks[j // BLOCK, side, i] = moments[side, 0, i] - before[side, i]
+                    more = moments[side, 0, i] - before[side, i]
+                    blocks[j // BLOCK % GROUPS, side, i] += more
                     before[side, i] = moments[side, 0, i]
     if ground < 0:
         # A ray leaves on one side only.

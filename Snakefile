@@ -44,6 +44,7 @@ RESULTS = SETTINGS.results_folder
 include: "workflow/rules/common.smk"
 include: "workflow/rules/damage.smk"
 include: "workflow/rules/simulate.smk"
+include: "workflow/rules/tables.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/analyse.smk"
 include: "workflow/rules/archive.smk"

@@ -13,8 +13,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parent
 PHYSICS = (
-    "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py",
-    "experiments/coordinates.py", "experiments/run.py",
+    "materials", "media", "transport", "instruments", "lookup", "diffusion.py", "uncertainty.py",
+    "names.py", "experiments/coordinates.py", "experiments/run.py",
 )  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""
 FITTING = (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.media.names import parameter_about, path_of
+from splits.names import parameter_about, path_of
 
 MEANS: dict[str, Callable[[Sequence[float]], float]] = {
     "facetness": lambda given: given[2],

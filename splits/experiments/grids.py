@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
@@ -15,6 +14,7 @@ from splits.experiments.texts import LONGEST_LABEL, check_text
 MOST_POINTS = 10_000
 """Points of a grid."""
 STEPS = ("start", "stop", "step")
+GEOMETRIC = "geomspace"
 
 
 def evenly_spaced(key: str, start: float, stop: float, step: float) -> np.ndarray:
@@ -35,8 +35,8 @@ def labelled(grid: Any) -> dict[str, dict[str, Any]]:
     Parameters
     ----------
     grid : mapping
-        From parameters to lists of values, mappings from labels to values, or
-        ``{start, stop, step}``.
+        From parameters to lists of values, mappings from labels to values,
+        ``{start, stop, step}``, or ``{geomspace: [first, last, number]}``.
 
     Raises
     ------
@@ -45,11 +45,7 @@ def labelled(grid: Any) -> dict[str, dict[str, Any]]:
     """
     if not isinstance(grid, Mapping):
         raise refuse("grid", grid, "a mapping from parameters to lists of values")
-    found = {str(parameter): _labelled(str(parameter), v) for parameter, v in grid.items()}
-    points = math.prod(len(values) for values in found.values())
-    if points > MOST_POINTS:
-        raise refuse("grid", f"{points} points", f"at most {MOST_POINTS} points")
-    return found
+    return {str(parameter): _labelled(str(parameter), v) for parameter, v in grid.items()}
 
 
 def _labelled(parameter: str, values: Any) -> dict[str, Any]:
@@ -59,6 +55,8 @@ def _labelled(parameter: str, values: Any) -> dict[str, Any]:
         raise refuse(key, values, "a list of at least one value")
     if isinstance(values, Mapping) and _are_steps(values):
         values = _steps(key, values)
+    elif isinstance(values, Mapping) and set(values) == {GEOMETRIC}:
+        values = _geometric(f"{key}.{GEOMETRIC}", values[GEOMETRIC])
     if not isinstance(values, Mapping):
         labels = [label_of(key, value) for value in values]
         if len(set(labels)) < len(labels):
@@ -89,6 +87,19 @@ def _steps(key: str, values: Mapping[str, Any]) -> list[float]:
     start, stop, step = (number(f"{key}.{name}", values[name]) for name in STEPS)
     # 0.30000000000000004 is nobody's value.
     return [float(f"{x:.12g}") for x in evenly_spaced(key, start, stop, step)]
+
+
+def _geometric(key: str, given: Any) -> list[float]:
+    """Return values of which each is as many times the one before."""
+    allowed = "[first, last, number of values]: 0 < first < last, at least two"
+    numbers = isinstance(given, (list, tuple)) and all(map(_is_number, given))
+    if not numbers or len(given) != 3:
+        raise refuse(key, given, allowed)
+    first, last, count = given
+    if not 0.0 < first < last or count != int(count) or not 2 <= count <= MOST_NUMBERS:
+        raise refuse(key, given, allowed)
+    # No figure has room for more digits.
+    return [float(f"{x:.4g}") for x in np.geomspace(first, last, int(count))]
 
 
 def _is_number(value: Any) -> bool:

@@ -21,7 +21,8 @@ from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappabl
 
 RULES = (
     "all", "archive", "benchmark_kernels", "benchmarks", "documented", "figure",
-    "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error",
+    "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error", "table",
+    "table_part",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 

@@ -58,6 +58,9 @@ ONLY_FOR = {
     "screen_depth_m": ("lens",),
     "over": ("lens",),
     "realisations": ("lens", "surface"),
+    "quantities": ("table",),
+    "covariance": ("table",),
+    "blocks": ("table",),
 }
 """Settings that only some instruments know."""
 IGNORED = {
@@ -78,6 +81,7 @@ FIGURES = {
     "refractive_index": ("refractive_index",),
     "surface": ("surface",),
     "lens": ("lens",),
+    "table": ("summary",),
 }
 """Kinds of figures that show what an instrument measures, the usual one first."""
 OF_ONE_POINT = ("spread", "lobes", "cells", "surface", "lens")
@@ -85,6 +89,7 @@ OF_ONE_POINT = ("spread", "lobes", "cells", "surface", "lens")
 QUANTITIES = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor"),
+    "table": ("reflectance", "transmittance"),
 }
 """What figures of an instrument may show."""
 SHOWN = {
@@ -141,7 +146,8 @@ class Instrument(Section):
     model_config = ConfigDict(allow_inf_nan=False)
 
     kind: Literal[
-        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens"
+        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens",
+        "table",
     ] = "spectrophotometer"  # fmt: skip
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=400, stop=2500, step=10
@@ -160,6 +166,9 @@ class Instrument(Section):
     screen_depth_m: tuple[float, ...] | None = None
     over: Literal["crest", "trough", "origin"] | None = None
     realisations: int | None = Field(default=None, ge=1)
+    quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
+    covariance: Literal["yes", "no"] | None = None
+    blocks: int | None = Field(default=None, ge=1, le=10_000)
 
     @field_validator("incidence_deg", mode="before")
     @classmethod
@@ -267,7 +276,7 @@ class FigureSection(Section):
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
         "principal_plane", "hemisphere", "lobes", "cells", "spread", "surface", "lens",
-        "polarization", "none",
+        "polarization", "summary", "none",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
     at: dict[str, float | str] = {}

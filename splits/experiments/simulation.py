@@ -18,7 +18,7 @@ from typing import Any
 from pydantic import Field, field_validator, model_validator
 
 from splits.checks import Refusal, keywords_taken, named, one_of, refuse, unknown_key
-from splits.experiments.grids import labelled
+from splits.experiments.grids import MOST_POINTS, labelled
 from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
 from splits.experiments.stacks import (
     LAYERS,
@@ -33,17 +33,18 @@ from splits.experiments.stacks import MEDIA as LAYER_MEDIA
 from splits.experiments.user_tables import by_content, renamed, tables_in
 from splits.instruments.arguments import MOST_VALUES, check_beam, check_incidence
 from splits.instruments.scenes import constants_of, ground_of
+from splits.lookup.axes import Axes
 from splits.media import Stack
 from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.measured_inputs import on_top
-from splits.media.names import path_of
 from splits.media.readings import together
 from splits.media.turbid import Medium, TurbidMedium
+from splits.names import amount_of, path_of
 
 MEDIA: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
 SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
-ENDLESS = ("spectrophotometer", "refractive_index")
+ENDLESS = ("spectrophotometer", "refractive_index", "table")
 """Instruments that take packs without end."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
@@ -96,6 +97,9 @@ class Simulation(Section):
         for parameter in self.grid:
             if kind == "stack" and path_of(parameter):
                 continue
+            amount = amount_of(parameter)
+            if amount and amount[0] in keywords:
+                continue
             if parameter not in parameters:
                 raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
@@ -133,7 +137,14 @@ class Simulation(Section):
 
     def _check_size(self) -> None:
         """Refuse a grid whose dataset would not fit into memory."""
+        if self.instrument.kind == "table":
+            # Its blocks are written one by one.
+            self.axes()
+            return
         points = math.prod(len(values) for values in self.grid.values())
+        if points > MOST_POINTS:
+            hint = "instrument.kind: table takes more"
+            raise refuse("grid", f"{points} points", f"at most {MOST_POINTS} points", hint)
         values = points * self.instrument.values()
         if values > MOST_VALUES:
             raise refuse(
@@ -189,9 +200,8 @@ class Simulation(Section):
     def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         for labels, settings, incidence in self.settings():
-            kind = self.medium.get("kind", "snow")
             with self.placed(labels):
-                medium = stack_of(**settings) if kind == "stack" else MAKERS[kind](**settings)
+                medium = self._made(settings)
             yield labels, medium, incidence
 
     @contextmanager
@@ -227,19 +237,55 @@ class Simulation(Section):
         if not isinstance(base.get("readings", {}), Mapping | str):
             allowed = "a mapping of named readings, or the name of a set"
             raise refuse("medium.readings", base["readings"], allowed)
-        for labels in itertools.product(*self.grid.values()):
+        for labels in self._labels():
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
-            sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
-            settings = with_paths(on_top(base, sample), values)
-            for key in MERGED:
-                parts = [part[key] for part in (base, sample, values) if key in part]
-                if key == "readings":
-                    settings |= {key: together(parts)} if parts else {}
-                elif parts and all(isinstance(part, Mapping) for part in parts):
-                    settings[key] = {k: v for part in parts for k, v in part.items()}
-            yield chosen, settings, incidence
+            yield chosen, self.settings_at(base, values), incidence
+
+    def _labels(self) -> Iterator[tuple[str, ...]]:
+        """Yield the labels of every point; of a table, each value with the first of all others.
+
+        All of a table's points are looked at where it is made.
+        """
+        if self.instrument.kind != "table":
+            yield from itertools.product(*self.grid.values())
+            return
+        first = [next(iter(values)) for values in self.grid.values()]
+        yield tuple(first)
+        for place, values in enumerate(self.grid.values()):
+            for label in list(values)[1:]:
+                yield (*first[:place], label, *first[place + 1 :])
+
+    def settings_at(self, base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the medium's keywords at a point of the grid, on top of those of all points."""
+        values = dict(values)
+        for parameter in [p for p in values if amount_of(p)]:
+            key, kind = amount_of(parameter) or ("", "")
+            values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
+        sample = {k: v for k, v in values.pop(SAMPLE, {}).items() if k != "kind"}
+        settings = with_paths(on_top(base, sample), values)
+        for key in MERGED:
+            parts = [part[key] for part in (base, sample, values) if key in part]
+            if key == "readings":
+                settings |= {key: together(parts)} if parts else {}
+            elif parts and all(isinstance(part, Mapping) for part in parts):
+                settings[key] = {k: v for part in parts for k, v in part.items()}
+        return settings
+
+    def axes(self) -> Axes:
+        """Return the grid as the axes of a table: increasing numbers, or texts."""
+        return Axes.of({p: list(values.values()) for p, values in self.grid.items()})
+
+    def medium_at(self, **values: Any) -> Medium:
+        """Return the medium at a point of the grid, without the incidence."""
+        base = {k: v for k, v in self.medium.items() if k != "kind"}
+        return self._made(self.settings_at(base, values))
+
+    def _made(self, settings: Mapping[str, Any]) -> Medium:
+        kind = self.medium.get("kind", "snow")
+        made: Medium = stack_of(**settings) if kind == "stack" else MAKERS[kind](**settings)
+        return made
 
     def simulation(self) -> dict[str, Any]:
         """Return what decides the numbers; `Simulation.model_validate` makes the same of it."""

@@ -9,8 +9,8 @@ from typing import Any
 from splits.checks import keywords_taken, named, one_of, refuse, under, unknown_key
 from splits.media import Layer, Sand, Snow, Stack
 from splits.media.measured_inputs import on_top
-from splits.media.names import path_of
 from splits.media.readings import together
+from splits.names import path_of
 
 LAYERS = "layers"
 MERGED = ("readings", "refractive_index", "pores", "impurities_ng_g", "algae_cells_ml")

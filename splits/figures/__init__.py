@@ -25,6 +25,7 @@ from splits.figures.readings import readings_shifts
 from splits.figures.spectra import refractive_indices, spectra
 from splits.figures.spread import spread
 from splits.figures.style import save_figure, style
+from splits.figures.summary import summary
 from splits.figures.surface_area import area_law, fitted_spectra
 from splits.figures.swatches import swatches
 from splits.figures.waves import lens, surface
@@ -49,6 +50,7 @@ __all__ = [
     "sensitivity_bars",
     "spectra",
     "spread",
+    "summary",
     "surface",
     "swatches",
 ]
@@ -94,6 +96,8 @@ def _drawn(
         return refractive_indices(dataset)
     if section["kind"] == "points":
         return points(dataset, section["quantity"], section["at"], section["legend"])
+    if section["kind"] == "summary":
+        return summary(dataset, section["quantity"], section["at"], section["legend"])
     if section["kind"] == "fit":
         return fits(dataset, section["at"], section["legend"])
     if section["kind"] == "swatches":

@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.figures.lines import Lines
+from splits.figures.lines import FEW, Lines
 from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
 from splits.figures.notes import finished
 from splits.figures.style import (
@@ -89,9 +89,13 @@ def faceted(
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
             shown[-1].set_xlabel("wavelength (nm)")
-        figure.suptitle("panels: " + " · ".join(map(parameter_label, apart)))
+        panels_are = "panels: " + " · ".join(map(parameter_label, apart))
+        # A legend of few lines stands above the panels.
+        above = not lines.bar and len(lines.all) <= FEW
+        if not above:
+            figure.suptitle(panels_are)
         lines.legend(figure, list(panels.flat), legend, few=0)
-        return finished(figure, panels.flat, note, nodes_note(nodes))
+        return finished(figure, panels.flat, panels_are if above else "", note, nodes_note(nodes))
 
 
 def _highest(dataset: xr.Dataset, name: str) -> float:

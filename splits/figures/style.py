@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 
 from splits.files import whole
+from splits.names import amount_of
 
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
@@ -94,6 +95,10 @@ def parameter_label(parameter: str) -> str:
     number, _, key = rest.partition(".")
     if stack == "layers" and key:
         return f"layer {number}: {parameter_label(key)}"
+    amount = amount_of(parameter)
+    if amount:
+        unit = "ng/g" if amount[0] == "impurities_ng_g" else "cells/ml"
+        return f"{amount[1].replace('_', ' ')} ({unit})"
     return LABELS.get(parameter, parameter.replace("_", " "))
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.checks import named, refuse, scalar
-from splits.media.names import parameter_about
+from splits.names import parameter_about
 
 INCIDENCE = "incidence_deg"
 MOST_SPECTRA = 100_000_000
@@ -92,7 +92,8 @@ def _row(name: str, given: Any) -> tuple[Any, ...]:
     if all(isinstance(value, str) for value in values):
         return values
     if not all(isinstance(value, Real) and not isinstance(value, bool) for value in values):
-        raise refuse(key, list(values), allowed)
+        hint = "not both in one axis: one reads between numbers"
+        raise refuse(key, list(values), allowed, hint)
     numbers = tuple(float(value) for value in values)
     if not np.isfinite(numbers).all() or list(numbers) != sorted(numbers):
         raise refuse(key, list(numbers), "increasing numbers")

@@ -53,7 +53,7 @@ def small_lens():
 
 
 def test_every_parameter_has_a_long_name_and_units():
-    from splits.media.names import PARAMETERS
+    from splits.names import PARAMETERS
 
     keywords = {name for medium in MEDIA.values() for name in keywords_taken(medium)}
     assert set(PARAMETERS) == keywords | {"medium", "incidence_deg"}

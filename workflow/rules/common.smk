@@ -1,3 +1,4 @@
+from splits.experiments.run_table import parts_of
 from splits.experiments.studies import FIGURE, FILES, left_out
 from splits.sources import PACKAGE, files_digest, physics_digest
 
@@ -7,6 +8,7 @@ LEFT_OUT = left_out(STUDIES, EXPERIMENTS, AVAILABLE)
 for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
+TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
 
@@ -54,6 +56,12 @@ wildcard_constraints:
 def data(names):
     """Return the datasets of experiments."""
     return [f"{RESULTS}/data/{name}.nc" for name in names]
+
+
+def table_parts(name):
+    """Return what the parts of a table note of the blocks that they have made."""
+    number = parts_of(EXPERIMENTS[name])
+    return [f"{RESULTS}/blocks/{name}/part_{part}.json" for part in range(number)]
 
 
 def products(name):

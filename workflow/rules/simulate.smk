@@ -8,6 +8,8 @@ rule simulate:
         f"{RESULTS}/logs/simulate/{{experiment}}.log",
     benchmark:
         f"{RESULTS}/benchmarks/simulate/{{experiment}}.tsv"
+    wildcard_constraints:
+        experiment="|".join(set(EXPERIMENTS) - set(TABLES)) or "none",
     priority: 1
     conda:
         "../../environment.yml"

@@ -46,6 +46,9 @@ PARAMETERS: dict[str, tuple[str, str]] = {
 }
 """Long names and units (UDUNITS) of all parameters that a grid can have."""
 
+AMOUNTS = ("impurities_ng_g", "algae_cells_ml")
+"""Keywords that are mappings of amounts, by kind."""
+_AMOUNT = re.compile(rf"({'|'.join(AMOUNTS)})\.(\w+)")
 _PATH = re.compile(r"layers\.(\d+)\.(\w+)")
 
 
@@ -53,6 +56,12 @@ def path_of(parameter: str) -> tuple[int, str] | None:
     """Return the number of the layer and the keyword that a path such as layers.0.depth_m names."""
     found = _PATH.fullmatch(parameter)
     return (int(found[1]), found[2]) if found else None
+
+
+def amount_of(parameter: str) -> tuple[str, str] | None:
+    """Return the keyword and the kind that a name such as impurities_ng_g.black_carbon holds."""
+    found = _AMOUNT.fullmatch(parameter)
+    return (found[1], found[2]) if found else None
 
 
 def parameter_about(parameter: str) -> tuple[str, str]:

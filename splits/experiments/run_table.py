@@ -1,0 +1,136 @@
+"""Tables as experiments: a part of the ensembles of one, and all of them put together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import xarray as xr
+
+from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
+from splits.files import whole
+from splits.instruments import Progress
+from splits.instruments.spectral_run import Run
+from splits.lookup.assembly import blank, fill, finished
+from splits.lookup.block import Order, block_file
+from splits.lookup.measuring import blocks
+from splits.lookup.plan import Plan
+
+BLOCKS = 8
+"""Parts of a table that are jobs of their own, unless the experiment says how many."""
+MAX_RAYS = 20_000_000
+Say = Callable[[str], None]
+
+
+def parts_of(experiment: Simulation) -> int:
+    """Return how many parts a table has."""
+    return experiment.instrument.blocks or BLOCKS
+
+
+def plan_of(experiment: Simulation) -> Plan:
+    """Return what is to be traced for a table; refuses points of it that cannot be."""
+    instrument = experiment.instrument
+    axes, wavelengths = experiment.axes(), instrument.wavelengths()
+    return Plan.of(experiment.medium_at, axes, wavelengths, instrument.incidence_deg)
+
+
+def order_of(
+    experiment: Simulation, accuracy: Accuracy, seed: int, threads: int | None = None
+) -> Order:
+    """Return how a table is to be measured."""
+    instrument = experiment.instrument
+    own = seed if instrument.seed is None else instrument.seed
+    error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    rays = accuracy.max_rays or MAX_RAYS
+    run = Run.checked(instrument.wavelengths(), 0.0, error, own, rays, threads, "auto")
+    quantities = instrument.quantities or ("reflectance",)
+    return Order(run, quantities, instrument.covariance == "yes")
+
+
+def run_part(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    folder: Path,
+    part: int,
+    threads: int | None = None,
+    say: Say = lambda line: None,
+) -> None:
+    """Measure every so many-th ensemble of a table, from that one on, and keep its block.
+
+    What a folder has of them already is left as it is.
+
+    Parameters
+    ----------
+    experiment : Simulation
+        Of instrument "table".
+    accuracy, seed, threads, say
+        As for `splits.experiments.run.run`.
+    folder : path
+        Keeps the blocks.
+    part : int
+        From 0 to `parts_of` less 1.
+    """
+    plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
+    mine = plan.ensembles[part :: parts_of(experiment)]
+    say(f"{experiment.name}: {plan}")
+    for _ in _measured(experiment, plan, order, mine, folder, say):
+        pass
+
+
+def run_table(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    folder: Path | None,
+    threads: int | None = None,
+    say: Say = lambda line: None,
+) -> xr.Dataset:
+    """Return a table: blocks that a folder keeps, and what is missing measured."""
+    begun = time.perf_counter()
+    plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
+    say(f"{experiment.name}: {plan}")
+    found, facts = blank(plan, order), []
+    for block in _measured(experiment, plan, order, plan.ensembles, folder, say):
+        fill(found, block)
+        facts.append(block.attrs)
+    dataset = finished(found, plan, order, facts, time.perf_counter() - begun)
+    return dataset.assign_attrs(
+        title=f"Experiment {experiment.name}",
+        experiment=experiment.name,
+        instrument="table",
+        configuration=experiment.configuration(),
+    )
+
+
+def _measured(
+    experiment: Simulation,
+    plan: Plan,
+    order: Order,
+    ensembles: tuple,
+    folder: Path | None,
+    say: Say,
+) -> Iterator[xr.Dataset]:
+    """Yield blocks, and say how far they are."""
+    head, count = f"{experiment.name}: {len(ensembles)} ensembles", len(ensembles)
+
+    def show(progress: Progress) -> None:
+        say(f"{head}, {progress}")
+
+    for number, block in enumerate(blocks(plan, order, ensembles, folder, show), start=1):
+        reached = float(block.attrs["max_stderr_reached"])
+        say(f"{head}: {number} of {count} done, {block.attrs['rays']} rays, error {reached:.4f}")
+        yield block
+
+
+def note_part(experiment: Simulation, folder: Path, part: int, path: Path) -> None:
+    """Write down which blocks a part has made, with their checksums."""
+    plan = plan_of(experiment)
+    files = [block_file(folder, e.number) for e in plan.ensembles[part :: parts_of(experiment)]]
+    made = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    with whole(path) as aside:
+        aside.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

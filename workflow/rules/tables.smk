@@ -1,0 +1,52 @@
+rule table_part:
+    input:
+        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].tables(),
+    output:
+        f"{RESULTS}/blocks/{{experiment}}/part_{{part}}.json",
+    log:
+        f"{RESULTS}/logs/table_part/{{experiment}}_{{part}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/table_part/{{experiment}}_{{part}}.tsv"
+    wildcard_constraints:
+        experiment="|".join(TABLES) or "none",
+        part=r"\d+",
+    priority: 1
+    conda:
+        "../../environment.yml"
+    # Parts run side by side, which takes less time than threads that wait for each other.
+    threads: 1
+    params:
+        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
+        accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
+        seed=SETTINGS.seed,
+        physics=physics_digest(),
+    message:
+        "Measuring part {wildcards.part} of {wildcards.experiment}"
+    script:
+        "../scripts/table_part.py"
+
+
+rule table:
+    input:
+        lambda wildcards: table_parts(wildcards.experiment),
+    output:
+        f"{RESULTS}/data/{{experiment}}.nc",
+    log:
+        f"{RESULTS}/logs/table/{{experiment}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/table/{{experiment}}.tsv"
+    wildcard_constraints:
+        experiment="|".join(TABLES) or "none",
+    priority: 1
+    conda:
+        "../../environment.yml"
+    threads: 1
+    params:
+        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
+        accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
+        seed=SETTINGS.seed,
+        physics=physics_digest(),
+    message:
+        "Putting together {wildcards.experiment}"
+    script:
+        "../scripts/table.py"

@@ -11,6 +11,7 @@ import xarray as xr
 from splits.checks import number, one_of, refuse, unknown_key
 from splits.dataset import attributes, load
 from splits.lookup.axes import INCIDENCE
+from splits.lookup.formats import for_isofit, for_spires, write_csv
 from splits.lookup.interpolation import weights_at
 
 
@@ -93,6 +94,18 @@ class Table:
         if not np.array_equal(wanted, wavelengths):
             parts = [_spectra(read, wavelengths, wanted) for read in parts]
         return self._named(parts, wanted, at)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write it as CSV, see `splits.lookup.formats.write_csv`."""
+        write_csv(self.dataset, path)
+
+    def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
+        """Return it as the package spires takes it, see `splits.lookup.formats.for_spires`."""
+        return for_spires(self.dataset, impurity, bands, per_unit, **at)
+
+    def to_isofit(self, **at: Any) -> xr.Dataset:
+        """Return it as isofit looks it up, see `splits.lookup.formats.for_isofit`."""
+        return for_isofit(self.dataset, **at)
 
     def _variables(self) -> list[str]:
         return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]

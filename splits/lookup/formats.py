@@ -1,0 +1,186 @@
+"""Tables as other programs open them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import one_of, refuse
+from splits.files import whole
+from splits.lookup.axes import INCIDENCE
+from splits.skies.bands import Band, bands_of
+
+RADIUS = "optical_radius_um"
+
+
+def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a table as CSV: a line for each wavelength of each point, the axes as columns.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `splits.table` returns it; deviations by group are left out.
+    path : path
+        The file appears whole or not at all.
+    """
+    names = [str(name) for name, v in dataset.data_vars.items() if "group" not in v.dims]
+    first, *others = dataset[names[0]].dims
+    with whole(path) as aside:
+        for number in range(dataset.sizes[first]):
+            # A slice at a time, as all lines together take many times the table's memory.
+            part = dataset[names].isel({first: [number]}).to_dataframe()
+            lines = part.reset_index()[[first, *others, *names]]
+            lines.to_csv(aside, mode="a", header=number == 0, index=False, float_format="%.6g")
+
+
+def for_spires(
+    dataset: xr.Dataset,
+    impurity: str,
+    bands: Mapping[str, Any] | str,
+    per_unit: float = 1000.0,
+    **at: Any,
+) -> xr.DataArray:
+    """Return a table as `spires.LutInterpolator` takes it: band, solar angle, dust, grain size.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of reflectance over ``incidence_deg``, ``optical_radius_um`` and an axis of impurities.
+    impurity : str
+        That axis.
+    bands : mapping or str
+        As for `splits.albedo`: the mean over each by its response.
+    per_unit : float
+        What one unit of dust is in the axis's: 1000 makes parts per million of ng/g.
+    **at
+        Where other axes are held, at one of their nodes each.
+
+    Returns
+    -------
+    xarray.DataArray
+        Over ``band`` (from 1 on, as spires counts them), ``solar_angle`` (degrees),
+        ``dust_concentration`` and ``grain_size`` (optical radius, µm).
+
+    Raises
+    ------
+    ValueError
+        For an axis that is missing, or a band outside of the table.
+
+    Examples
+    --------
+    With the package spires: ``spires.LutInterpolator(reflectances=a.values, bands=a.band.values,
+    solar_angles=a.solar_angle.values, dust_concentrations=a.dust_concentration.values,
+    grain_sizes=a.grain_size.values)`` for an array ``a``.
+    """
+    part = _held(dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at).reflectance
+    w = dataset.wavelength.values
+    named = bands_of(bands)
+    if not named:
+        raise refuse("bands", bands, "at least one band")
+    weights = np.stack([_weights(name, band, w) for name, band in named.items()])
+    mean = np.einsum("bw,irdw->bidr", weights, _ordered(part, impurity))
+    return xr.DataArray(
+        mean,
+        {
+            "band": np.arange(1, len(named) + 1),
+            "solar_angle": part[INCIDENCE].values,
+            "dust_concentration": part[impurity].values / per_unit,
+            "grain_size": part[RADIUS].values,
+        },
+        ("band", "solar_angle", "dust_concentration", "grain_size"),
+        "reflectances",
+        {"long_name": "hemispherical reflectance", "units": "1", "bands": ", ".join(named)},
+    )
+
+
+def _ordered(part: xr.DataArray, impurity: str) -> np.ndarray:
+    """Return reflectance over incidence, size, impurity and wavelength."""
+    values: np.ndarray = part.transpose(INCIDENCE, RADIUS, impurity, "wavelength").values
+    return values.astype(float)
+
+
+def _weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
+    """Return the weights of wavelengths in the mean over a band."""
+    low, high = band.ends
+    if low < w[0] or high > w[-1]:
+        allowed = f"within the table's {w[0]:g} to {w[-1]:g} nm"
+        raise refuse(f"bands[{name!r}]", [low, high], allowed)
+    response = np.interp(w, band.wavelength_nm, band.response, left=0.0, right=0.0)
+    weights = response * np.gradient(w) if w.size > 1 else response
+    if not weights.any():
+        hint = "finer wavelengths are wanted"
+        raise refuse(f"bands[{name!r}]", [low, high], "of a wavelength of the table", hint)
+    return weights / weights.sum()
+
+
+def for_isofit(dataset: xr.Dataset, **at: Any) -> xr.Dataset:
+    """Return a table as isofit's surface model looks it up.
+
+    The reflectance of diffuse light into a direction is, by reciprocity, that of a beam from there
+    to all directions.  Snow whose readings are ``geometric`` is reciprocal.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of reflectance over ``incidence_deg`` and ``optical_radius_um``.
+    **at
+        Where other axes are held, at one of their nodes each.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``rho_dif_dir`` over ``solar_zenith``, ``observer_zenith``, ``relative_azimuth`` (degrees),
+        ``grain_radius`` (µm) and ``wl`` (nm): alike for every sun, as no beam is in it.
+
+    Raises
+    ------
+    ValueError
+        For an axis that is missing.
+    """
+    part = _held(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
+    values = part.transpose(INCIDENCE, RADIUS, "wavelength").values
+    zenith, azimuth = part[INCIDENCE].values, np.array([0.0, 180.0])
+    shape = (zenith.size, zenith.size, azimuth.size, *values.shape[1:])
+    full = np.broadcast_to(values[np.newaxis, :, np.newaxis], shape)
+    about = {"long_name": "hemispherical-directional reflectance factor", "units": "1"}
+    degrees = {"units": "degree"}
+    return xr.Dataset(
+        {"rho_dif_dir": (("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius",
+                          "wl"), full, about)},
+        {
+            "solar_zenith": ("solar_zenith", zenith, degrees),
+            "observer_zenith": ("observer_zenith", zenith, degrees),
+            "relative_azimuth": ("relative_azimuth", azimuth, {
+                **degrees, "comment": "0 is towards the sun's own side: backscattering"}),
+            "grain_radius": ("grain_radius", part[RADIUS].values, {"units": "um"}),
+            "wl": ("wl", part.wavelength.values, {"units": "nm"}),
+        },
+        {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
+    )  # fmt: skip
+
+
+def _held(
+    dataset: xr.Dataset, quantities: tuple[str, ...], free: list[str], at: Mapping[str, Any]
+) -> xr.Dataset:
+    """Return the part of a table over some axes, others held at a node."""
+    axes = [str(d) for d in dataset[quantities[0]].dims if d != "wavelength"]
+    for name in free:
+        one_of("axis", name, axes)
+    part = dataset[list(quantities)]
+    for name in axes:
+        values = dataset[name].values
+        if name in free:
+            continue
+        if name not in at and values.size > 1:
+            raise refuse(name, None, "given", "one of " + ", ".join(map(str, values)))
+        chosen = at.get(name, values[0])
+        found = np.flatnonzero(np.isclose(values, chosen) if values.dtype.kind == "f"
+                               else values == str(chosen))  # fmt: skip
+        if not found.size:
+            raise refuse(name, chosen, "one of " + ", ".join(map(str, values)))
+        part = part.isel({name: int(found[0])})
+    return part

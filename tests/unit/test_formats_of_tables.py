@@ -1,0 +1,113 @@
+"""Tables as other programs open them: field by field, and by the program where it is there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from splits.checks import Refusal
+from splits.lookup.reading import Table
+
+AXES = {
+    "optical_radius_um": np.array([50.0, 100.0, 200.0, 400.0]),
+    "incidence_deg": np.array([0.0, 30.0, 60.0]),
+    "impurities_ng_g.dust": np.array([0.0, 1000.0, 5000.0]),
+    "liquid_water_content": np.array([0.0, 0.05]),
+    "wavelength": np.arange(400.0, 1001.0, 10.0),
+}
+GREEN, RED = (520.0, 600.0), (630.0, 690.0)
+
+
+@pytest.fixture
+def table():
+    size, angle, dust, water, w = np.meshgrid(*AXES.values(), indexing="ij", sparse=True)
+    values = np.exp(-np.sqrt(size / 1e4) * (w / 600.0) * np.cos(np.radians(angle)))
+    values = values / (1.0 + 1e-4 * dust) - 0.1 * water
+    found = {
+        "reflectance": (tuple(AXES), values.astype(np.float32), {"long_name": "reflectance"}),
+        "reflectance_stderr": (tuple(AXES), np.full(values.shape, 1e-3, np.float32)),
+    }
+    return Table(xr.Dataset(found, AXES, {"axes_that_share_paths": "none"}))
+
+
+def test_a_csv_file_has_a_line_for_every_value(table, tmp_path):
+    table.to_csv(tmp_path / "table.csv")
+    found = pd.read_csv(tmp_path / "table.csv")
+    assert list(found.columns) == [*AXES, "reflectance", "reflectance_stderr"]
+    assert len(found) == table.dataset.reflectance.size
+    back = found.set_index(list(AXES)).to_xarray()
+    np.testing.assert_allclose(back.reflectance, table.dataset.reflectance, rtol=1e-5)
+
+
+def test_spires_looks_up_what_the_table_holds(table):
+    made = table.to_spires(
+        "impurities_ng_g.dust", {"green": GREEN, "red": RED}, liquid_water_content=0.05
+    )
+    assert made.dims == ("band", "solar_angle", "dust_concentration", "grain_size")
+    assert made.band.values.tolist() == [1, 2]
+    assert made.dust_concentration.values.tolist() == [0.0, 1.0, 5.0]
+    at = {"impurities_ng_g.dust": 1000.0, "liquid_water_content": 0.05, "incidence_deg": 30.0,
+          "optical_radius_um": 200.0}  # fmt: skip
+    one = table.dataset.reflectance.sel(at)
+    inside = one.sel(wavelength=slice(*RED))
+    found = made.sel(band=2, solar_angle=30.0, dust_concentration=1.0, grain_size=200.0)
+    assert float(found) == pytest.approx(float(inside.mean()), abs=1e-6)
+
+
+def test_spires_itself_interpolates_it(table):
+    spires = pytest.importorskip("spires")
+    made = table.to_spires(
+        "impurities_ng_g.dust", {"green": GREEN, "red": RED}, liquid_water_content=0.0
+    )
+    opened = spires.LutInterpolator(
+        reflectances=made.values, bands=made.band.values, solar_angles=made.solar_angle.values,
+        dust_concentrations=made.dust_concentration.values, grain_sizes=made.grain_size.values,
+    )  # fmt: skip
+    at = made.sel(band=2, solar_angle=30.0, dust_concentration=1.0)
+    for size in (100.0, 150.0):
+        expected = float(at.interp(grain_size=size))
+        found = opened.interpolate(
+            band=2, solar_angle=30.0, dust_concentration=1.0, grain_size=size
+        )
+        assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_isofit_finds_the_names_that_it_looks_for(table):
+    made = table.to_isofit(**{"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0})
+    assert made.rho_dif_dir.dims == (
+        "solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl",
+    )  # fmt: skip
+    at = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0, "incidence_deg": 60.0}
+    expected = table.dataset.reflectance.sel(at)
+    for sun in AXES["incidence_deg"]:
+        found = made.rho_dif_dir.sel(solar_zenith=sun, observer_zenith=60.0, relative_azimuth=180.0)
+        np.testing.assert_array_equal(found.values, expected.values)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda t: t.to_isofit(), "impurities_ng_g.dust = None: must be given"),
+        (
+            lambda t: t.to_isofit(**{"impurities_ng_g.dust": 7.0, "liquid_water_content": 0.0}),
+            "impurities_ng_g.dust = 7.0: must be one of",
+        ),
+        (lambda t: t.to_spires("soot", {"red": RED}), "axis = 'soot': must be one of"),
+        (
+            lambda t: t.to_spires(
+                "impurities_ng_g.dust", {"far": (900, 1100)}, liquid_water_content=0.0
+            ),
+            r"bands\['far'\] = .*within the table",
+        ),
+        (
+            lambda t: t.to_spires("impurities_ng_g.dust", {"narrow": (501, 502)},
+                                  liquid_water_content=0.0),
+            r"bands\['narrow'\] = .*of a wavelength",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_format_cannot_hold_is_refused(table, call, line):
+    with pytest.raises(Refusal, match=f"^{line}"):
+        call(table)

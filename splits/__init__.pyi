@@ -11,9 +11,9 @@ from .instruments import single_scattering as single_scattering
 from .instruments import spectra as spectra
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
-from .lookup import Table as Table
-from .lookup import open_table as open_table
-from .lookup import table as table
+from .lookup.measuring import table as table
+from .lookup.reading import Table as Table
+from .lookup.reading import open_table as open_table
 from .media import Layer as Layer
 from .media import Readings as Readings
 from .media import RoughSurface as RoughSurface

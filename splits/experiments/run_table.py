@@ -48,7 +48,7 @@ def order_of(
     rays = accuracy.max_rays or MAX_RAYS
     run = Run.checked(instrument.wavelengths(), 0.0, error, own, rays, threads, "auto")
     quantities = instrument.quantities or ("reflectance",)
-    return Order(run, quantities, instrument.covariance == "yes")
+    return Order(run, quantities, instrument.covariance == "keep")
 
 
 def run_part(

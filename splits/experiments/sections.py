@@ -167,7 +167,7 @@ class Instrument(Section):
     over: Literal["crest", "trough", "origin"] | None = None
     realisations: int | None = Field(default=None, ge=1)
     quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
-    covariance: Literal["yes", "no"] | None = None
+    covariance: Literal["keep", "leave_out"] | None = None
     blocks: int | None = Field(default=None, ge=1, le=10_000)
 
     @field_validator("incidence_deg", mode="before")

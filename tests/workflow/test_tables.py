@@ -1,0 +1,91 @@
+"""A table in the workflow: its parts as jobs, what a kill costs, what is made again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.checks import Refusal
+from splits.dataset import without_volatile
+from splits.experiments import load_experiment
+
+pytestmark = pytest.mark.slow
+
+TABLE = """\
+title: Table
+medium: {kind: natural_snow}
+instrument: {kind: table, wavelength_nm: [500, 1030], blocks: 2, quantities: [reflectance]}
+grid:
+  optical_radius_um: {geomspace: [50, 800, 5]}
+  incidence_deg: [0, 40, 60]
+  impurities_ng_g.black_carbon: [0, 200]
+"""
+RESULTS = "results/tiny"
+
+
+def test_a_table_is_made_in_parts_and_again_from_what_is_kept(project):
+    project.put("snow", TABLE)
+    run = project.snakemake("--cores", 2)
+    assert run.code == 0, run.text
+    assert run.jobs() == [
+        "Drawing snow", "Measuring part 0 of snow", "Measuring part 1 of snow",
+        "Putting together snow",
+    ]  # fmt: skip
+    assert "2 of 3 axes share paths (optical_radius_um, impurities_ng_g.black_carbon)" in run.text
+    results = project.folder / RESULTS
+    made = splits.open_table(results / "data" / "snow.nc")
+    assert made.axes[:-1] == [
+        "optical_radius_um", "incidence_deg", "impurities_ng_g.black_carbon",
+    ]  # fmt: skip
+    assert made.dataset.attrs["experiment"] == "snow"
+    assert made.dataset.attrs["ensembles"] == 3
+    assert np.isfinite(made.dataset.reflectance).all()
+    own = splits.table(
+        lambda optical_radius_um, soot: splits.Snow.natural(
+            optical_radius_um=optical_radius_um, impurities_ng_g={"black_carbon": soot}
+        ),
+        {
+            "optical_radius_um": made.dataset.optical_radius_um.values,
+            "incidence_deg": [0, 40, 60], "soot": [0, 200],
+        },
+        [500, 1030],
+        max_stderr=0.05,
+    )  # fmt: skip
+    np.testing.assert_array_equal(made.dataset.reflectance, own.reflectance)
+
+    # One part and the table are lost, and one block: that block is all that is measured.
+    blocks = results / "blocks" / "snow"
+    (blocks / "part_0.json").unlink()
+    (results / "data" / "snow.nc").unlink()
+    (blocks / "block_000002.nc").unlink()
+    target = f"{RESULTS}/data/snow.nc"
+    before = (blocks / "block_000000.nc").stat().st_mtime_ns
+    run = project.snakemake(target, "--cores", 2)
+    assert run.code == 0, run.text
+    assert (blocks / "block_000000.nc").stat().st_mtime_ns == before
+    again = splits.load(results / "data" / "snow.nc")
+    xr.testing.assert_identical(without_volatile(again), without_volatile(made.dataset))
+    assert "Nothing to be done" in project.snakemake(target, "--cores", 1).text
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("[0, 40, 60]", "[0, 60, 40]"), "increasing numbers"),
+        (("[0, 200]", "[0, -200]"), "must be"),
+        (("geomspace: [50, 800, 5]", "geomspace: [0, 800, 5]"), "geomspace.*0 < first < last"),
+        (("black_carbon", "coal"), "impurities_ng_g"),
+        (("blocks: 2", "blocks: 0"), "instrument.blocks"),
+        (("kind: table,", "kind: goniophotometer,"), "left out for goniophotometer"),
+    ],
+)
+def test_tables_that_cannot_be_are_refused(tmp_path, change, line):
+    from splits.experiments import ConfigError
+
+    path = tmp_path / "snow.yaml"
+    path.write_text(TABLE.replace(*change), encoding="utf-8")
+    with pytest.raises((ConfigError, Refusal), match=line) as caught:
+        load_experiment(path, tmp_path)
+    assert "\n" not in str(caught.value)

@@ -52,7 +52,7 @@ WRONG_TYPES = {
     "instrument: {kind: bssrdf, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "
-        "bssrdf, refractive_index, surface, lens (did you mean goniophotometer?)",
+        "bssrdf, refractive_index, surface, lens, table (did you mean goniophotometer?)",
     "instrument: {cells: [5]}": "instrument.cells = [5]: must be a list of 2 whole numbers",
     "instrument: 5": "instrument = 5: must be a mapping of keys to values",
     "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 numbers",

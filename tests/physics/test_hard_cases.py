@@ -188,12 +188,12 @@ def away_under(reading, kernel, error):
 
 
 @pytest.mark.parametrize("kernel", KERNELS[1:])
-@pytest.mark.parametrize("error", [0.004, pytest.param(0.001, marks=pytest.mark.long)])
+@pytest.mark.parametrize("error", [0.003, pytest.param(0.001, marks=pytest.mark.long)])
 def test_kernels_agree_under_every_reading(kernel, error):
-    """At 0.004 a share that is off by 0.032 under one reading is seen in 99 of 100 cases.
+    """At 0.003 a share that is off by 0.025 under one reading is seen in 99 of 100 cases.
 
-    A pair errs by 0.0057, one of eight comparisons of a reading may be off by 3.2 of these, and a
-    share is found below its mean by more than 2.3 in one case of 100.  Off by 0.0047 under every
+    A pair errs by 0.0042, one of eight comparisons of a reading may be off by 3.2 of these, and a
+    share is found below its mean by more than 2.3 in one case of 100.  Off by 0.0035 under every
     reading it brings the rms of all to its upper limit.
     """
     found = []

@@ -46,6 +46,7 @@ include: "workflow/rules/damage.smk"
 include: "workflow/rules/simulate.smk"
 include: "workflow/rules/tables.smk"
 include: "workflow/rules/figures.smk"
+include: "workflow/rules/explorer.smk"
 include: "workflow/rules/analyse.smk"
 include: "workflow/rules/archive.smk"
 include: "workflow/rules/benchmark.smk"
@@ -65,6 +66,7 @@ rule all:
         [products(name) for name in EXPERIMENTS],
         study_products(),
         REPORTED,
+        [f"{RESULTS}/explorer.html"] if EXPLORED else [],
 
 
 for NAME in EXPERIMENTS:

@@ -20,7 +20,7 @@ from splits.media.turbid import Medium, TurbidMedium
 from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
 
 RULES = (
-    "all", "archive", "benchmark_kernels", "benchmarks", "documented", "figure",
+    "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
     "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error", "table",
     "table_part",
 )  # fmt: skip

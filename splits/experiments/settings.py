@@ -78,6 +78,7 @@ class Settings(Section):
     archive_license: str = DEFAULT_LICENCE
     archive_authors: tuple[ArchiveAuthor, ...] = ()
     studies: dict[str, Study] = Field(default_factory=dict)
+    explorer: dict[str, str] = Field(default_factory=dict)
 
     @field_validator("experiments", mode="before")
     @classmethod
@@ -128,5 +129,9 @@ class Settings(Section):
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
         check_studies(self.studies, available, self.tables)
+        for label, name in self.explorer.items():
+            if name in available and available[name].instrument.kind != "table":
+                kind = available[name].instrument.kind
+                raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

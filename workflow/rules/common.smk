@@ -9,6 +9,8 @@ for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
+# The tables of the explorer, where all of them are selected.
+EXPLORED = SETTINGS.explorer if set(SETTINGS.explorer.values()) <= set(TABLES) else {}
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
 

@@ -1,0 +1,220 @@
+"use strict";
+const tables = JSON.parse(document.getElementById("data").textContent);
+const show = (id) => document.getElementById(id);
+const numbers = (text) => Float64Array.from(new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
+for (const table of tables) {
+  table.value = numbers(table.value);
+  table.stderr = numbers(table.stderr);
+  table.at = table.axes.map((axis) => axis.start);
+}
+
+// --- between nodes: as splits.lookup.interpolation has it ---------------------------------------
+
+const laws = {
+  cosine: [(x) => -Math.cos(x * Math.PI / 180), (y) => Math.acos(Math.min(1, Math.max(-1, -y))) * 180 / Math.PI],
+  logarithm: [Math.log, Math.exp],
+  root: [Math.sqrt, (y) => y * y],
+  itself: [(x) => x, (y) => y],
+};
+const MOST = 4;
+
+function nearest(at, x, most) {
+  most = Math.min(most, at.length);
+  let right = at.findIndex((one) => one >= x);
+  if (right < 0) right = at.length;
+  const first = Math.min(Math.max(right - Math.floor(most / 2), 0), at.length - most);
+  return Array.from({ length: most }, (_, i) => first + i);
+}
+
+function lagrange(at, x) {
+  return at.map((one, i) => at.reduce((share, other, j) => (i === j ? share : share * (x - other) / (one - other)), 1));
+}
+
+function weightsAt(axis, value) {
+  const law = laws[axis.law][0];
+  const at = axis.nodes.map(law), x = law(value);
+  const drawn = nearest(at, x, MOST);
+  const share = lagrange(drawn.map((i) => at[i]), x);
+  const beyond = drawn.reduce((product, i) => product * (x - at[i]), 1);
+  const others = [];
+  if (beyond !== 0 && at.length === 2) {
+    others.push([-share[0] * share[1], share[0] * share[1]]);
+  } else if (beyond !== 0) {
+    let near = drawn;
+    if (at.length > MOST) {
+      near = [...drawn].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j).slice(0, 2);
+    }
+    for (const node of near) {
+      const rest = at.map((_, i) => i).filter((i) => i !== node);
+      const few = nearest(rest.map((i) => at[i]), at[node], Math.min(MOST, rest.length)).map((i) => rest[i]);
+      const missed = few.reduce((product, i) => product * (at[node] - at[i]), 1);
+      const scale = few.length === drawn.length ? Math.abs(beyond / missed) : 1;
+      const row = at.map(() => 0), found = lagrange(few.map((i) => at[i]), at[node]);
+      row[node] += scale;
+      few.forEach((i, k) => { row[i] -= scale * found[k]; });
+      others.push(row);
+    }
+  }
+  return { drawn, share, others };
+}
+
+// What is read at a place of the first axis: values, errors of cells, and of interpolation.
+function along(read, axis, value) {
+  const w = weightsAt(axis, value), size = read.value.length / axis.nodes.length;
+  const out = { value: new Float64Array(size), stderr: new Float64Array(size), missed: new Float64Array(size) };
+  for (let i = 0; i < size; i++) {
+    let v = 0, s = 0, before = 0, here = 0;
+    w.drawn.forEach((node, k) => {
+      const j = node * size + i, share = w.share[k];
+      v += share * read.value[j];
+      s += axis.shared ? share * read.stderr[j] : share * share * read.stderr[j] * read.stderr[j];
+      before += Math.abs(share) * read.missed[j];
+    });
+    for (const row of w.others) {
+      let off = 0;
+      for (let node = 0; node < row.length; node++) off += row[node] * read.value[node * size + i];
+      here = Math.max(here, Math.abs(off));
+    }
+    out.value[i] = v;
+    out.stderr[i] = axis.shared ? Math.abs(s) : Math.sqrt(s);
+    out.missed[i] = Math.hypot(before, here);
+  }
+  return out;
+}
+
+function interp(table, at) {
+  let read = { value: table.value, stderr: table.stderr, missed: new Float64Array(table.value.length) };
+  table.axes.forEach((axis, k) => { read = along(read, axis, at[k]); });
+  return { value: read.value, error: read.stderr.map((s, i) => Math.hypot(s, read.missed[i])) };
+}
+
+// --- what is shown ------------------------------------------------------------------------------
+
+const digits = (x) => Number(x.toPrecision(4)).toString();
+let chosen = 0, cursor = null;
+
+function colourOf(table, value) {
+  const [x, y, z] = table.weights.map((row) => row.reduce((sum, w, i) => sum + w * value[i], 0));
+  const linear = [
+    3.2406 * x - 1.5372 * y - 0.4986 * z, -0.9689 * x + 1.8758 * y + 0.0415 * z, 0.0557 * x - 0.204 * y + 1.057 * z,
+  ];
+  return linear.map((c) => {
+    const bent = c <= 0.0031308 ? 12.92 * c : 1.055 * Math.max(c, 0) ** (1 / 2.4) - 0.055;
+    return Math.round(255 * Math.min(1, Math.max(0, bent)));
+  });
+}
+
+function draw() {
+  const table = tables[chosen], w = table.wavelength, found = interp(table, table.at);
+  const left = 48, right = 616, top = 12, bottom = 322, first = w[0], last = w[w.length - 1];
+  const x = (nm) => left + (right - left) * (nm - first) / (last - first);
+  const y = (r) => bottom - (bottom - top) * Math.min(Math.max(r, 0), 1.05) / 1.05;
+  const path = (rows) => rows.map(([a, b], i) => `${i ? "L" : "M"}${a.toFixed(1)} ${b.toFixed(1)}`).join("");
+  const line = w.map((nm, i) => [x(nm), y(found.value[i])]);
+  const upper = w.map((nm, i) => [x(nm), y(found.value[i] + 2 * found.error[i])]);
+  const lower = w.map((nm, i) => [x(nm), y(found.value[i] - 2 * found.error[i])]).reverse();
+  let marks = "";
+  for (const r of [0, 0.2, 0.4, 0.6, 0.8, 1]) {
+    marks += `<path class="axis" d="M${left} ${y(r)}H${right}"/><text x="${left - 6}" y="${y(r) + 4}" text-anchor="end">${r}</text>`;
+  }
+  const step = last - first > 1000 ? 500 : 100;
+  for (let nm = Math.ceil(first / step) * step; nm <= last; nm += step) {
+    marks += `<path class="axis" d="M${x(nm)} ${bottom}v5"/><text x="${x(nm)}" y="${bottom + 19}" text-anchor="middle">${nm}</text>`;
+  }
+  marks += `<text transform="translate(12 ${(top + bottom) / 2}) rotate(-90)" text-anchor="middle">reflectance</text>`;
+  marks += `<text x="${(left + right) / 2}" y="356" text-anchor="middle">wavelength (nm)</text>`;
+  const place = cursor === null ? Math.floor(w.length / 4) : cursor;
+  const mark = `<path class="cursor" d="M${x(w[place])} ${top}V${bottom}"/>`;
+  show("chart").innerHTML = `${marks}<path class="band" d="${path([...upper, ...lower])}Z"/><path class="model" d="${path(line)}"/>${mark}`;
+  show("reading").textContent = `Reflectance at ${w[place]} nm: ${found.value[place].toFixed(4)} ± ${found.error[place].toFixed(4)}`;
+  const rgb = colourOf(table, found.value), hex = "#" + rgb.map((c) => c.toString(16).padStart(2, "0")).join("");
+  show("swatch").style.background = hex;
+  show("colour").textContent = hex;
+  show("python").textContent = python(table);
+  show("chart").dataset.values = Array.from(found.value, (v) => v.toFixed(6)).join(" ");
+  show("chart").dataset.errors = Array.from(found.error, (v) => v.toFixed(6)).join(" ");
+  history.replaceState(null, "", `#${[chosen, ...table.at].join("/")}`);
+  return found;
+}
+
+function python(table) {
+  const given = table.axes.map((axis, k) => `${JSON.stringify(axis.name)}: ${digits(table.at[k])}`);
+  return `splits.open_table(${JSON.stringify(table.file)}).interp(**{${given.join(", ")}})`;
+}
+
+function sliders() {
+  const table = tables[chosen];
+  show("sliders").innerHTML = "";
+  table.axes.forEach((axis, k) => {
+    const [there, back] = laws[axis.law], box = document.createElement("div");
+    const low = there(axis.nodes[0]), high = there(axis.nodes[axis.nodes.length - 1]), id = `axis${k}`;
+    box.className = "slider";
+    box.innerHTML = `<label for="${id}"><span>${axis.label}</span><output for="${id}"></output></label><input type="range" id="${id}" min="0" max="1000" step="1">`;
+    const input = box.querySelector("input"), told = box.querySelector("output");
+    input.value = Math.round(1000 * (there(table.at[k]) - low) / (high - low));
+    const tell = () => {
+      told.textContent = `${digits(table.at[k])} ${axis.unit}`.trim();
+      input.setAttribute("aria-valuetext", told.textContent);
+    };
+    input.addEventListener("input", () => {
+      const share = input.value / 1000;
+      // The ends are nodes, to the last digit; in between three digits are enough, and can be written down.
+      const value = share === 0 ? axis.nodes[0] : share === 1 ? axis.nodes[axis.nodes.length - 1] : Number(back(low + share * (high - low)).toPrecision(3));
+      table.at[k] = Math.min(Math.max(value, axis.nodes[0]), axis.nodes[axis.nodes.length - 1]);
+      tell();
+      draw();
+    });
+    tell();
+    show("sliders").append(box);
+  });
+}
+
+function media() {
+  tables.forEach((table, number) => {
+    const label = document.createElement("label");
+    label.innerHTML = `<input type="radio" name="medium" ${number === chosen ? "checked" : ""}> ${table.label}`;
+    label.querySelector("input").addEventListener("change", () => { chosen = number; cursor = null; start(); });
+    show("media").append(label);
+  });
+}
+
+function start() {
+  show("about").textContent = tables[chosen].about;
+  show("note").textContent = tables[chosen].note;
+  sliders();
+  draw();
+}
+
+function point(event) {
+  const box = show("chart").getBoundingClientRect(), table = tables[chosen];
+  const share = ((event.clientX - box.left) / box.width * 640 - 48) / 568;
+  cursor = Math.round(Math.min(Math.max(share, 0), 1) * (table.wavelength.length - 1));
+  draw();
+}
+
+show("chart").addEventListener("pointermove", point);
+show("chart").addEventListener("pointerdown", point);
+show("csv").addEventListener("click", () => {
+  const table = tables[chosen], found = interp(table, table.at);
+  const lines = table.wavelength.map((nm, i) => `${nm},${found.value[i].toFixed(6)},${found.error[i].toFixed(6)}`);
+  const head = `# ${python(table)}\nwavelength_nm,reflectance,reflectance_stderr\n`;
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([head + lines.join("\n") + "\n"], { type: "text/csv" }));
+  link.download = "splits.csv";
+  link.click();
+  URL.revokeObjectURL(link.href);
+});
+show("copy").addEventListener("click", () => navigator.clipboard.writeText(show("python").textContent));
+// What the address says after #: the table's number and a value for each axis.
+function fromAddress() {
+  const [number, ...at] = location.hash.slice(1).split("/").map(Number);
+  const table = tables[number];
+  if (!table || at.length !== table.axes.length) return;
+  if (!at.every((x, k) => x >= table.axes[k].nodes[0] && x <= table.axes[k].nodes[table.axes[k].nodes.length - 1])) return;
+  chosen = number;
+  table.at = at;
+}
+
+fromAddress();
+media();
+start();

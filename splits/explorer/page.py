@@ -1,0 +1,148 @@
+"""The explorer: tables of spectra in one file of HTML that needs no server and no network."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.files import whole
+from splits.lookup.interpolation import law, spaced
+from splits.lookup.reading import Table
+from splits.names import amount_of
+
+LARGEST_BYTES = 5_000_000
+_HERE = Path(__file__).parent
+
+
+class Shown(NamedTuple):
+    """A table that the page shows.
+
+    Attributes
+    ----------
+    table : Table
+        Of reflectance, over axes of numbers.
+    file : str
+        Its name, for the line of Python that the page shows.
+    about : str
+        What it holds, in a sentence.
+    """
+
+    table: Table
+    file: str
+    about: str
+
+
+def write_page(tables: Mapping[str, Shown], path: str | Path) -> None:
+    """Write the explorer of some tables.
+
+    Parameters
+    ----------
+    tables : mapping
+        From what the page calls them to the tables.
+    path : path
+        The file appears whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        For an axis of texts, or tables too large for a page.
+    """
+    data = [_embedded(label, one) for label, one in tables.items()]
+    page = (_HERE / "page.html").read_text(encoding="utf-8")
+    parts = {
+        "{{STYLE}}": (_HERE / "page.css").read_text(encoding="utf-8"),
+        "{{SCRIPT}}": (_HERE / "page.js").read_text(encoding="utf-8"),
+        # No text of a table may end the element that holds it.
+        "{{DATA}}": json.dumps(data, ensure_ascii=False).replace("</", "<\\/"),
+    }
+    for key, text in parts.items():
+        page = page.replace(key, text)
+    content = page.encode("utf-8")
+    if len(content) > LARGEST_BYTES:
+        allowed = f"small enough for a page of {LARGEST_BYTES} bytes"
+        raise refuse("explorer", f"{len(content)} bytes", allowed, "fewer nodes or wavelengths")
+    with whole(path) as aside:
+        aside.write_bytes(content)
+
+
+def _embedded(label: str, shown: Shown) -> dict[str, Any]:
+    """Return what the page holds of a table."""
+    dataset = shown.table.dataset
+    names = shown.table.axes[:-1]
+    shared = str(dataset.attrs["axes_that_share_paths"]).split(", ")
+    axes = []
+    for name in names:
+        nodes = dataset[name].values
+        if nodes.dtype.kind != "f" or nodes.size < 2:
+            raise refuse("explorer", name, "an axis of at least two numbers")
+        kind, at = spaced(name, nodes)
+        middle = float(nodes[np.abs(at - 0.5 * (at[0] + at[-1])).argmin()])
+        about = dataset[name].attrs
+        axes.append(
+            {
+                "name": name,
+                "label": _label(name, str(about.get("long_name", name))),
+                "unit": _UNITS.get(str(about.get("units", "1")), str(about.get("units", ""))),
+                "nodes": nodes.tolist(),
+                "law": kind,
+                "shared": name in shared,
+                "start": middle,
+            }
+        )
+        assert np.array_equal(law(kind, nodes), at)
+    wavelength = dataset.wavelength.values
+    return {
+        "label": label,
+        "file": shown.file,
+        "about": shown.about,
+        "note": "The band is two standard errors wide on either side; it holds the noise of the "
+        "simulation and what reading between the nodes of the table may miss.",
+        "axes": axes,
+        "wavelength": wavelength.tolist(),
+        "value": _packed(dataset.reflectance.values),
+        "stderr": _packed(dataset.reflectance_stderr.values),
+        "weights": colour_weights(wavelength).tolist(),
+    }
+
+
+_UNITS = {
+    "1": "", "degree": "°", "um": "µm", "m2 kg-1": "m²/kg", "kg m-3": "kg/m³", "1e-9": "ng/g",
+}  # fmt: skip
+
+
+def _label(name: str, long_name: str) -> str:
+    """Return a short name of an axis."""
+    amount = amount_of(name)
+    return amount[1].replace("_", " ") if amount else _LABELS.get(name, long_name)
+
+
+_LABELS = {
+    "hematite_ratio": "hematite in iron oxide",
+    "iron_oxide": "iron oxide by mass",
+    "liquid_water_content": "liquid water by volume",
+    "optical_radius_um": "optical radius",
+    "saturation": "water in pores",
+}
+
+
+def _packed(values: np.ndarray) -> str:
+    """Return numbers in single precision as text."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def colour_weights(wavelength: np.ndarray) -> np.ndarray:
+    """Return what X, Y, Z take from each wavelength, shape (3, wavelengths).
+
+    Spectra are linear between the wavelengths, and level beyond the last.
+    """
+    from splits.analysis.colour import tristimulus
+
+    fine = np.arange(400.0, 781.0, 5.0)
+    hats = np.stack([np.interp(fine, wavelength, unit) for unit in np.eye(wavelength.size)])
+    return np.stack([tristimulus(fine, hat) for hat in hats], axis=1)

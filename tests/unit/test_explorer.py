@@ -1,0 +1,109 @@
+"""The explorer: what it refuses, and that a browser reads the same from it as Python does."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from splits.checks import Refusal
+from splits.explorer import page
+from splits.explorer.page import Shown, colour_weights, write_page
+from splits.lookup.reading import Table
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+AXES = {
+    "optical_radius_um": np.array([30.0, 80.0, 200.0, 500.0, 1000.0, 2000.0]),
+    "incidence_deg": np.array([0.0, 40.0, 70.0]),
+    "impurities_ng_g.black_carbon": np.array([0.0, 50.0, 300.0, 1500.0]),
+    "saturation": np.array([0.0, 0.1]),
+    "wavelength": np.arange(400.0, 1301.0, 20.0),
+}
+
+
+def table(shared="optical_radius_um, impurities_ng_g.black_carbon"):
+    size, angle, soot, water, w = np.meshgrid(*AXES.values(), indexing="ij", sparse=True)
+    depth = np.sqrt(size / 1e4 * ((w / 700.0) ** 3 + soot / 200.0)) * (1.0 + water)
+    values = np.exp(-depth * (1.0 + 2.0 * np.cos(np.radians(angle))))
+    stderr = 0.002 + 0.004 * values * (1.0 - values)
+    found = {
+        "reflectance": (tuple(AXES), values, {"long_name": "reflectance"}),
+        "reflectance_stderr": (tuple(AXES), stderr),
+    }
+    made = xr.Dataset(found, AXES, {"axes_that_share_paths": shared})
+    made.optical_radius_um.attrs = {"long_name": "radius of spheres", "units": "um"}
+    return Table(made)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("explorer") / "explorer.html"
+    shown = {"snow": Shown(table(), "results/data/a.nc", "Snow"), "</script>": Shown(
+        table("none"), "b.nc", "An awkward name")}  # fmt: skip
+    write_page(shown, path)
+    return path
+
+
+def test_the_page_is_one_file_that_asks_nobody(written):
+    text = written.read_text(encoding="utf-8")
+    assert len(text) < page.LARGEST_BYTES
+    assert "{{" not in text
+    assert not re.findall(r"(?:src|href)\s*=\s*[\"']?(?:https?:)?//|@import|fetch\(|XMLHttp", text)
+    assert text.count("</script>") == 2
+
+
+AT = [
+    (30.0, 0.0, 0.0, 0.0),
+    (277.0, 25.0, 120.0, 0.05),
+    (1830.0, 69.0, 1400.0, 0.1),
+    (45.0, 40.0, 3.0, 0.021),
+]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("at", AT, ids=str)
+def test_a_browser_reads_what_python_reads(written, tmp_path, number, at):
+    expected = table(*(["none"] if number else [])).interp(
+        **dict(zip(list(AXES)[:-1], at, strict=True))
+    )
+    address = f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}"
+    command = [
+        CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync",
+        f"--user-data-dir={tmp_path}", "--virtual-time-budget=2000", "--dump-dom", address,
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    found = {
+        name: np.array(re.search(rf'data-{name}="([^"]*)"', done.stdout)[1].split(), dtype=float)
+        for name in ("values", "errors")
+    }
+    np.testing.assert_allclose(found["values"], expected.reflectance, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(found["errors"], expected.reflectance_stderr, rtol=0.0, atol=2e-6)
+    assert f'"optical_radius_um": {at[0]:g}' in done.stdout
+    assert len(re.findall(r'type="range" id="axis\d"', done.stdout)) == 4
+
+
+def test_colours_are_those_of_the_analysis():
+    from splits.analysis.colour import tristimulus
+
+    w = np.arange(400.0, 781.0, 20.0)
+    spectrum = 0.2 + 0.6 * (w - 400.0) / 380.0
+    fine = np.arange(400.0, 781.0, 5.0)
+    expected = tristimulus(fine, np.interp(fine, w, spectrum))
+    np.testing.assert_allclose(colour_weights(w) @ spectrum, expected, rtol=1e-9)
+    assert colour_weights(w)[1].sum() == pytest.approx(1.0)
+
+
+def test_what_a_page_cannot_show_is_refused(tmp_path, monkeypatch):
+    texts = table().dataset.assign_coords(saturation=["dry", "wet"])
+    with pytest.raises(Refusal, match=r"^explorer = 'saturation': must be an axis of at least two"):
+        write_page({"a": Shown(Table(texts), "a.nc", "")}, tmp_path / "a.html")
+    monkeypatch.setattr(page, "LARGEST_BYTES", 1000)
+    with pytest.raises(Refusal, match=r"^explorer = '\d+ bytes': must be small enough"):
+        write_page({"a": Shown(table(), "a.nc", "")}, tmp_path / "a.html")
+    assert not list(tmp_path.iterdir())

@@ -13,8 +13,9 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parent
 PHYSICS = (
-    "materials", "media", "transport", "instruments", "lookup", "diffusion.py", "uncertainty.py",
-    "names.py", "experiments/coordinates.py", "experiments/run.py",
+    "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py", "names.py",
+    "lookup/axes.py", "lookup/block.py", "lookup/families.py", "lookup/plan.py",
+    "experiments/coordinates.py", "experiments/run.py",
 )  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""
 FITTING = (

@@ -40,15 +40,18 @@ function weightsAt(axis, value) {
   if (beyond !== 0 && at.length === 2) {
     others.push([-share[0] * share[1], share[0] * share[1]]);
   } else if (beyond !== 0) {
-    let near = drawn;
-    if (at.length > MOST) {
-      near = [...drawn].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j).slice(0, 2);
+    const ordered = [...drawn].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j);
+    if (at.length <= MOST) {
+      const row = at.map(() => 0), few = ordered.slice(0, -1), found = lagrange(few.map((i) => at[i]), x);
+      drawn.forEach((i, k) => { row[i] += share[k]; });
+      few.forEach((i, k) => { row[i] -= found[k]; });
+      others.push(row);
+      return { drawn, share, others };
     }
-    for (const node of near) {
+    for (const node of ordered.slice(0, 2)) {
       const rest = at.map((_, i) => i).filter((i) => i !== node);
-      const few = nearest(rest.map((i) => at[i]), at[node], Math.min(MOST, rest.length)).map((i) => rest[i]);
-      const missed = few.reduce((product, i) => product * (at[node] - at[i]), 1);
-      const scale = few.length === drawn.length ? Math.abs(beyond / missed) : 1;
+      const few = nearest(rest.map((i) => at[i]), at[node], MOST).map((i) => rest[i]);
+      const scale = Math.abs(beyond / few.reduce((product, i) => product * (at[node] - at[i]), 1));
       const row = at.map(() => 0), found = lagrange(few.map((i) => at[i]), at[node]);
       row[node] += scale;
       few.forEach((i, k) => { row[i] -= scale * found[k]; });

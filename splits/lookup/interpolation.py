@@ -3,7 +3,8 @@
 Values between nodes are those of the cubic through the four nearest nodes, in a coordinate along
 which light changes evenly: the logarithm of a size, the cosine of an angle.  What a cubic misses at
 x is f⁗/24 times the product of the distances of its nodes from x.  So every node that is left out,
-and found again from its neighbours, tells f⁗ near it.
+and found again from its neighbours, tells f⁗ near it.  Where there are no more than four nodes,
+what the last of them adds bounds what one more would.
 """
 
 from __future__ import annotations
@@ -82,18 +83,22 @@ def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
     if len(at) == 2 and beyond != 0.0:
         # No node can be left out: a quarter of the difference, in the middle.
         return Weights(drawn, share, drawn[:1], np.prod(share) * np.array([[-1.0, 1.0]]))
-    if len(at) <= MOST or beyond == 0.0:
+    if beyond == 0.0:
         # At a node nothing is missed.
-        near = drawn[:0] if beyond == 0.0 else drawn
-    else:
-        near = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")[:2]]
+        return Weights(drawn, share, drawn[:0], np.zeros((0, len(at))))
+    ordered = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")]
+    if len(at) <= MOST:
+        # All are needed: what the farthest of them adds is a bound on what the next one would.
+        last = np.zeros((1, len(at)))
+        last[0, drawn] += share
+        last[0, ordered[:-1]] -= _lagrange(at[ordered[:-1]], x)
+        return Weights(drawn, share, ordered[-1:], last)
+    near = ordered[:2]
     others = np.zeros((len(near), len(at)))
     for row, node in enumerate(near):
         rest = np.delete(np.arange(len(at)), node)
-        few = rest[_nearest(at[rest], at[node], min(MOST, len(rest)))]
-        missed = float(np.prod(at[node] - at[few]))
-        # Fewer nodes than four are left out of a lower polynomial: its order is one less.
-        scale = abs(beyond / missed) if len(few) == len(drawn) else 1.0
+        few = rest[_nearest(at[rest], at[node], MOST)]
+        scale = abs(beyond / float(np.prod(at[node] - at[few])))
         others[row, node] += scale
         others[row, few] -= scale * _lagrange(at[few], at[node])
     return Weights(drawn, share, near, others)

@@ -79,6 +79,20 @@ def test_of_two_nodes_a_quarter_of_their_difference_is_doubtful():
     np.testing.assert_allclose(found.reflectance_interpolation_error, 0.25 * ends, rtol=1e-9)
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_of_few_nodes_too_the_error_is_said(count):
+    few = table(angles=np.linspace(0.0, 70.0, count))
+    random = np.random.default_rng(2)
+    told, missed = [], []
+    for angle in random.uniform(0.0, 70.0, 50):
+        found = few.interp(optical_radius_um=SIZES[4], incidence_deg=float(angle))
+        told.append(found.reflectance_interpolation_error.values)
+        missed.append(np.abs(found.reflectance.values - truth(SIZES[4], angle)))
+    told, missed = np.ravel(told), np.ravel(missed)
+    assert np.mean(missed <= told) > 0.95
+    assert told.max() < 20.0 * missed.max()
+
+
 def test_errors_of_shared_paths_go_together():
     between = {"optical_radius_um": float(np.sqrt(SIZES[4] * SIZES[5])), "incidence_deg": 30.0}
     alike = table(0.003, shared="optical_radius_um, incidence_deg").interp(**between)

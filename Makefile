@@ -101,7 +101,7 @@ $(VENV)/ready: pyproject.toml requirements.txt requirements-uv.txt
 
 # Pins every dependency, with hashes.
 lock: $(VENV)/ready
-	printf 'setuptools>=77\n' | $(BIN)/uv pip compile $(LOCKED) --extra tests --extra docs \
+	printf 'setuptools>=77\n' | $(BIN)/uv pip compile $(LOCKED) --extra tests --extra docs --extra cluster \
 		--output-file requirements.txt pyproject.toml -
 	printf 'uv\n' | $(BIN)/uv pip compile $(LOCKED) --output-file requirements-uv.txt -
 

@@ -103,7 +103,8 @@ def _run(given: argparse.Namespace) -> None:
         table = read_measured(measured / experiment.fit.measured)
         dataset = run_fit(simulation, accuracy, table, seed, threads, _say)
     else:
-        dataset = run(simulation, accuracy, seed, threads, _say)
+        blocks = given.output / "blocks" / experiment.name
+        dataset = run(simulation, accuracy, seed, threads, _say, blocks)
     target = given.output / f"{experiment.name}.nc"
     save(dataset, target)
     print(target)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 
 from splits.dataset import attributes, provenance
 from splits.experiments.coordinates import grid_coordinates
+from splits.experiments.run_table import run_table
 from splits.experiments.sections import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
@@ -48,6 +50,7 @@ def run(
     seed: int = 1,
     threads: int | None = None,
     say: Callable[[str], None] = lambda line: None,
+    blocks: Path | None = None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -62,6 +65,8 @@ def run(
     threads : int, optional
     say : callable
         Receives lines of progress.
+    blocks : path, optional
+        Folder that keeps the blocks of a table.
 
     Returns
     -------
@@ -70,6 +75,8 @@ def run(
     """
     if experiment.instrument.kind == "refractive_index":
         return refractive_indices(experiment)
+    if experiment.instrument.kind == "table":
+        return run_table(experiment, accuracy, seed, blocks, threads, say)
     begun = time.perf_counter()
     instrument = experiment.instrument
     points = list(experiment.points())

@@ -62,6 +62,12 @@ CASES = {
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
     "figure: {at: {ground: soil}, quantity: [reflectance, transmittance]}\n",
+    "trip_snow_table": "medium: {kind: natural_snow}\n"
+    "instrument: {kind: table, wavelength_nm: [500, 1030], covariance: keep,"
+    " quantities: [reflectance, transmittance]}\n"
+    "grid: {optical_radius_um: {geomspace: [50, 400, 3]}, ground: [0.2, 0.8],"
+    " impurities_ng_g.black_carbon: [0, 100]}\n"
+    "figure: {at: {ground: 0.2}, quantity: [reflectance, transmittance]}\n",
     "trip_ground_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {ground: [0.2, 0.8]}\n",
     "trip_ground_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"

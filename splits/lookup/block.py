@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,6 +66,7 @@ def measure(
         Of all that decides the table's numbers.
     progress : callable, optional
     """
+    begun = time.perf_counter()
     run = order.run._replace(incidence=ensemble.incidence)
     cut = cuts.of(run, ensemble.family)
     found = run.estimated_above(cut, ensemble.family, progress=progress).result
@@ -89,6 +91,7 @@ def measure(
         "interpolation_error_bound": float(found.bias.max()),
         "kernel": found.kernel,
         "stopped_by": "error" if found.converged else "rays",
+        "wall_time_s": round(time.perf_counter() - begun, 3),
     }
     places = ("point", ensemble.places, {"long_name": "place in the table"})
     return xr.Dataset(variables, {"point": places, "wavelength": run.wavelengths}, facts)

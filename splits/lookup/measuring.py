@@ -114,14 +114,16 @@ def _quantities(given: Sequence[str]) -> tuple[str, ...]:
     return tuple(one_of("quantities", name, SIDES) for name in given)
 
 
-def digest_of(plan: Plan, ensemble: Ensemble, order: Order) -> str:
+def digest_of(ensemble: Ensemble, order: Order) -> str:
     """Return the SHA-256 of all that decides a block's numbers."""
     digest = hashlib.sha256(physics_digest().encode())
     run = order.run._replace(incidence=ensemble.incidence, threads=0)
     digest.update(repr(run._replace(wavelengths=np.zeros(0))).encode())
     digest.update(repr([order.quantities, order.covariance]).encode())
-    digest.update(likeness(ensemble.family.media[0])[0])
-    for row in (run.wavelengths, ensemble.places, ensemble.which, ensemble.family.scales):
+    likely, unit = likeness(ensemble.family.media[0])
+    digest.update(likely)
+    sizes = unit * ensemble.family.scales
+    for row in (run.wavelengths, ensemble.places, ensemble.which, sizes):
         digest.update(np.ascontiguousarray(row).tobytes())
     for medium in ensemble.family.media:
         digest.update(absorbing(medium, run.wavelengths))
@@ -149,7 +151,7 @@ def blocks(
     """
     begun, cuts, measured = time.perf_counter(), Cuts(), 0
     for number, ensemble in enumerate(ensembles):
-        digest = digest_of(plan, ensemble, order)
+        digest = digest_of(ensemble, order)
         block = None if folder is None else kept(folder, ensemble.number, digest)
         if block is None:
             left = len(ensembles) - number - 1

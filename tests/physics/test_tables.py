@@ -15,6 +15,7 @@ from splits.instruments.shared_paths import Family
 from splits.instruments.spectral_run import Run
 from splits.lookup import measuring
 from splits.lookup.axes import Axes
+from splits.lookup.block import Order
 from splits.lookup.families import likeness
 from splits.lookup.plan import Plan
 
@@ -199,6 +200,38 @@ def test_a_table_that_was_broken_off_goes_on(tmp_path, monkeypatch):
     measured.clear()
     splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, seed=2, folder=tmp_path / "whole")
     assert measured == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"optical_radius_um": [100.0, 200.0]},
+        {"soot": [0.0, 60.0]},
+        {"incidence_deg": [0.0, 59.0]},
+        {"water": [0.01]},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_blocks_of_other_tables_are_none_of_this_one(other):
+    grid = {
+        "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
+        "water": [0.0],
+    }  # fmt: skip
+    run = Run.checked(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
+    order = Order(run, ("reflectance",), False)
+    one, two = (
+        [measuring.digest_of(e, order) for e in plan_of(pack, g).ensembles]
+        for g in (grid, grid | other)
+    )
+    assert one[-1] != two[-1]
+    assert len(set(one)) == len(one)
+    for changed in (
+        order._replace(covariance=True), order._replace(quantities=("transmittance",)),
+        order._replace(run=run._replace(seed=2)), order._replace(run=run._replace(max_stderr=0.02)),
+    ):  # fmt: skip
+        assert measuring.digest_of(plan_of(pack, grid).ensembles[0], changed) != one[0]
+    threads = order._replace(run=run._replace(threads=7))
+    assert measuring.digest_of(plan_of(pack, grid).ensembles[0], threads) == one[0]
 
 
 @NEEDS_JIT

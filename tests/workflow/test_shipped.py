@@ -10,6 +10,7 @@ import pytest
 
 import splits
 from splits.experiments import load_experiments
+from splits.experiments.run_table import parts_of
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +43,11 @@ def test_everything_can_be_planned(shipped):
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
     )
     drawn = [one for one in experiments.values() if one.figure.kind != "none"]
-    for rule, count in (("simulate", len(experiments)), ("figure", len(drawn))):
+    tables = [one for one in experiments.values() if one.instrument.kind == "table"]
+    for rule, count in (
+        ("simulate", len(experiments) - len(tables)), ("figure", len(drawn)),
+        ("table", len(tables)), ("table_part", sum(map(parts_of, tables))), ("explorer", 1),
+    ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",

@@ -66,11 +66,12 @@ function along(read, axis, value) {
   const w = weightsAt(axis, value), size = read.value.length / axis.nodes.length;
   const out = { value: new Float64Array(size), stderr: new Float64Array(size), missed: new Float64Array(size) };
   for (let i = 0; i < size; i++) {
-    let v = 0, s = 0, before = 0, here = 0;
+    let v = 0, alike = 0, apart = 0, before = 0, here = 0;
     w.drawn.forEach((node, k) => {
       const j = node * size + i, share = w.share[k];
       v += share * read.value[j];
-      s += axis.shared ? share * read.stderr[j] : share * share * read.stderr[j] * read.stderr[j];
+      alike += share * read.stderr[j];
+      apart += (share * read.stderr[j]) ** 2;
       before += Math.abs(share) * read.missed[j];
     });
     for (const row of w.others) {
@@ -79,7 +80,7 @@ function along(read, axis, value) {
       here = Math.max(here, Math.abs(off));
     }
     out.value[i] = v;
-    out.stderr[i] = axis.shared ? Math.abs(s) : Math.sqrt(s);
+    out.stderr[i] = Math.max(Math.abs(alike), Math.sqrt(apart));
     out.missed[i] = Math.hypot(before, here);
   }
   return out;

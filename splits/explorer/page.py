@@ -75,7 +75,6 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
     """Return what the page holds of a table."""
     dataset = shown.table.dataset
     names = shown.table.axes[:-1]
-    shared = str(dataset.attrs["axes_that_share_paths"]).split(", ")
     axes = []
     for name in names:
         nodes = dataset[name].values
@@ -91,7 +90,6 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
                 "unit": _UNITS.get(str(about.get("units", "1")), str(about.get("units", ""))),
                 "nodes": nodes.tolist(),
                 "law": kind,
-                "shared": name in shared,
                 "start": middle,
             }
         )

@@ -26,6 +26,7 @@ from splits.instruments.scenes import (
 )
 from splits.instruments.shared_paths import Family
 from splits.media.granular import GranularMedium, LayeredMedium, absorption_of
+from splits.media.particles import ParticleLayer
 from splits.media.stack import Stack
 
 MOST_ROWS = 200_000
@@ -136,8 +137,15 @@ def likeness(medium: Any) -> tuple[bytes, float]:
         digest.update(repr(np.shape(table)).encode())
         digest.update(_rounded(np.asarray(table, dtype=float)).tobytes())
     names = [type(medium).__name__, *(i.place for i in medium.interfaces())]
-    fields = fields_of(medium)
-    digest.update(repr([names, fields]).encode())
+    # What particles lie in has one index at all wavelengths, so no interface speaks of it.
+    matrices = [
+        float(part.layer.refractive_index)
+        for part in (medium.parts if isinstance(medium, LayeredMedium) else ())
+        if isinstance(part, ParticleLayer)
+    ]
+    digest.update(repr([names, matrices]).encode())
+    for table in fields_of(medium) or ():
+        digest.update(np.ascontiguousarray(table, dtype=float).tobytes())
     return digest.digest(), unit
 
 

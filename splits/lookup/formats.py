@@ -109,12 +109,15 @@ def _weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
     if low < w[0] or high > w[-1]:
         allowed = f"within the table's {w[0]:g} to {w[-1]:g} nm"
         raise refuse(f"bands[{name!r}]", [low, high], allowed)
-    response = np.interp(w, band.wavelength_nm, band.response, left=0.0, right=0.0)
-    weights = response * np.gradient(w) if w.size > 1 else response
-    if not weights.any():
-        hint = "finer wavelengths are wanted"
-        raise refuse(f"bands[{name!r}]", [low, high], "of a wavelength of the table", hint)
-    return weights / weights.sum()
+    inside = w[(w > low) & (w < high)]
+    ends = np.unique(np.concatenate([band.wavelength_nm, inside]))
+    # Spectrum and response are linear between these: Simpson's rule is exact.
+    grid = np.stack([ends[:-1], 0.5 * (ends[:-1] + ends[1:]), ends[1:]])
+    simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(ends) / 6.0
+    response = np.interp(grid, band.wavelength_nm, band.response) * simpson
+    weights = np.array([(np.interp(grid, w, unit) * response).sum() for unit in np.eye(w.size)])
+    total: float = weights.sum()
+    return weights / total
 
 
 def for_isofit(dataset: xr.Dataset, **at: Any) -> xr.Dataset:
@@ -178,8 +181,8 @@ def _held(
         if name not in at and values.size > 1:
             raise refuse(name, None, "given", "one of " + ", ".join(map(str, values)))
         chosen = at.get(name, values[0])
-        found = np.flatnonzero(np.isclose(values, chosen) if values.dtype.kind == "f"
-                               else values == str(chosen))  # fmt: skip
+        near = np.isclose(values, chosen, rtol=1e-9, atol=0.0) if values.dtype.kind == "f" else None
+        found = np.flatnonzero(values == str(chosen) if near is None else near)
         if not found.size:
             raise refuse(name, chosen, "one of " + ", ".join(map(str, values)))
         part = part.isel({name: int(found[0])})

@@ -4,7 +4,7 @@ Values between nodes are those of the cubic through the four nearest nodes, in a
 which light changes evenly: the logarithm of a size, the cosine of an angle.  What a cubic misses at
 x is f⁗/24 times the product of the distances of its nodes from x.  So every node that is left out,
 and found again from its neighbours, tells f⁗ near it.  Where there are no more than four nodes,
-what the last of them adds bounds what one more would.
+what the last of them adds stands for what one more would.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
         return Weights(drawn, share, drawn[:0], np.zeros((0, len(at))))
     ordered = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")]
     if len(at) <= MOST:
-        # All are needed: what the farthest of them adds is a bound on what the next one would.
+        # All are needed: what the farthest of them adds stands for what one more would.
         last = np.zeros((1, len(at)))
         last[0, drawn] += share
         last[0, ordered[:-1]] -= _lagrange(at[ordered[:-1]], x)

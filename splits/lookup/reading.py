@@ -66,9 +66,9 @@ class Table:
         Returns
         -------
         xarray.Dataset
-            Each quantity over ``wavelength``, with ``…_stderr``: the error of the cells, those
-            that share paths as if they were off alike, and of interpolation, in quadrature;
-            ``…_interpolation_error`` is the second of these.
+            Each quantity over ``wavelength``, with ``…_stderr``: the error of the cells, as if
+            all were off alike or each by itself, whichever is more, and of interpolation, in
+            quadrature; ``…_interpolation_error`` is the second of these.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class Table:
         for name in at:
             if name not in self.axes:
                 raise unknown_key(name, self.axes)
-        part, shared = self.dataset[self._variables()], self._shared()
+        part = self.dataset[self._variables()]
         parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
                  for q in self.quantities]  # fmt: skip
         for name in self.axes[:-1]:
@@ -88,7 +88,7 @@ class Table:
             if name not in at and values.size > 1:
                 raise refuse(name, None, "given", "an axis of the table")
             given = at.get(name, values[0])
-            parts = [_along(read, name, values, given, name in shared) for read in parts]
+            parts = [_along(read, name, values, given) for read in parts]
         wavelengths = self.dataset.wavelength.values
         wanted = np.atleast_1d(np.asarray(at.get("wavelength", wavelengths), dtype=float))
         if not np.array_equal(wanted, wavelengths):
@@ -109,9 +109,6 @@ class Table:
 
     def _variables(self) -> list[str]:
         return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]
-
-    def _shared(self) -> list[str]:
-        return str(self.dataset.attrs["axes_that_share_paths"]).split(", ")
 
     def _named(self, parts: list[_Read], wavelengths: np.ndarray, at: Any) -> xr.Dataset:
         """Return what was read as a dataset."""
@@ -141,7 +138,7 @@ class _Read:
         self.missed = np.zeros_like(value) if missed is None else missed
 
 
-def _along(read: _Read, name: str, nodes: np.ndarray, given: Any, shared: bool) -> _Read:
+def _along(read: _Read, name: str, nodes: np.ndarray, given: Any) -> _Read:
     """Return what is read at a place of the first axis."""
     if nodes.dtype.kind != "f":
         one_of(name, str(given), nodes.tolist())
@@ -150,11 +147,9 @@ def _along(read: _Read, name: str, nodes: np.ndarray, given: Any, shared: bool) 
     w = weights_at(name, nodes, number(name, given))
     some = [read.value[w.nodes], read.stderr[w.nodes], read.missed[w.nodes]]
     value = np.tensordot(w.share, some[0], 1)
-    # Cells of the same paths are off alike, others are not.
-    if shared:
-        stderr = np.abs(np.tensordot(w.share, some[1], 1))
-    else:
-        stderr = np.sqrt(np.tensordot(w.share**2, some[1] ** 2, 1))
+    # Cells share paths, or at least random numbers: how alike they are off is between the two.
+    alike = np.abs(np.tensordot(w.share, some[1], 1))
+    stderr = np.maximum(alike, np.sqrt(np.tensordot(w.share**2, some[1] ** 2, 1)))
     before = np.tensordot(np.abs(w.share), some[2], 1)
     off = np.abs(np.tensordot(w.others, read.value, 1))
     here = off.max(axis=0) if len(off) else np.zeros_like(value)
@@ -163,7 +158,7 @@ def _along(read: _Read, name: str, nodes: np.ndarray, given: Any, shared: bool) 
 
 def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
     """Return what is read at other wavelengths."""
-    points = [_along(read, "wavelength", nodes, one, True) for one in wanted]
+    points = [_along(read, "wavelength", nodes, one) for one in wanted]
     value, stderr, missed = (
         np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
     )

@@ -108,6 +108,28 @@ def test_stacks_and_rough_tops():
     # The waves of a surface do not grow with the grains.
     assert plan_of(lidded, {"by": [1.0, 2.0]}).shared == ()
 
+    def in_ice(index, wave_number=100.0, depth_m=0.01):
+        top = splits.RoughSurface(
+            {"rms_height_m": 1e-3, "wave_number_per_m": wave_number, "waves": 4,
+             "correlation": "gaussian"}
+        )  # fmt: skip
+        return packs(lid=splits.Layer(
+            optical_thickness=1.0, depth_m=depth_m, refractive_index=index, bottom_albedo=None,
+            surface=top,
+        ))  # fmt: skip
+
+    assert plan_of(in_ice, {"index": [1.2, 1.31]}).shared == ()
+    assert plan_of(
+        lambda wave_number: in_ice(1.31, wave_number), {"wave_number": [100.0, 100.1]}
+    ).shared == ()  # fmt: skip
+    alone = {
+        index: splits.Stack(
+            [splits.Layer(refractive_index=index, bottom_albedo=None, depth_m=0.01)]
+        )
+        for index in (1.0, 1.3)
+    }
+    assert likeness(alone[1.0])[0] != likeness(alone[1.3])[0]
+
 
 @NEEDS_JIT
 @pytest.mark.parametrize("saturation", [0.0, 0.2])

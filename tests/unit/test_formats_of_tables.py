@@ -8,7 +8,9 @@ import pytest
 import xarray as xr
 
 from splits.checks import Refusal
+from splits.lookup.formats import _weights
 from splits.lookup.reading import Table
+from splits.skies.bands import Band
 
 AXES = {
     "optical_radius_um": np.array([50.0, 100.0, 200.0, 400.0]),
@@ -51,9 +53,10 @@ def test_spires_looks_up_what_the_table_holds(table):
     at = {"impurities_ng_g.dust": 1000.0, "liquid_water_content": 0.05, "incidence_deg": 30.0,
           "optical_radius_um": 200.0}  # fmt: skip
     one = table.dataset.reflectance.sel(at)
-    inside = one.sel(wavelength=slice(*RED))
+    inside = one.sel(wavelength=slice(*RED)).values.astype(float)
+    mean = np.trapezoid(inside, dx=10.0) / 60.0
     found = made.sel(band=2, solar_angle=30.0, dust_concentration=1.0, grain_size=200.0)
-    assert float(found) == pytest.approx(float(inside.mean()), abs=1e-6)
+    assert float(found) == pytest.approx(mean, abs=1e-6)
 
 
 def test_spires_itself_interpolates_it(table):
@@ -101,13 +104,33 @@ def test_isofit_finds_the_names_that_it_looks_for(table):
             ),
             r"bands\['far'\] = .*within the table",
         ),
-        (
-            lambda t: t.to_spires("impurities_ng_g.dust", {"narrow": (501, 502)},
-                                  liquid_water_content=0.0),
-            r"bands\['narrow'\] = .*of a wavelength",
-        ),
     ],
 )  # fmt: skip
 def test_what_a_format_cannot_hold_is_refused(table, call, line):
     with pytest.raises(Refusal, match=f"^{line}"):
         call(table)
+
+
+def test_bands_are_means_by_their_response():
+    """Of a spectrum that is linear between the wavelengths of the table, whatever these are."""
+    w = np.array([500.0, 700.0, 900.0, 1100.0])
+    spectrum = np.array([0.95, 0.85, 0.6, 0.2])
+    fine = np.linspace(400.0, 1200.0, 80_001)
+    for band in (
+        Band.between(700.0, 1100.0), Band.between(620.0, 670.0),
+        Band(np.array([550.0, 700.0, 950.0]), np.array([0.0, 1.0, 0.2])),
+    ):  # fmt: skip
+        low, high = band.ends
+        inside = fine[(fine >= low) & (fine <= high)]
+        response = np.interp(inside, band.wavelength_nm, band.response)
+        mean = np.trapezoid(np.interp(inside, w, spectrum) * response, inside)
+        mean /= np.trapezoid(response, inside)
+        assert _weights("a", band, w) @ spectrum == pytest.approx(mean, abs=1e-7)
+
+
+def test_the_node_that_is_asked_for_is_held(table):
+    small = table.dataset.assign_coords(liquid_water_content=[0.0, 1e-9])
+    held = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 1e-9}
+    found = Table(small).to_isofit(**held).rho_dif_dir
+    expected = small.reflectance.isel({"liquid_water_content": 1, "impurities_ng_g.dust": 0})
+    assert found.values[0, 0, 0, 0, 0] == expected.values[0, 0, 0]

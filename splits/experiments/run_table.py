@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import xarray as xr
@@ -18,7 +18,7 @@ from splits.instruments.spectral_run import Run
 from splits.lookup.assembly import blank, fill, finished
 from splits.lookup.block import Order, block_file
 from splits.lookup.measuring import blocks
-from splits.lookup.plan import Plan
+from splits.lookup.plan import Ensemble, Plan
 
 BLOCKS = 8
 """Parts of a table that are jobs of their own, unless the experiment says how many."""
@@ -111,7 +111,7 @@ def _measured(
     experiment: Simulation,
     plan: Plan,
     order: Order,
-    ensembles: tuple,
+    ensembles: Sequence[Ensemble],
     folder: Path | None,
     say: Say,
 ) -> Iterator[xr.Dataset]:

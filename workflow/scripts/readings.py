@@ -1,6 +1,5 @@
 """Hold combinations of readings against a paper (map snakemake to `splits.experiments`)."""
 
-import sys
 from pathlib import Path
 
 from splits.interrupts import end_on_signals
@@ -12,14 +11,9 @@ from splits.analysis.tables import write_table
 from splits.experiments.rank_readings import rank_readings
 from splits.experiments.ranking_tables import left_out, ranking, statements, telling
 from splits.figures import readings_shifts, save_figure
+from splits.progress_log import progress_log
 
-with open(snakemake.log[0], "w", encoding="utf-8") as log:
-
-    def say(line: str) -> None:
-        """Show progress in the terminal and keep it in the log."""
-        print(line, file=sys.stderr, flush=True)
-        print(line, file=log, flush=True)
-
+with progress_log(snakemake.log[0]) as say:
     choices, text = snakemake.params.readings, snakemake.params.text
     combinations, stated = rank_readings(
         read_published(snakemake.input.published), choices, text, snakemake.params.seed,

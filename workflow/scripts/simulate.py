@@ -1,7 +1,5 @@
 """Run one experiment (map snakemake to `splits.experiments.run`)."""
 
-import sys
-
 from splits.interrupts import end_on_signals
 
 end_on_signals(snakemake.wildcards.experiment)
@@ -12,14 +10,9 @@ from splits.experiments.run import run
 from splits.experiments.run_fit import run_fit
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
+from splits.progress_log import progress_log
 
-with open(snakemake.log[0], "w", encoding="utf-8") as log:
-
-    def say(line: str) -> None:
-        """Show progress in the terminal and keep it in the log."""
-        print(line, file=sys.stderr, flush=True)
-        print(line, file=log, flush=True)
-
+with progress_log(snakemake.log[0]) as say:
     experiment = Simulation.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}

@@ -59,7 +59,7 @@ def run_part(
     part: int,
     threads: int | None = None,
     say: Say = lambda line: None,
-) -> None:
+) -> list[Path]:
     """Measure every so many-th ensemble of a table, from that one on, and keep its block.
 
     What a folder has of them already is left as it is.
@@ -74,12 +74,18 @@ def run_part(
         Keeps the blocks.
     part : int
         From 0 to `parts_of` less 1.
+
+    Returns
+    -------
+    list of Path
+        Of the blocks.
     """
     plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
     mine = plan.ensembles[part :: parts_of(experiment)]
     say(f"{experiment.name}: {plan}")
-    for _ in _measured(experiment, plan, order, mine, folder, say):
+    for _ in _measured(experiment, order, mine, folder, say):
         pass
+    return [block_file(folder, ensemble.number) for ensemble in mine]
 
 
 def run_table(
@@ -95,7 +101,7 @@ def run_table(
     plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
     say(f"{experiment.name}: {plan}")
     found, facts = blank(plan, order), []
-    for block in _measured(experiment, plan, order, plan.ensembles, folder, say):
+    for block in _measured(experiment, order, plan.ensembles, folder, say):
         fill(found, block)
         facts.append(block.attrs)
     dataset = finished(found, plan, order, facts, time.perf_counter() - begun)
@@ -109,7 +115,6 @@ def run_table(
 
 def _measured(
     experiment: Simulation,
-    plan: Plan,
     order: Order,
     ensembles: Sequence[Ensemble],
     folder: Path | None,
@@ -121,16 +126,14 @@ def _measured(
     def show(progress: Progress) -> None:
         say(f"{head}, {progress}")
 
-    for number, block in enumerate(blocks(plan, order, ensembles, folder, show), start=1):
+    for number, block in enumerate(blocks(order, ensembles, folder, show), start=1):
         reached = float(block.attrs["max_stderr_reached"])
         say(f"{head}: {number} of {count} done, {block.attrs['rays']} rays, error {reached:.4f}")
         yield block
 
 
-def note_part(experiment: Simulation, folder: Path, part: int, path: Path) -> None:
+def note_part(files: Sequence[Path], path: Path) -> None:
     """Write down which blocks a part has made, with their checksums."""
-    plan = plan_of(experiment)
-    files = [block_file(folder, e.number) for e in plan.ensembles[part :: parts_of(experiment)]]
     made = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     with whole(path) as aside:
         aside.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

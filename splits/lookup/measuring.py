@@ -101,7 +101,7 @@ def table(
     place = None if folder is None else Path(folder)
     found = blank(plan, order)
     facts = []
-    for block in blocks(plan, order, plan.ensembles, place, progress):
+    for block in blocks(order, plan.ensembles, place, progress):
         fill(found, block)
         facts.append(block.attrs)
     return finished(found, plan, order, facts, time.perf_counter() - begun)
@@ -131,7 +131,6 @@ def digest_of(ensemble: Ensemble, order: Order) -> str:
 
 
 def blocks(
-    plan: Plan,
     order: Order,
     ensembles: Sequence[Ensemble],
     folder: Path | None,
@@ -141,10 +140,9 @@ def blocks(
 
     Parameters
     ----------
-    plan : Plan
     order : Order
     ensembles : sequence of Ensemble
-        Of the plan, all or some.
+        Of a plan, all or some.
     folder : path or None
     progress : callable, optional
         Told of the whole.

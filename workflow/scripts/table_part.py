@@ -15,7 +15,7 @@ made, part = Path(snakemake.output[0]), int(snakemake.wildcards.part)
 with progress_log(snakemake.log[0]) as say:
     experiment = Simulation.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
-    run_part(
+    blocks = run_part(
         experiment,
         accuracy,
         snakemake.params.seed,
@@ -24,4 +24,4 @@ with progress_log(snakemake.log[0]) as say:
         snakemake.threads,
         say,
     )
-    note_part(experiment, made.parent, part, made)
+    note_part(blocks, made)

@@ -144,7 +144,7 @@ def _versions(given: argparse.Namespace) -> None:
 
 def _cache(given: argparse.Namespace) -> None:
     """Say what is kept where, or delete it."""
-    from splits.transport.compiling.cache import folders
+    from splits.transport.compiling.folders import folders
 
     for folder in folders():
         kept = sorted(folder.path.glob("*.nbc"))

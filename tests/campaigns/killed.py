@@ -15,7 +15,7 @@ import splits
 from splits.archive import pack
 from splits.figures import save_figure, surface
 from splits.files import whole
-from splits.transport.compiling import cache as kernels
+from splits.transport.compiling import folders as kernels
 from splits.unpacking import unpack
 
 DATA, TABLE, FIGURE = "data/made.nc", "tables/made.csv", "figures/made"

@@ -7,6 +7,7 @@ import hashlib
 import logging
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,8 +19,10 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport.compiling import cache
-from splits.transport.compiling.cache import Folder, KernelCache, folders, keep
+from splits.transport.compiling import cache, turns
+from splits.transport.compiling import folders as places_of_kernels
+from splits.transport.compiling.cache import KernelCache, keep
+from splits.transport.compiling.folders import Folder, folders
 
 SCRIPT = """
 import numpy as np
@@ -51,7 +54,7 @@ def places(monkeypatch, tmp_path):
     """Return two folders for kernels, the user's own and one for when that fails."""
     found = Folder(tmp_path / "own" / "numba", False), Folder(tmp_path / "temporary", False)
     monkeypatch.setattr(cache, "folders", lambda: found)
-    cache.tell.cache_clear()
+    places_of_kernels.tell.cache_clear()
     return found
 
 
@@ -135,6 +138,8 @@ class _Full:
     """A file on a full disk."""
 
     def __init__(self, handle, mode):
+        if "r" in mode:
+            raise FileNotFoundError
         os.close(handle)
 
     def __enter__(self):
@@ -149,11 +154,11 @@ class _Full:
 
 @NEEDS_JIT
 def test_a_full_disk_stops_nothing(places, caplog, monkeypatch):
-    monkeypatch.setattr(cache, "open", _Full, raising=False)
+    monkeypatch.setattr(places_of_kernels, "open", _Full, raising=False)
     assert compiled()(1) == 2
     (said,) = caplog.messages
     assert str(places[0].path) in said and "No space left" in said
-    assert not [path for place in places for path in place.path.iterdir()]
+    assert {path.name for place in places for path in place.path.iterdir()} <= {turns.FILE}
 
 
 @NEEDS_JIT
@@ -182,10 +187,10 @@ class _Planted:
 
 
 def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(cache, "kernels_digest", lambda: "new")
+    monkeypatch.setattr(places_of_kernels, "kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
-        then = time.time() - age * cache.KEPT_S
+        then = time.time() - age * places_of_kernels.KEPT_S
         os.utime(tmp_path / name, (then, then))
     Folder(tmp_path / "numba-new", False).write("kernel", b"content")
     left = {folder.name for folder in tmp_path.iterdir()}
@@ -195,7 +200,7 @@ def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
 def test_what_killed_writers_left_is_removed(tmp_path):
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    host = cache._host()
+    host = places_of_kernels._host()
     stay = {f".{host}.{os.getpid()}.x", f".other_{host}.{dead.pid}.x", ".x", ".y.z"}
     for name in (*stay, f".{host}.{dead.pid}.x"):
         (tmp_path / name).write_text("half")
@@ -227,7 +232,7 @@ def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monk
         folder.rename(folder.with_name("elsewhere"))
         folder.symlink_to(folder.with_name("elsewhere"))
     else:
-        monkeypatch.setattr(cache, "_user", lambda: os.getuid() + 1)
+        monkeypatch.setattr(places_of_kernels, "_user", lambda: os.getuid() + 1)
     assert compiled()(1) == 2
     assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
     if way != "of another user":
@@ -238,9 +243,9 @@ def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     first, last = folders.__wrapped__()
     assert first.path.is_relative_to(tmp_path) and first.named
-    assert first.path.name == f"numba-{cache.kernels_digest()}"
+    assert first.path.name == f"numba-{places_of_kernels.kernels_digest()}"
     assert last.path.parent == Path(tempfile.gettempdir()) and not last.named
-    assert last.path.name == f"splits-{os.getuid()}-numba-{cache.kernels_digest()}"
+    assert last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.kernels_digest()}"
 
 
 def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
@@ -252,12 +257,12 @@ def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
 
 
 def test_a_line_is_told_as_it_is(capsys, monkeypatch):
-    cache.tell.cache_clear()
-    logger = logging.getLogger(cache.__name__)
+    places_of_kernels.tell.cache_clear()
+    logger = logging.getLogger(places_of_kernels.__name__)
     monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
     monkeypatch.setattr(logger, "propagate", False)
-    cache.tell("one line")
-    cache.tell("one line")
+    places_of_kernels.tell("one line")
+    places_of_kernels.tell("one line")
     assert capsys.readouterr().err == "one line\n"
 
 
@@ -291,3 +296,50 @@ def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
     assert str(tmp_path) in line
     ((out, err, code),) = run(tmp_path)
     assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
+
+
+AT_ONCE = """
+import time
+from numba import njit
+from splits.transport.compiling.cache import keep
+
+def slow(x):
+    return x + 1
+
+kernel = keep(njit(slow))
+compile = kernel._compiler.compile
+def slowly(*parts):
+    time.sleep(1.0)
+    return compile(*parts)
+kernel._compiler.compile = slowly
+print(input(), kernel(1), sum(kernel.stats.cache_hits.values()))
+"""
+
+
+@NEEDS_JIT
+def test_of_processes_that_start_together_one_compiles(tmp_path):
+    script = tmp_path / "slow.py"
+    script.write_text(AT_ONCE)
+    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
+    four = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
+    said = sorted(one.communicate("go\n", timeout=60)[0] for one in four)
+    assert said == ["go 2 0\n"] + 3 * ["go 2 1\n"]
+
+
+@NEEDS_JIT
+def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
+    holds = "import sys, pathlib; from splits.transport.compiling import turns\n"
+    holds += "turns.take(pathlib.Path(sys.argv[1]), 'kernel'); print(1, flush=True); input()"
+    command = [sys.executable, "-c", holds, tmp_path]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    first = subprocess.Popen(command, **pipes)
+    assert first.stdout.readline() == b"1\n"
+    second = subprocess.Popen(command, **pipes)
+    with pytest.raises(subprocess.TimeoutExpired):
+        second.wait(2.0)
+    first.kill()
+    assert second.stdout.readline() == b"1\n"
+    first.communicate()
+    second.communicate(b"\n")
+    assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0)

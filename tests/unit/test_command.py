@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits import command
-from splits.transport.compiling import cache
+from splits.transport.compiling import folders
 
 SMALL = """
 title: Small
@@ -87,9 +87,9 @@ def test_versions_name_this_and_what_it_uses(capsys):
 
 
 def test_kept_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
-    kept = cache.Folder(tmp_path / "kernels", True)
+    kept = folders.Folder(tmp_path / "kernels", True)
     kept.write("a.nbc", b"x" * 2000)
-    monkeypatch.setattr(cache, "folders", lambda: (kept,))
+    monkeypatch.setattr(folders, "folders", lambda: (kept,))
     assert command.main(["cache"]) == 0
     assert capsys.readouterr().out == f"{kept.path}: 1 compiled kernels, 0.0 MB\n"
     assert command.main(["cache", "--clear"]) == 0

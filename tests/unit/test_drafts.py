@@ -13,7 +13,7 @@ from scenes import medium_scene, optics_at
 
 import splits
 from splits.transport.compiling import cache
-from splits.transport.compiling.cache import Folder
+from splits.transport.compiling.folders import Folder
 from splits.transport.compiling.jit import entry, kernel, owner, part
 from splits.transport.grains import granular
 from splits.transport.sums.tally import exit_rows

@@ -1,0 +1,187 @@
+"""Folders of compiled kernels: which ones, and whose.
+
+Numba only notices a change in the file that holds a kernel, not in the files it calls: a folder is
+named after the content of all kernel sources, so that edited physics never meets stale machine
+code.  Python objects are loaded from these files, which could run foreign code: the folder must
+belong to the user, unless the user has named it in NUMBA_CACHE_DIR.
+"""
+
+from __future__ import annotations
+
+import functools
+import glob
+import hashlib
+import logging
+import os
+import shutil
+import socket
+import stat
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import llvmlite
+import numba
+import numpy as np
+
+KEPT_S = 90 * 86_400.0
+"""How long kernels of other versions are left alone."""
+
+
+@functools.cache
+def kernels_digest() -> str:
+    """Return the SHA-256 (first 16 hex digits) of all kernel sources and of what compiles them."""
+    compilers = (numba, llvmlite, np)
+    made_with = [sys.implementation.cache_tag, *(package.__version__ for package in compilers)]
+    digest = hashlib.sha256("\0".join(made_with).encode())
+    root = Path(__file__).parents[1]
+    for source in sorted(root.rglob("*.py")):
+        digest.update(f"\0{source.relative_to(root).as_posix()}\0".encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of kernels.
+
+    Attributes
+    ----------
+    path : Path
+    named : bool
+        Whether the user has named it, and says so that it may be trusted; otherwise it is made for
+        this user alone, and used only as long as it is so.
+    """
+
+    path: Path
+    named: bool
+
+    def read(self, name: str) -> bytes | None:
+        """Return the content of a file, or None."""
+        try:
+            if not self._own():
+                tell(f"{self.path}: not a folder of the user's own, its kernels are not used")
+                return None
+            with open(self.path / name, "rb") as file:
+                # A folder of the user's own may hold a file of somebody else's.
+                mine = self.named or os.fstat(file.fileno()).st_uid == _user()
+                return file.read() if mine else None
+        except OSError:
+            return None
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file that appears whole or not at all.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written, or the folder is not the user's own.
+        """
+        self.make()
+        self._tidy()
+        handle, aside = tempfile.mkstemp(prefix=f".{_host()}.{os.getpid()}.", dir=self.path)
+        try:
+            with open(handle, "wb") as file:
+                file.write(content)
+            os.replace(aside, self.path / name)
+        finally:
+            with suppress(OSError):
+                os.unlink(aside)
+
+    def make(self) -> None:
+        """Make the folder if there is none, and see that it may be used.
+
+        Raises
+        ------
+        OSError
+            If it cannot be made, or is not the user's own.
+        """
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            self.path.mkdir(mode=0o777 if self.named else 0o700)
+            if not self.named:
+                self._sweep()
+        if not self._own():
+            raise PermissionError("not a folder of the user's own")
+
+    def drop(self, name: str) -> None:
+        """Remove a file, if that is possible."""
+        with suppress(OSError):
+            (self.path / name).unlink()
+
+    def _tidy(self) -> None:
+        """Remove what processes of this host that were killed have left half written."""
+        for left in self.path.glob(f".{glob.escape(_host())}.*"):
+            process = left.name.split(".")[2]
+            with suppress(OSError):
+                if process.isdigit() and not _runs(int(process)):
+                    left.unlink()
+
+    def _sweep(self) -> None:
+        """Remove what other versions have kept here and not added to for `KEPT_S`."""
+        prefix = self.path.name.removesuffix(kernels_digest())
+        for other in self.path.parent.glob(f"{glob.escape(prefix)}*"):
+            with suppress(OSError):
+                if other != self.path and time.time() - other.lstat().st_mtime > KEPT_S:
+                    shutil.rmtree(other)
+
+    def _own(self) -> bool:
+        """Return whether the user has named the folder, or nobody else can put files into it."""
+        if self.named:
+            return True
+        about = self.path.lstat()
+        # Windows knows neither users' numbers nor these permissions.
+        closed = os.name == "nt" or not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return stat.S_ISDIR(about.st_mode) and about.st_uid == _user() and closed
+
+
+def _user() -> int:
+    """Return the number of the user who runs this; 0, as files have it, on Windows."""
+    return os.getuid() if hasattr(os, "getuid") else 0
+
+
+def _host() -> str:
+    """Return the name of this machine, without dots."""
+    return socket.gethostname().replace(".", "_")
+
+
+def _runs(process: int) -> bool:
+    """Tell whether a process of that number runs on this host; on Windows nobody can be asked."""
+    if os.name == "nt":
+        return True
+    try:
+        os.kill(process, 0)
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
+    return True
+
+
+@functools.cache
+def folders() -> tuple[Folder, ...]:
+    """Return where kernels are looked for, and kept in the first that takes them.
+
+    The user's cache folder, or that of NUMBA_CACHE_DIR; then one in the folder for temporary files.
+    """
+    name = f"numba-{kernels_digest()}"
+    found = []
+    if numba.config.CACHE_DIR:  # type: ignore[attr-defined]
+        named = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+        found.append(Folder(named / "splits" / name, True))
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        # A user without a home has none either.
+        if home.is_absolute():
+            found.append(Folder(home / "splits" / name, False))
+    with suppress(OSError):
+        shared = Path(tempfile.gettempdir())
+        found.append(Folder(shared / f"splits-{_user()}-{name}", False))
+    return tuple(found)
+
+
+@functools.cache
+def tell(line: str) -> None:
+    """Say something about the cache, once in a process."""
+    logging.getLogger(__name__).warning(line)

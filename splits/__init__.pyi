@@ -1,3 +1,4 @@
+from .bird import save_brdf as save_brdf
 from .dataset import load as load
 from .dataset import save as save
 from .instruments import Progress as Progress

@@ -46,6 +46,14 @@ PARAMETERS: dict[str, tuple[str, str]] = {
 }
 """Long names and units (UDUNITS) of all parameters that a grid can have."""
 
+FOLLOWING: dict[str, tuple[str, str]] = {
+    "absorption_enhancement_900nm_dry": ("absorption enhancement of dry grains at 900 nm", "1"),
+    "asymmetry_parameter_900nm_dry": ("asymmetry parameter of dry grains at 900 nm", "1"),
+    "extinction_per_m": ("extinction coefficient", "m-1"),
+    "mean_grain_distance_m": ("mean distance between grains along a ray", "m"),
+}
+"""The same of what follows from parameters, and which datasets tell."""
+
 AMOUNTS = ("impurities_ng_g", "algae_cells_ml")
 """Keywords that are mappings of amounts, by kind."""
 _AMOUNT = re.compile(rf"({'|'.join(AMOUNTS)})\.(\w+)")
@@ -74,5 +82,6 @@ def parameter_about(parameter: str) -> tuple[str, str]:
         long_name, units = parameter_about(path[1])
         return f"{long_name}, layer {path[0]}", units
     key, _, kind = parameter.partition(".")
-    long_name, units = PARAMETERS.get(key, (key.replace("_", " "), "1"))
+    known = PARAMETERS.get(key) or FOLLOWING.get(key)
+    long_name, units = known or (key.replace("_", " "), "1")
     return (f"{long_name}: {kind.replace('_', ' ')}" if kind else long_name), units

@@ -20,7 +20,7 @@ from splits.transport.grains.scene import UNLIMITED, shared_optics
 from splits.transport.sums.directions import Basis, expand
 from splits.transport.sums.tally import EXIT_ORDER
 
-CLASSES = (2, 8, 32, UNLIMITED)
+CLASSES = (2, 8, 32, 128, UNLIMITED)
 """Largest order of scattering of each class."""
 
 GROUPS = 64

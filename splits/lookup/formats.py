@@ -76,7 +76,7 @@ def for_spires(
     solar_angles=a.solar_angle.values, dust_concentrations=a.dust_concentration.values,
     grain_sizes=a.grain_size.values)`` for an array ``a``.
     """
-    part = _held(dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at).reflectance
+    part = held(dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at).reflectance
     w = dataset.wavelength.values
     named = bands_of(bands)
     if not named:
@@ -120,53 +120,7 @@ def _weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
     return weights / total
 
 
-def for_isofit(dataset: xr.Dataset, **at: Any) -> xr.Dataset:
-    """Return a table as isofit's surface model looks it up.
-
-    The reflectance of diffuse light into a direction is, by reciprocity, that of a beam from there
-    to all directions.  Snow whose readings are ``geometric`` is reciprocal.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        Of reflectance over ``incidence_deg`` and ``optical_radius_um``.
-    **at
-        Where other axes are held, at one of their nodes each.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``rho_dif_dir`` over ``solar_zenith``, ``observer_zenith``, ``relative_azimuth`` (degrees),
-        ``grain_radius`` (µm) and ``wl`` (nm): alike for every sun, as no beam is in it.
-
-    Raises
-    ------
-    ValueError
-        For an axis that is missing.
-    """
-    part = _held(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
-    values = part.transpose(INCIDENCE, RADIUS, "wavelength").values
-    zenith, azimuth = part[INCIDENCE].values, np.array([0.0, 180.0])
-    shape = (zenith.size, zenith.size, azimuth.size, *values.shape[1:])
-    full = np.broadcast_to(values[np.newaxis, :, np.newaxis], shape)
-    about = {"long_name": "hemispherical-directional reflectance factor", "units": "1"}
-    degrees = {"units": "degree"}
-    return xr.Dataset(
-        {"rho_dif_dir": (("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius",
-                          "wl"), full, about)},
-        {
-            "solar_zenith": ("solar_zenith", zenith, degrees),
-            "observer_zenith": ("observer_zenith", zenith, degrees),
-            "relative_azimuth": ("relative_azimuth", azimuth, {
-                **degrees, "comment": "0 is towards the sun's own side: backscattering"}),
-            "grain_radius": ("grain_radius", part[RADIUS].values, {"units": "um"}),
-            "wl": ("wl", part.wavelength.values, {"units": "nm"}),
-        },
-        {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
-    )  # fmt: skip
-
-
-def _held(
+def held(
     dataset: xr.Dataset, quantities: tuple[str, ...], free: list[str], at: Mapping[str, Any]
 ) -> xr.Dataset:
     """Return the part of a table over some axes, others held at a node."""

@@ -11,8 +11,9 @@ import xarray as xr
 from splits.checks import number, one_of, refuse, unknown_key
 from splits.dataset import attributes, load
 from splits.lookup.axes import INCIDENCE
-from splits.lookup.formats import for_isofit, for_spires, write_csv
+from splits.lookup.formats import for_spires, write_csv
 from splits.lookup.interpolation import weights_at
+from splits.lookup.isofit import for_isofit
 
 
 class Table:
@@ -103,9 +104,9 @@ class Table:
         """Return it as the package spires takes it, see `splits.lookup.formats.for_spires`."""
         return for_spires(self.dataset, impurity, bands, per_unit, **at)
 
-    def to_isofit(self, **at: Any) -> xr.Dataset:
-        """Return it as isofit looks it up, see `splits.lookup.formats.for_isofit`."""
-        return for_isofit(self.dataset, **at)
+    def to_isofit(self, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
+        """Return it as isofit looks it up, see `splits.lookup.isofit.for_isofit`."""
+        return for_isofit(self.dataset, directions, **at)
 
     def _variables(self) -> list[str]:
         return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]

@@ -89,6 +89,50 @@ def test_isofit_finds_the_names_that_it_looks_for(table):
         np.testing.assert_array_equal(found.values, expected.values)
 
 
+def directions(**changes):
+    """Return bidirectional reflectance factors that tell every axis apart."""
+    axes = {
+        "optical_radius_um": np.array([100.0, 400.0]), "incidence_deg": np.array([0.0, 50.0]),
+        "wavelength": np.array([500.0, 900.0]), "polar": np.array([0.0, 20.0, 60.0]),
+        "azimuth": np.array([0.0, 90.0, 180.0, 270.0]),
+    } | changes  # fmt: skip
+    size, sun, w, polar, azimuth = np.meshgrid(*axes.values(), indexing="ij")
+    turned = np.minimum(azimuth, 360.0 - azimuth)
+    values = 1e-4 * size + 1e-3 * sun + 1e-5 * w + 1e-2 * polar + 1e-6 * turned
+    return xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
+
+
+def test_isofit_finds_both_reflectances_by_direction(table):
+    clean = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0}
+    given = directions()
+    made = table.to_isofit(given, **clean)
+    assert made.rho_dir_dir.dims == made.rho_dif_dir.dims
+    assert made.relative_azimuth.values.tolist() == [0.0, 90.0, 180.0]
+    for azimuth in (0.0, 90.0, 180.0):
+        at = {"optical_radius_um": 400.0, "incidence_deg": 50.0, "wavelength": 900.0, "polar": 20.0}
+        expected = float(given.reflectance_factor.sel({**at, "azimuth": azimuth}))
+        # 0 is the sun's side there, and forward here.
+        found = made.sel(grain_radius=400.0, solar_zenith=50.0, wl=900.0, observer_zenith=20.0,
+                         relative_azimuth=180.0 - azimuth)  # fmt: skip
+        assert float(found.rho_dir_dir) == expected
+    read = table.interp(**clean, optical_radius_um=400.0, incidence_deg=20.0, wavelength=900.0)
+    assert float(found.rho_dif_dir) == pytest.approx(float(read.reflectance[0]), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"optical_radius_um": np.array([100.0, 300.0])}, "directions.optical_radius_um = "),
+        ({"wavelength": np.array([555.5, 900.0])}, "directions.wavelength = "),
+        ({"polar": np.array([0.0, 20.0, 75.0])}, "incidence_deg = 75.0: must be from 0 to 60"),
+    ],
+)
+def test_directions_outside_the_table_are_refused(table, changes, line):
+    clean = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0}
+    with pytest.raises(Refusal, match=f"^{line}"):
+        table.to_isofit(directions(**changes), **clean)
+
+
 @pytest.mark.parametrize(
     ("call", "line"),
     [
@@ -97,6 +141,8 @@ def test_isofit_finds_the_names_that_it_looks_for(table):
             lambda t: t.to_isofit(**{"impurities_ng_g.dust": 7.0, "liquid_water_content": 0.0}),
             "impurities_ng_g.dust = 7.0: must be one of",
         ),
+        (lambda t: t.to_isofit(t.dataset, **{"impurities_ng_g.dust": 0.0,
+                                             "liquid_water_content": 0.0}), "directions = "),
         (lambda t: t.to_spires("soot", {"red": RED}), "axis = 'soot': must be one of"),
         (
             lambda t: t.to_spires(

@@ -1,0 +1,153 @@
+"""BRDFs in the universal BRDF format, field by field as its schema and its example have them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import splits
+from splits.checks import Refusal
+
+WHO = {
+    "organization": "Example Institute",
+    "location": {"country": "Finland", "city": "Espoo", "street": "Maarintie",
+                 "building_nr": "8", "postal_code": "02150"},
+    "email": "ada@example.org",
+    "contact_person": "Ada Example",
+}  # fmt: skip
+METADATA = {"schema", "id", "type", "timestamp", "provenance", "license", "description", "method",
+            "instrumentation", "software", "sample", "environment", "data_links", "comments",
+            "adhoc_section"}  # fmt: skip
+"""What the schema allows."""
+PARAMETER = {"name", "symbol", "description", "value", "unit", "uncertainty", "uncertainty_unit",
+             "data_links", "comments", "adhoc_section"}  # fmt: skip
+ANGLES = {"theta_i": 90.0, "phi_i": 360.0, "theta_r": 90.0, "phi_r": 360.0}
+"""Bounds of angles in degrees, which they must stay below."""
+
+
+def measured(incidence, **keywords):
+    """Return a small BRDF by direction, rising forwards, as a goniophotometer returns it."""
+    polar, azimuth = np.array([0.0, 40.0, 70.0]), np.array([0.0, 90.0, 180.0, 270.0])
+    shape = (2, 3, 4)
+    forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
+    values = np.broadcast_to(0.3 + 0.05 * forward, shape) * (1.0 + incidence / 90.0)
+    grid = ("wavelength", "polar", "azimuth")
+    coordinates = {"wavelength": [600.0, 1300.0], "polar": polar, "azimuth": azimuth}
+    variables = {"brdf": (grid, values.copy()), "brdf_stderr": (grid, np.full(shape, 0.003))}
+    attrs = {
+        "medium": "snow", "snow_depth_m": 0.1, "snow_facetness": np.array([0.2, 0.4]),
+        "snow_asymmetry_parameter_900nm_dry": 0.678,
+        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001, "snow_reading_entry": "uniform",
+        "incidence_deg": incidence, "seed": 3, "physics_sources_sha256": "0123456789abcdef",
+        "date_created": "2026-11-24T12:00:00+00:00", "title": "BRDF",
+    }  # fmt: skip
+    return xr.Dataset(variables, coordinates, {**attrs, **keywords})
+
+
+def written(tmp_path, *datasets, **keywords):
+    splits.save_brdf(list(datasets), tmp_path / "snow.brdf", WHO, **keywords)
+    return json.loads((tmp_path / "snow.brdf").read_text(encoding="utf-8"))
+
+
+def test_it_holds_what_the_format_asks_for_and_nothing_else(tmp_path):
+    found = written(tmp_path, measured(30.0), license={"type": "CC-BY-4.0", "rights_holder": "Ada"})
+    assert set(found) == {"metadata", "data"}
+    about, data = found["metadata"], found["data"]
+    needed = {"schema", "id", "type", "timestamp", "provenance", "method", "instrumentation",
+              "software", "sample", "environment"}  # fmt: skip
+    assert needed <= set(about) <= METADATA
+    assert (about["type"], about["method"]) == ("BRDF", "simulation")
+    assert (about["instrumentation"], about["environment"]) == ("NA", "NA")
+    assert set(about["software"]) >= {"name", "version", "simulation_model"}
+    model = about["software"]["simulation_model"]
+    assert {"name", "description"} <= set(model)
+    for one in model["parameters"]:
+        assert {"name", "description", "value", "unit"} <= set(one) <= PARAMETER
+        assert isinstance(one["value"], float)
+    (asymmetry,) = [p for p in model["parameters"] if p["name"].startswith("asymmetry")]
+    assert (asymmetry["value"], asymmetry["uncertainty"]) == (0.678, 0.001)
+    assert model["adhoc_section"] == {"facetness": [0.2, 0.4], "reading_entry": "uniform"}
+    assert data["BRDF"]["unit"] == data["uBRDF"]["unit"] == "sr^-1"
+    assert data["wavelength_i"]["unit"] == "nm"
+    count = len(data["BRDF"]["values"])
+    for name, column in data.items():
+        assert len(column["values"]) == count, name
+    for name, below in ANGLES.items():
+        assert data[name]["unit"] == "deg"
+        assert all(0.0 <= value < below for value in data[name]["values"])
+    for name in ("polarization_i", "polarization_r"):
+        assert data[name]["notation"] == "sp" and set(data[name]["values"]) == {"u"}
+
+
+def test_each_line_is_a_value_of_its_dataset(tmp_path):
+    given = [measured(0.0), measured(60.0)]
+    data = written(tmp_path, *given)["data"]
+    columns = [data[n]["values"] for n in ("wavelength_i", "theta_i", "theta_r", "phi_r", "BRDF",
+                                           "uBRDF")]  # fmt: skip
+    lines = list(zip(*columns, strict=True))
+    assert len(lines) == sum(ds.brdf.size for ds in given)
+    for w, incidence, polar, azimuth, f, u in lines:
+        (ds,) = [ds for ds in given if ds.attrs["incidence_deg"] == incidence]
+        # 0 is the side of the source here, and forward there.
+        ours = ds.sel(wavelength=w, polar=polar, azimuth=(azimuth + 180.0) % 360.0)
+        assert f == pytest.approx(float(ours.brdf), rel=1e-5) and u == 0.003
+    forward = [f for w, i, p, a, f, u in lines if (w, i, p, a) == (600.0, 60.0, 70.0, 180.0)]
+    back = [f for w, i, p, a, f, u in lines if (w, i, p, a) == (600.0, 60.0, 70.0, 0.0)]
+    assert forward > back
+
+
+def test_a_polarizer_takes_its_part(tmp_path):
+    ds = measured(30.0)
+    ds["brdf_q"], ds["brdf_q_stderr"] = 0.2 * ds.brdf, 0.5 * ds.brdf_stderr
+    data = written(tmp_path, ds)["data"]
+    parts = {
+        state: np.array([f for f, s in zip(data["BRDF"]["values"], data["polarization_r"]["values"],
+                                           strict=True) if s == state])
+        for state in "usp"
+    }  # fmt: skip
+    # Our Q is positive along the plane that holds the normal: p.
+    np.testing.assert_allclose(parts["p"], 0.6 * parts["u"], rtol=1e-5)
+    np.testing.assert_allclose(parts["s"], 0.4 * parts["u"], rtol=1e-5)
+
+
+def test_negative_noise_is_left_out_and_counted(tmp_path):
+    ds = measured(30.0)
+    ds.brdf[0, 2, 1] = -0.001
+    found = written(tmp_path, ds)
+    assert len(found["data"]["BRDF"]["values"]) == ds.brdf.size - 1
+    assert "negative: 1." in found["metadata"]["comments"]
+
+
+def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
+    beam = {"relative_stderr": 0.5, "polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
+    for number, medium in enumerate((
+        splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.02),
+        splits.Stack([splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.03)]),
+    )):  # fmt: skip
+        ds = splits.goniophotometer(medium, [1300.0], 30.0, **beam)
+        splits.save_brdf(ds, tmp_path / f"{number}.json", WHO)
+        found = json.loads((tmp_path / f"{number}.json").read_text(encoding="utf-8"))
+        parameters = found["metadata"]["software"]["simulation_model"]["parameters"]
+        units = {one["name"]: one["unit"] for one in parameters}
+        name = "depth_m" if number == 0 else "layers_1_mean_grain_distance_m"
+        assert units[name] == "m"
+
+
+@pytest.mark.parametrize(
+    ("datasets", "changes", "line"),
+    [
+        ([], {}, "datasets = "),
+        ([measured(0.0), measured(30.0, snow_depth_m=0.2)], {}, "datasets = 'another medium'"),
+        ([measured(0.0).drop_vars("brdf")], {}, "datasets = 'BRDF'"),
+        ([measured(0.0)], {"path": "snow.nc"}, "path = 'snow.nc'"),
+        ([measured(0.0)], {"provenance": {"email": "a@b.org"}}, "provenance = .*organization"),
+        ([measured(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),
+    ],
+)
+def test_what_the_format_cannot_hold_is_refused(datasets, changes, line):
+    given = {"path": "snow.brdf", "provenance": WHO, "license": None, **changes}
+    with pytest.raises(Refusal, match=f"^{line}"):
+        splits.save_brdf(datasets, **given)

@@ -30,7 +30,10 @@ unexport PYTHONDONTWRITEBYTECODE
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
-	$(BIN)/snakemake --report $(REPORT) --config accuracy=$(ACCURACY)
+	@if [ ! -e $(REPORT) ] || [ -n "$$(find Snakefile config workflow splits $(dir $(REPORT))data \
+		$(dir $(REPORT))figures $(dir $(REPORT))tables -type f ! -path '*/__pycache__/*' -newer $(REPORT) -print -quit 2>/dev/null)" ]; then \
+		$(BIN)/snakemake --report $(REPORT) --config accuracy=$(ACCURACY); \
+	else echo "$(REPORT) is up to date"; fi
 
 setup: $(VENV)/ready
 

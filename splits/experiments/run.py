@@ -12,20 +12,11 @@ import xarray as xr
 
 from splits.dataset import attributes, provenance
 from splits.experiments.coordinates import grid_coordinates
+from splits.experiments.run_points import REACHED, Measured, measured_points
 from splits.experiments.run_table import run_table
-from splits.experiments.sections import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
-from splits.instruments import (
-    Progress,
-    bssrdf,
-    goniophotometer,
-    lens,
-    spectrophotometer,
-    surface_map,
-)
 from splits.instruments.labels import wavelength_axis
-from splits.media.turbid import Medium
 from splits.sources import physics_digest
 
 POINT_FACTS = {
@@ -35,9 +26,6 @@ POINT_FACTS = {
     "mean_grain_distance": ("mean distance between grains along a ray", "m"),
     "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
 }
-REACHED = ("max_stderr_reached", "relative_stderr_reached")
-BEAM_RAYS = 200_000
-"""Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
 _PER_MEDIUM = {
     "mean_grain_distance": "mean_grain_distance_m",
     "specific_surface_area": "specific_surface_area_m2_kg",
@@ -78,84 +66,13 @@ def run(
     if experiment.instrument.kind == "table":
         return run_table(experiment, accuracy, seed, blocks, threads, say)
     begun = time.perf_counter()
-    instrument = experiment.instrument
-    points = list(experiment.points())
-    results = []
-    for number, (labels, medium, incidence) in enumerate(points, start=1):
-        where = " ".join(f"{p}={label}" for p, label in labels.items())
-        head = f"{experiment.name} {number}/{len(points)} {where}".rstrip()
-
-        def show(progress: Progress, head: str = head) -> None:
-            if progress.stderr >= 1.0:
-                say(f"{head}: first round, {progress.rays} rays")
-                return
-            say(
-                f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
-                f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
-            )
-
-        result = measure(
-            instrument,
-            medium,
-            incidence,
-            accuracy,
-            seed if instrument.seed is None else instrument.seed,
-            threads,
-            show,
-        )
-        results.append(result)
-        facts = result.attrs
-        reached = [f", error {facts[key]:.4f}" for key in REACHED if key in facts]
-        say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
-        asked = instrument.rays or instrument.estimator == "cells"
-        if facts.get("stopped_by") == "rays" and not asked:
-            say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
-        if facts.get("stopped_by") == "degree":
-            say(
-                f"{head}: stopped before the error was reached: in some directions light changes "
-                "faster than the expansion can follow, which no rays mend; stated errors allow "
-                "for it; `estimator: cells` shows such light"
-            )
+    results = measured_points(experiment, accuracy, seed, threads, say)
     return _stack(experiment, results, time.perf_counter() - begun)
 
 
-def measure(
-    instrument: Instrument,
-    medium: Medium,
-    incidence_deg: float | str,
-    accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    progress: Callable[[Progress], None],
-) -> xr.Dataset:
-    """Put a medium under an instrument; see `run`."""
-    scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
-    common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
-    keys = (
-        "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",
-        "radius_m", "screen_depth_m", "over", "realisations",
-    )  # fmt: skip
-    given = {key: getattr(instrument, key) for key in keys}
-    given = {key: value for key, value in given.items() if value is not None}
-    if instrument.kind in SURFACES:
-        look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
-        return look(medium, seed=seed, **given)
-    common |= given
-    if instrument.kind == "bssrdf":
-        effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
-        common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
-        return bssrdf(*scene, **common)
-    if accuracy.max_rays is not None:
-        common["max_rays"] = accuracy.max_rays
-    if instrument.kind == "goniophotometer":
-        common["relative_stderr"] = min(instrument.error_factor * accuracy.relative_stderr, 0.5)
-        return goniophotometer(*scene, **common)
-    common["max_stderr"] = min(instrument.error_factor * accuracy.max_stderr, 0.5)
-    return spectrophotometer(*scene, **common)
-
-
-def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) -> xr.Dataset:
+def _stack(experiment: Simulation, measured: Measured, seconds: float) -> xr.Dataset:
     """Return the points of a grid as one dataset."""
+    results = measured.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
     dims = tuple(experiment.grid)
     first = results[0]
@@ -184,7 +101,7 @@ def _stack(experiment: Simulation, results: list[xr.Dataset], seconds: float) ->
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": experiment.configuration(),
-        "rays": int(sum(r.attrs["rays"] for r in results)),
+        "rays": measured.rays,
         **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
         "wall_time_s": round(seconds, 3),
         **provenance(f"experiment {experiment.name}"),

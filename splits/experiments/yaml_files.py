@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import re
 from collections.abc import Hashable
 from pathlib import Path
@@ -99,6 +101,12 @@ def _parts(node: yaml.Node | None) -> list[yaml.Node]:
     return [x for pair in node.value for x in pair] if isinstance(node, yaml.MappingNode) else []
 
 
+@functools.lru_cache(maxsize=64)
+def _parsed(text: str) -> Any:
+    """Return what YAML holds."""
+    return yaml.load(text, Loader=_Loader)
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds.
 
@@ -111,7 +119,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ConfigError(f"{path}: must be at most {MOST_BYTES // 1024} KiB")
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        # Many experiments rest on the same file.
+        content = copy.deepcopy(_parsed(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise ConfigError(f"{named(path)}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:

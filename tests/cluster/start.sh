@@ -14,6 +14,8 @@ stop() {
 
 if [ "${1:-}" = stop ]; then
     stop
+    # With it, whatever asks SLURM for something would wait for a controller that is not there.
+    rm -f /etc/slurm/slurm.conf
     exit
 fi
 cpus=${1:-2} memory=${2:-4000} host=$(hostname -s)

@@ -42,6 +42,7 @@ def test_the_ends_of_lines_do_not_matter(package):
         "transport/lanes/batch.py",
         "instruments/runner.py",
         "experiments/run.py",
+        "experiments/run_points.py",
     ],
 )
 def test_a_change_of_physics_changes_both_digests(package, name):

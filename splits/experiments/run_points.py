@@ -1,0 +1,191 @@
+"""The points of an experiment's grid, measured: those that share paths together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.experiments.sections import SURFACES, Instrument
+from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
+from splits.instruments import (
+    Progress,
+    bssrdf,
+    goniophotometer,
+    lens,
+    spectrophotometer,
+    surface_map,
+)
+from splits.instruments.alike import spectra_of
+from splits.instruments.spectral_run import Run
+from splits.lookup.families import families
+from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.turbid import Medium
+
+REACHED = ("max_stderr_reached", "relative_stderr_reached")
+BEAM_RAYS = 200_000
+"""Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
+MAX_RAYS = 20_000_000
+
+Say = Callable[[str], None]
+Point = tuple[dict[str, str], Medium, float | str]
+
+
+class Measured(NamedTuple):
+    """What was measured.
+
+    Attributes
+    ----------
+    datasets : list of xarray.Dataset
+        Of the points, in their order.
+    rays : int
+        Traced for all of them; points may share some.
+    """
+
+    datasets: list[xr.Dataset]
+    rays: int
+
+
+def measured_points(
+    experiment: Simulation, accuracy: Accuracy, seed: int, threads: int | None, say: Say
+) -> Measured:
+    """Measure all points of an experiment, see `splits.experiments.run.run`.
+
+    Points whose spectra need the same paths share them: those that differ in what absorbs, in the
+    albedo of a ground, or in the size of everything.
+    """
+    instrument, points = experiment.instrument, list(experiment.points())
+    seed = seed if instrument.seed is None else instrument.seed
+    found: dict[int, xr.Dataset] = {}
+    groups = _alike(instrument, points)
+    if len(groups) < len(points):
+        say(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
+    rays = 0
+    for group in groups:
+        head = _head(experiment.name, points, group)
+        show = _shown(head, say)
+        if len(group) == 1:
+            _, medium, incidence = points[group[0]]
+            datasets = [measure(instrument, medium, incidence, accuracy, seed, threads, show)]
+        else:
+            some = [points[place] for place in group]
+            datasets = _together(some, instrument, accuracy, seed, threads, show)
+        found |= dict(zip(group, datasets, strict=True))
+        rays += int(datasets[0].attrs["rays"])
+        _tell(head, datasets, instrument, say)
+    return Measured([found[place] for place in range(len(points))], rays)
+
+
+def _alike(instrument: Instrument, points: Sequence[Point]) -> list[list[int]]:
+    """Return the places of points that share paths, those of each group together."""
+    grains = all(isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points)
+    if instrument.kind != "spectrophotometer" or instrument.estimator == "analog" or not grains:
+        return [[place] for place in range(len(points))]
+    groups: list[list[int]] = []
+    for beam in dict.fromkeys(incidence for *_, incidence in points):
+        under = [place for place, (*_, incidence) in enumerate(points) if incidence == beam]
+        media = [points[place][1] for place in under]
+        for members in families(media, np.asarray(instrument.wavelengths(), dtype=float)):
+            groups.append([under[place] for place in members.places])
+    return sorted(groups)
+
+
+def _together(
+    points: Sequence[Point],
+    instrument: Instrument,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    show: Callable[[Progress], None],
+) -> list[xr.Dataset]:
+    """Measure points that share paths."""
+    (members,) = families([medium for _, medium, _ in points],
+                          np.asarray(instrument.wavelengths(), dtype=float))  # fmt: skip
+    most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
+    error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    _, _, beam = points[0]
+    run = Run.checked(instrument.wavelengths(), beam, error, seed, most, threads, "auto")
+    spectra = spectra_of(members.family, run, show)
+    order = np.argsort(members.places)
+    return [spectra[which] for which in members.which[order]]
+
+
+def _head(name: str, points: Sequence[Point], group: Sequence[int]) -> str:
+    """Return how lines about some points begin."""
+    if len(group) > 1:
+        numbers = ", ".join(str(place + 1) for place in sorted(group))
+        return f"{name} {numbers} of {len(points)} together"
+    (place,) = group
+    where = " ".join(f"{p}={label}" for p, label in points[place][0].items())
+    return f"{name} {place + 1}/{len(points)} {where}".rstrip()
+
+
+def _shown(head: str, say: Say) -> Callable[[Progress], None]:
+    """Return what tells of progress in lines."""
+
+    def show(progress: Progress) -> None:
+        if progress.stderr >= 1.0:
+            say(f"{head}: first round, {progress.rays} rays")
+            return
+        say(
+            f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+            f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+        )
+
+    return show
+
+
+def _tell(head: str, datasets: Sequence[xr.Dataset], instrument: Instrument, say: Say) -> None:
+    """Say how it went."""
+    facts = datasets[0].attrs
+    reached = [
+        f", error {max(one.attrs[key] for one in datasets):.4f}" for key in REACHED if key in facts
+    ]
+    say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
+    asked = instrument.rays or instrument.estimator == "cells"
+    if facts.get("stopped_by") == "rays" and not asked:
+        say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
+    if facts.get("stopped_by") == "degree":
+        say(
+            f"{head}: stopped before the error was reached: in some directions light changes "
+            "faster than the expansion can follow, which no rays mend; stated errors allow "
+            "for it; `estimator: cells` shows such light"
+        )
+
+
+def measure(
+    instrument: Instrument,
+    medium: Medium,
+    incidence_deg: float | str,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    progress: Callable[[Progress], None],
+) -> xr.Dataset:
+    """Put a medium under an instrument; see `run`."""
+    scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
+    common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
+    keys = (
+        "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",
+        "radius_m", "screen_depth_m", "over", "realisations",
+    )  # fmt: skip
+    given = {key: getattr(instrument, key) for key in keys}
+    given = {key: value for key, value in given.items() if value is not None}
+    if instrument.kind in SURFACES:
+        look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
+        return look(medium, seed=seed, **given)
+    common |= given
+    if instrument.kind == "bssrdf":
+        effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
+        common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
+        return bssrdf(*scene, **common)
+    if accuracy.max_rays is not None:
+        common["max_rays"] = accuracy.max_rays
+    if instrument.kind == "goniophotometer":
+        common["relative_stderr"] = min(instrument.error_factor * accuracy.relative_stderr, 0.5)
+        return goniophotometer(*scene, **common)
+    common["max_stderr"] = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    return spectrophotometer(*scene, **common)

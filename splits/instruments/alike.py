@@ -1,0 +1,52 @@
+"""Spectra of media that share paths, a dataset for each as if it had been measured alone."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import xarray as xr
+
+from splits.instruments.labels import run_facts, wavelength_axis
+from splits.instruments.progress import Report
+from splits.instruments.shared_paths import Family
+from splits.instruments.spectral_run import TITLE, Found, Run
+
+
+def spectra_of(family: Family, run: Run, progress: Report = None) -> list[xr.Dataset]:
+    """Return what `splits.spectrophotometer` would of each medium of a family, from one ensemble.
+
+    Each has the error asked for.  Errors of different media go together, as their `…_groups` tell.
+
+    Parameters
+    ----------
+    family : Family
+    run : Run
+    progress : callable, optional
+
+    Returns
+    -------
+    list of xarray.Dataset
+        ``rays`` are those that all of them share.
+    """
+    begun = time.perf_counter()
+    found = run.estimated(family, progress=progress)
+    whole, count = found.result, run.wavelengths.size
+    datasets = []
+    for number, (medium, scale) in enumerate(zip(*family, strict=True)):
+        rows = slice(number * count, (number + 1) * count)
+        own = replace(
+            whole,
+            mean=whole.mean[:, rows],
+            stderr=whole.stderr[:, rows],
+            bias=whole.bias[:, rows],
+            groups=whole.groups[..., rows],
+        )
+        cut = found.cut
+        if cut is not None:
+            cut = cut._replace(depth_m=scale * cut.depth_m, enough_m=scale * cut.enough_m)
+        facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
+        facts |= {"estimator": "spectral"} | run.facts(Found(own, cut))
+        axes = {"wavelength": wavelength_axis(run.wavelengths)}
+        datasets.append(xr.Dataset(run.variables(own, ("wavelength",)), axes, facts))
+    return datasets

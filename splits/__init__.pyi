@@ -22,6 +22,8 @@ from .media import Sand as Sand
 from .media import SandReadings as SandReadings
 from .media import Snow as Snow
 from .media import Stack as Stack
+from .phase_functions import phase_function as phase_function
+from .phase_functions import with_diffraction as with_diffraction
 from .skies import Sky as Sky
 from .skies import albedo as albedo
 from .skies import hdrf as hdrf

@@ -61,8 +61,7 @@ def single_scattering(
 
     As in the papers' model, diffraction is left out: the extinction is that of the geometric
     cross-section, half of what Mie theory has for large grains, and the phase function lacks the
-    narrow forward peak.  With diffraction, ω' = (1 + ω)/2 and
-    g' = (1 + ω g)/(1 + ω).
+    narrow forward peak.  `splits.with_diffraction` adds both.
 
     Parameters
     ----------
@@ -134,6 +133,7 @@ def single_scattering(
             "Single-scattering properties", "single_scattering", medium, begun, seed, threads
         ),
         "diffraction": "none",
+        "extinction_by_grains_per_m": float(medium.grains().attenuation),
         "interpolation_error_bound": float(nodes.bias.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(nodes.index),

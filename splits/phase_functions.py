@@ -1,0 +1,267 @@
+"""Phase functions by angle from their moments, with or without the peak of diffraction.
+
+For programs that solve radiative transfer with grains of this package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import in_range, refuse
+from splits.dataset import attributes
+from splits.files import whole
+from splits.uncertainty import jackknife, quantity
+
+ALBEDO, G, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre_moment"
+ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
+
+
+def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.Dataset:
+    """Return single-scattering properties with what light does that passes a grain by.
+
+    As much light as a large grain intercepts is diffracted at its edge.  It doubles the extinction
+    by grains, and goes into a peak a few tenths of a degree wide.  What follows for radiative
+    transfer is nearly the same with and without: the peak's light goes on as if nothing had been.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        As `splits.single_scattering` returns it.
+    radius_um : float, optional
+        Of spheres with the grains' shadows (µm), 0.1 to 1e6; by default the medium's optical
+        radius.
+
+    Returns
+    -------
+    xarray.Dataset
+        Extinction, optical thickness, single-scattering albedo, asymmetry parameter and moments
+        with diffraction, and errors.  All moments are needed for the peak to show: some
+        4π radius/wavelength.
+
+    Raises
+    ------
+    ValueError
+        For a dataset of another kind, or that has diffraction already.
+
+    Notes
+    -----
+    Moments of the peak are those of a circular opening in Fraunhofer's limit, as optical transfer
+    functions have it: χ_l = (2/π)(arccos t − t √(1 − t²)), t = √(l(l + 1))/2x, x = 2π r/λ
+    (Goodman 2005, Introduction to Fourier Optics, chapter 6; J_0 stands for Legendre polynomials).
+    """
+    _check(optics)
+    if optics.attrs["diffraction"] != "none":
+        raise refuse("optics", optics.attrs["diffraction"], "without diffraction yet")
+    if radius_um is None:
+        own = optics.attrs.get(f"{optics.attrs['medium']}_optical_radius_um")
+        if own is None:
+            raise refuse("radius_um", None, "given for a medium that has no optical radius")
+        radius_um = float(own)
+    radius_um = in_range("radius_um", radius_um, 0.1, 1e6)
+    grains = float(optics.attrs["extinction_by_grains_per_m"])
+    peak = diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
+    extinction = optics.extinction.values
+    scattered = optics[ALBEDO].values * extinction
+
+    def mixed(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Return moments of all scattered light."""
+        own = (albedo * extinction)[..., np.newaxis]
+        found: np.ndarray = (own * moment + grains * peak) / (own + grains)
+        return found
+
+    moment = mixed(optics[ALBEDO].values, optics[MOMENT].values)
+    left = mixed(optics[f"{ALBEDO}_left_out"].values, optics[f"{MOMENT}_left_out"].values)
+    share = (scattered / (scattered + grains))[:, np.newaxis]
+    missed = share * optics[f"{MOMENT}_missed"].values
+    whole_extinction = extinction + grains
+    thinned = extinction / whole_extinction
+    found: dict[str, Any] = {}
+    found |= quantity("extinction", "wavelength", whole_extinction, None,
+                      "extinction coefficient", "m-1")  # fmt: skip
+    thickness = optics.optical_thickness.values * whole_extinction / extinction
+    found |= quantity("optical_thickness", "wavelength", thickness, None,
+                      "optical thickness of extinction")  # fmt: skip
+    albedo = (scattered + grains) / whole_extinction
+    error = thinned * optics[f"{ALBEDO}_stderr"].values
+    found |= quantity(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
+    error = np.hypot(jackknife(left), missed)
+    dims = ("wavelength", "order")
+    found |= quantity(G, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter")
+    found |= quantity(MOMENT, dims, moment, error, "Legendre moment of the phase function")
+    found[f"{MOMENT}_left_out"] = (("part", *dims), left, optics[f"{MOMENT}_left_out"].attrs)
+    found[f"{MOMENT}_missed"] = (dims, missed, optics[f"{MOMENT}_missed"].attrs)
+    facts = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
+    return xr.Dataset(found, optics.coords, attributes(facts))
+
+
+def diffraction_moments(
+    radius_um: float, wavelength_nm: np.ndarray, order: np.ndarray
+) -> np.ndarray:
+    """Return Legendre moments of light diffracted by large spheres, shape (wavelengths, orders)."""
+    size = 2.0 * np.pi * radius_um * 1e3 / wavelength_nm[:, np.newaxis]
+    t = np.minimum(np.sqrt(order * (order + 1.0)) / (2.0 * size), 1.0)
+    moments: np.ndarray = (2.0 / np.pi) * (np.arccos(t) - t * np.sqrt((1.0 - t) * (1.0 + t)))
+    return moments
+
+
+def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Dataset:
+    """Return the phase function by scattering angle.
+
+    Smoothed by the narrowest peak that so many moments can describe and that is nowhere negative:
+    plain sums over moments ring around whatever is narrow.  That
+    peak is 475° over the number of moments wide at half its height.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        As `splits.single_scattering` or `with_diffraction` returns it.
+    angle_deg : array_like
+        Scattering angles, 0 to 180 degrees.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``phase_function`` (1/sr) over ``wavelength`` and ``angle``, which adds up to 1 over all
+        directions, and its standard error.
+
+    Raises
+    ------
+    ValueError
+        For a dataset of another kind, or angles out of range.
+    """
+    _check(optics)
+    angles = np.atleast_1d(np.asarray(angle_deg, dtype=float))
+    for angle in (angles.min(), angles.max()):
+        in_range("angle_deg", float(angle), 0.0, 180.0)
+    terms = _terms(np.cos(np.radians(angles)), int(optics.order[-1]))
+    value = optics[MOMENT].values @ terms
+    noise = jackknife(optics[f"{MOMENT}_left_out"].values @ terms)
+    missed = optics[f"{MOMENT}_missed"].values @ np.abs(terms)
+    variables = quantity(
+        "phase_function", ("wavelength", "angle"), np.maximum(value, 0.0),
+        np.hypot(noise, missed), "phase function", "sr-1",
+    )  # fmt: skip
+    about = {"long_name": "scattering angle", "units": "degree"}
+    axes = {"wavelength": optics.wavelength, "angle": ("angle", angles, about)}
+    return xr.Dataset(variables, axes, attributes(dict(optics.attrs)))
+
+
+def _terms(mu: np.ndarray, most: int) -> np.ndarray:
+    """Return what moments are multiplied by, shape (orders, angles)."""
+    damped = _damping(most)
+    terms = np.empty((most + 1, mu.size))
+    for order, polynomial in enumerate(_polynomials(mu, most)):
+        terms[order] = (2.0 * order + 1.0) * damped[order] / (4.0 * np.pi) * polynomial
+    return terms
+
+
+def _polynomials(mu: np.ndarray, most: int) -> Iterator[np.ndarray]:
+    """Yield Legendre's polynomials of each order."""
+    before, last = np.zeros_like(mu), np.ones_like(mu)
+    yield last
+    for n in range(1, most + 1):
+        before, last = last, ((2 * n - 1) * mu * last - (n - 1) * before) / n
+        yield last
+
+
+def _damping(most: int) -> np.ndarray:
+    """Return the moments of the narrowest peak that polynomials up to an order can be.
+
+    Of all that are nowhere negative, the square of a polynomial Σ (2k + 1) P_k(x) P_k(μ) of half
+    the order has the largest mean cosine, x, the largest zero of the next polynomial: there
+    Gauss's quadrature puts all of its weight on one node.
+    """
+    half = most // 2
+    x = np.array([_largest_zero(half + 1)])
+    # Fejér's quadrature is exact for polynomials of fewer orders than it has nodes.
+    count = 2 * most + 2
+    angle = (np.arange(count) + 0.5) * np.pi / count
+    weight = np.full(count, 2.0 / count)
+    for k in range(1, count // 2 + 1):
+        weight -= 4.0 / count * np.cos(2.0 * k * angle) / (4.0 * k * k - 1.0)
+    mu = np.cos(angle)
+    root = np.zeros(count)
+    for k, (own, there) in enumerate(
+        zip(_polynomials(x, half), _polynomials(mu, half), strict=True)
+    ):
+        root += (2.0 * k + 1.0) * own * there
+    peak = weight * root**2
+    moments = np.array([(peak * one).sum() for one in _polynomials(mu, most)])
+    damped: np.ndarray = moments / moments[0]
+    return damped
+
+
+def _largest_zero(order: int) -> float:
+    """Return the largest zero of a Legendre polynomial, by Newton's steps from Bessel's zero."""
+    x = np.cos(2.404825557695773 / (order + 0.5))
+    for _ in range(20):
+        *_, before, last = [1.0, *(float(p[0]) for p in _polynomials(np.array([x]), order))]
+        step = last * (1.0 - x * x) / (order * (before - x * last))
+        x -= step
+        if abs(step) < 1e-15:
+            break
+    return float(x)
+
+
+def for_eradiate(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Dataset:
+    """Return single-scattering properties as eradiate's particle layers take them.
+
+    Parameters
+    ----------
+    optics, angle_deg
+        As for `phase_function`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``sigma_t`` (1/m) and ``albedo`` over ``w`` (nm), and ``phase`` (1/sr) over ``w``, ``mu``
+        (ascending), ``i`` and ``j``: the one element of unpolarized light.
+    """
+    function = phase_function(optics, angle_deg).sortby("angle", ascending=False)
+    mu = np.cos(np.radians(function.angle.values))
+    phase = function.phase_function.values[:, :, np.newaxis, np.newaxis]
+    return xr.Dataset(
+        {
+            "sigma_t": ("w", optics.extinction.values, {"units": "m^-1"}),
+            "albedo": ("w", optics[ALBEDO].values, {"units": "dimensionless"}),
+            "phase": (("w", "mu", "i", "j"), phase, {"units": "steradian^-1"}),
+        },
+        {
+            "w": ("w", optics.wavelength.values, {"units": "nm"}),
+            "mu": ("mu", mu, {"units": "dimensionless"}),
+            "i": ("i", [0]),
+            "j": ("j", [0]),
+        },
+        {"title": "Particle radiative properties", "source": optics.attrs.get("source", "splits")},
+    )
+
+
+def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
+    """Write the optical properties of a layer as libRadtran's ``wc_files`` and ``ic_files`` name.
+
+    A line for each wavelength: nm, extinction (1/km), single-scattering albedo, moments from 0 on.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        As for `phase_function`.
+    path : path
+        The file appears whole or not at all.
+    """
+    _check(optics)
+    columns = [optics.wavelength.values, 1e3 * optics.extinction.values, optics[ALBEDO].values]
+    table = np.column_stack([*columns, optics[MOMENT].values])
+    with whole(path) as aside:
+        np.savetxt(aside, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on")
+
+
+def _check(optics: xr.Dataset) -> None:
+    """Refuse what `splits.single_scattering` did not return."""
+    if "diffraction" not in optics.attrs or f"{MOMENT}_left_out" not in optics:
+        title = optics.attrs.get("title", "a dataset")
+        raise refuse("optics", title, "what splits.single_scattering returns")

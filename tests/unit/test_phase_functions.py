@@ -1,0 +1,151 @@
+"""Phase functions from moments, the peak of diffraction, and files for other programs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.special import eval_legendre, j1
+
+import splits
+from splits.checks import Refusal
+from splits.phase_functions import diffraction_moments, for_eradiate, write_libradtran
+
+G = 0.6
+ORDERS = np.arange(201)
+
+
+def optics(albedo=0.9, noise=0.0, **attrs):
+    """Return properties whose moments are those of Henyey and Greenstein, from 16 parts of rays."""
+    w = np.array([600.0, 1300.0])
+    moments = np.broadcast_to(G**ORDERS, (2, ORDERS.size))
+    parts = moments + noise * np.random.default_rng(1).normal(size=(16, *moments.shape))
+    parts[..., 0] = 1.0
+    dims = ("wavelength", "order")
+    variables = {
+        "extinction": ("wavelength", np.full(2, 2000.0)),
+        "optical_thickness": ("wavelength", np.full(2, 20.0)),
+        "single_scattering_albedo": ("wavelength", np.full(2, albedo)),
+        "single_scattering_albedo_stderr": ("wavelength", np.full(2, 1e-3)),
+        "single_scattering_albedo_left_out": (("part", "wavelength"), np.full((16, 2), albedo)),
+        "legendre_moment": (dims, moments),
+        "legendre_moment_left_out": (("part", *dims), parts),
+        "legendre_moment_missed": (dims, np.zeros_like(moments)),
+    }
+    facts = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
+             "extinction_by_grains_per_m": 2000.0} | attrs  # fmt: skip
+    return xr.Dataset(variables, {"wavelength": w, "order": ORDERS}, facts)
+
+
+def exact(angle_deg):
+    mu = np.cos(np.radians(angle_deg))
+    return (1.0 - G**2) / (4.0 * np.pi * (1.0 + G**2 - 2.0 * G * mu) ** 1.5)
+
+
+def test_a_smooth_phase_function_comes_back():
+    angles = np.linspace(10.0, 180.0, 86)
+    found = splits.phase_function(optics(), angles)
+    # Smoothing adds 1/4 of the mean square width times the curvature: largest near 0°.
+    np.testing.assert_allclose(found.phase_function[0], exact(angles), rtol=5e-3)
+
+
+@pytest.mark.parametrize("diffraction", [False, True])
+def test_it_adds_up_to_one_and_is_nowhere_negative(diffraction):
+    given = splits.with_diffraction(optics()) if diffraction else optics()
+    node, weight = np.polynomial.legendre.leggauss(400)
+    found = splits.phase_function(given, np.degrees(np.arccos(node))[::-1])
+    assert (found.phase_function >= 0.0).all()
+    total = 2.0 * np.pi * (found.phase_function.values * weight[::-1]).sum(axis=1)
+    np.testing.assert_allclose(total, 1.0, rtol=1e-9)
+
+
+def test_errors_are_those_of_parts_of_the_rays():
+    quiet, loud = (splits.phase_function(optics(noise=n), [90.0]) for n in (0.0, 1e-4))
+    assert float(quiet.phase_function_stderr.max()) < 1e-12
+    assert float(loud.phase_function_stderr.min()) > 0.0
+
+
+def test_a_peak_is_as_wide_as_said():
+    many = xr.Dataset(attrs=optics().attrs)
+    order = np.arange(301)
+    ones = np.ones((1, order.size))
+    dims = ("wavelength", "order")
+    many = many.assign_coords(wavelength=[600.0], order=order).assign(
+        legendre_moment=(dims, ones), legendre_moment_missed=(dims, 0.0 * ones),
+        legendre_moment_left_out=(("part", *dims), np.ones((16, 1, order.size))),
+    )  # fmt: skip
+    angles = np.linspace(0.0, 10.0, 10_001)
+    found = splits.phase_function(many, angles).phase_function.values[0]
+    half = angles[np.argmax(found < 0.5 * found[0])]
+    assert 2.0 * half * 300 == pytest.approx(475.0, rel=0.02)
+
+
+@pytest.mark.parametrize("order", [1, 10, 100, 1000, 1500, 2000])
+def test_moments_of_diffraction_are_those_of_airys_pattern(order):
+    x = 2.0 * np.pi * 100e3 / 600.0
+    angle = np.linspace(1e-9, 0.5 * np.pi, 400_001)
+    sine = np.sin(angle)
+    light = (2.0 * j1(x * sine) / (x * sine)) ** 2 * sine
+    moment = np.trapezoid(light * eval_legendre(order, np.cos(angle)), angle)
+    expected = moment / np.trapezoid(light, angle)
+    found = diffraction_moments(100.0, np.array([600.0]), np.array([order]))
+    # Of large spheres, to an order in 1/x.
+    assert found[0, 0] == pytest.approx(expected, abs=1.0 / x)
+
+
+def test_diffraction_doubles_what_grains_take_and_changes_nothing_else():
+    before, after = optics(), splits.with_diffraction(optics(), 160.0)
+    np.testing.assert_allclose(after.extinction, 2.0 * before.extinction)
+    np.testing.assert_allclose(after.optical_thickness, 40.0)
+    np.testing.assert_allclose(after.single_scattering_albedo, 0.5 * (1.0 + 0.9))
+    absorbed = [(1.0 - ds.single_scattering_albedo) * ds.extinction for ds in (before, after)]
+    np.testing.assert_allclose(*absorbed)
+    # What is turned away, ω (1 − g), but for the width of the peak.
+    turned = [ds.single_scattering_albedo * ds.extinction * (1.0 - g) for ds, g in (
+        (before, G), (after, after.asymmetry_parameter))]  # fmt: skip
+    np.testing.assert_allclose(*turned, rtol=5e-3)
+    assert after.legendre_moment[0, 0] == 1.0
+    again = splits.with_diffraction(optics())
+    np.testing.assert_array_equal(again.legendre_moment, after.legendre_moment)
+
+
+def test_eradiate_finds_what_it_looks_for():
+    made = for_eradiate(optics())
+    assert made.sigma_t.dims == made.albedo.dims == ("w",)
+    assert made.phase.dims == ("w", "mu", "i", "j")
+    units = {name: made[name].attrs["units"] for name in ("w", "sigma_t", "phase")}
+    assert units == {"w": "nm", "sigma_t": "m^-1", "phase": "steradian^-1"}
+    assert (np.diff(made.mu) > 0.0).all()
+    forward = float(made.phase.sel(mu=1.0, w=600.0).squeeze())
+    assert forward == float(splits.phase_function(optics(), [0.0]).phase_function[0, 0])
+
+
+def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
+    write_libradtran(optics(), tmp_path / "layer.dat")
+    table = np.loadtxt(tmp_path / "layer.dat")
+    assert table.shape == (2, 3 + ORDERS.size)
+    np.testing.assert_allclose(table[:, :3], [[600.0, 2e6, 0.9], [1300.0, 2e6, 0.9]])
+    np.testing.assert_allclose(table[0, 3:], G**ORDERS, rtol=1e-6)
+
+
+def test_what_grains_do_can_be_handed_on():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1)
+    found = splits.single_scattering(snow, [900.0], moments=64, rays=20_000)
+    function = splits.phase_function(splits.with_diffraction(found), [0.0, 20.0, 90.0])
+    value, error = function.phase_function.values[0], function.phase_function_stderr.values[0]
+    assert (value > 3.0 * error).all() and (np.diff(value) < 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda: splits.phase_function(optics(), [200.0]), "angle_deg = 200.0"),
+        (lambda: splits.phase_function(xr.Dataset(attrs={"title": "x"})), "optics = 'x'"),
+        (lambda: splits.with_diffraction(optics(), -1.0), "radius_um = -1.0"),
+        (lambda: splits.with_diffraction(optics(medium="sand")), "radius_um = None"),
+        (lambda: splits.with_diffraction(splits.with_diffraction(optics())), "optics = 'Fraun"),
+    ],
+)
+def test_what_cannot_be_is_refused(call, line):
+    with pytest.raises(Refusal, match=f"^{line}"):
+        call()

@@ -62,6 +62,10 @@ def _is_orcid(digits: str) -> bool:
     return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
+DIRECTIONS = ("optical_radius_um", "incidence_deg")
+"""Axes of experiments that show where the light of the explorer goes."""
+
+
 class Settings(Section):
     """The main configuration file."""
 
@@ -79,6 +83,7 @@ class Settings(Section):
     archive_authors: tuple[ArchiveAuthor, ...] = ()
     studies: dict[str, Study] = Field(default_factory=dict)
     explorer: dict[str, str] = Field(default_factory=dict)
+    explorer_directions: dict[str, str] = Field(default_factory=dict)
 
     @field_validator("experiments", mode="before")
     @classmethod
@@ -115,6 +120,24 @@ class Settings(Section):
         """Return the authors of results that an archive names, if any are given."""
         return tuple(Author(**author.model_dump()) for author in self.archive_authors)
 
+    def _check_explorer(self, available: Mapping[str, Experiment]) -> None:
+        """Refuse an explorer of experiments that it cannot show."""
+        for label, name in self.explorer.items():
+            if name in available and available[name].instrument.kind != "table":
+                kind = available[name].instrument.kind
+                raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+        for label, name in self.explorer_directions.items():
+            key = f"explorer_directions.{label} = {name!r}"
+            if label not in self.explorer:
+                known = ", ".join(self.explorer) or "none"
+                raise ConfigError(f"{key}: no table is called so in explorer (known: {known})")
+            if name not in available:
+                continue
+            one = available[name]
+            if one.instrument.kind != "goniophotometer" or {*one.grid} != {*DIRECTIONS}:
+                allowed = f"a goniophotometer over {' and '.join(DIRECTIONS)}"
+                raise ConfigError(f"{key}: must be {allowed}")
+
     def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.
 
@@ -129,9 +152,6 @@ class Settings(Section):
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
         check_studies(self.studies, available, self.tables)
-        for label, name in self.explorer.items():
-            if name in available and available[name].instrument.kind != "table":
-                kind = available[name].instrument.kind
-                raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+        self._check_explorer(available)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

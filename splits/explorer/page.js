@@ -6,6 +6,7 @@ for (const table of tables) {
   table.value = numbers(table.value);
   table.stderr = numbers(table.stderr);
   table.at = table.axes.map((axis) => axis.start);
+  if (table.directions) table.directions.value = numbers(table.directions.value);
 }
 
 // --- between nodes: as splits.lookup.interpolation has it ---------------------------------------
@@ -108,6 +109,72 @@ function colourOf(table, value) {
   });
 }
 
+// --- where the light goes -----------------------------------------------------------------------
+
+// Two nodes and their shares, linear in a law; beyond the ends, the end.
+function between(nodes, law, value) {
+  const at = nodes.map(law), x = Math.min(Math.max(law(value), at[0]), at[at.length - 1]);
+  const right = Math.max(1, at.findIndex((one) => one >= x)), share = (x - at[right - 1]) / (at[right] - at[right - 1]);
+  return [[right - 1, 1 - share], [right, share]];
+}
+
+function amountOf(table, name) {
+  const k = table.axes.findIndex((axis) => axis.name === name);
+  return k < 0 ? null : table.at[k];
+}
+
+// Reflectance factors over polar angle and azimuth, for the grains and the light that are chosen.
+function factors(table, nm) {
+  const d = table.directions, rows = d.polar.length, columns = d.azimuth.length, size = rows * columns;
+  const near = d.wavelength.reduce((best, one, i) => (Math.abs(one - nm) < Math.abs(d.wavelength[best] - nm) ? i : best), 0);
+  const out = new Float64Array(size);
+  for (const [i, a] of between(d.optical_radius_um, Math.log, amountOf(table, "optical_radius_um"))) {
+    for (const [j, b] of between(d.incidence_deg, laws.cosine[0], amountOf(table, "incidence_deg"))) {
+      const from = ((i * d.incidence_deg.length + j) * d.wavelength.length + near) * size;
+      for (let k = 0; k < size; k++) out[k] += a * b * d.value[from + k];
+    }
+  }
+  return { nm: d.wavelength[near], value: out, rows, columns };
+}
+
+const SHADES = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+function shade(share) {
+  const x = Math.min(Math.max(share, 0), 1) * (SHADES.length - 1), i = Math.min(Math.floor(x), SHADES.length - 2);
+  return SHADES[i].map((c, k) => c + (x - i) * (SHADES[i + 1][k] - c));
+}
+
+function hemisphere(table, nm) {
+  show("where").hidden = !table.directions;
+  if (!table.directions) return;
+  const d = table.directions, found = factors(table, nm), { value, rows, columns } = found;
+  const low = Math.min(...value), high = Math.max(...value), canvas = show("hemisphere");
+  const half = canvas.width / 2, radius = half - 4, paper = canvas.getContext("2d"), image = paper.createImageData(canvas.width, canvas.height);
+  const last = d.polar[rows - 1];
+  for (let v = 0; v < canvas.height; v++) {
+    for (let u = 0; u < canvas.width; u++) {
+      const x = (u + 0.5 - half) / radius, y = (v + 0.5 - half) / radius, r = Math.hypot(x, y);
+      if (r > 1) continue;
+      // Equal steps outwards are equal steps of the polar angle; right is forwards, azimuth 0.
+      const p = Math.min(r * 90, last) / last * (rows - 1), a = Math.abs(Math.atan2(y, x)) / Math.PI * (columns - 1);
+      const i = Math.min(Math.floor(p), rows - 2), j = Math.min(Math.floor(a), columns - 2), s = p - i, t = a - j;
+      const at = (m, n) => value[m * columns + n];
+      const here = (1 - s) * ((1 - t) * at(i, j) + t * at(i, j + 1)) + s * ((1 - t) * at(i + 1, j) + t * at(i + 1, j + 1));
+      const rgb = shade((here - low) / (high - low || 1));
+      image.data.set([rgb[0], rgb[1], rgb[2], 255], 4 * (v * canvas.width + u));
+    }
+  }
+  paper.putImageData(image, 0, 0);
+  const size = amountOf(table, "optical_radius_um"), beam = amountOf(table, "incidence_deg");
+  const ends = [d.optical_radius_um, d.incidence_deg], outside = [size, beam].some((x, k) => x < ends[k][0] || x > ends[k][ends[k].length - 1]);
+  const text = `Where the light goes at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
+    "The rim is the horizon; light comes from the left. Clean, dry grains" +
+    (outside ? `; as for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
+  show("whither").textContent = text;
+  canvas.setAttribute("aria-label", text);
+  canvas.dataset.factors = Array.from(value, (x) => x.toFixed(5)).join(" ");
+}
+
 function draw() {
   const table = tables[chosen], w = table.wavelength, found = interp(table, table.at);
   const left = 48, right = 616, top = 12, bottom = 322, first = w[0], last = w[w.length - 1];
@@ -132,6 +199,7 @@ function draw() {
   show("chart").innerHTML = `${marks}<path class="band" d="${path([...upper, ...lower])}Z"/><path class="model" d="${path(line)}"/>${mark}`;
   show("reading").textContent = `Reflectance at ${w[place]} nm: ${found.value[place].toFixed(4)} ± ${found.error[place].toFixed(4)}`;
   const rgb = colourOf(table, found.value), hex = "#" + rgb.map((c) => c.toString(16).padStart(2, "0")).join("");
+  hemisphere(table, w[place]);
   show("swatch").style.background = hex;
   show("colour").textContent = hex;
   show("python").textContent = python(table);
@@ -198,6 +266,14 @@ function point(event) {
 
 show("chart").addEventListener("pointermove", point);
 show("chart").addEventListener("pointerdown", point);
+show("chart").addEventListener("keydown", (event) => {
+  const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
+  if (!step) return;
+  event.preventDefault();
+  const most = tables[chosen].wavelength.length - 1;
+  cursor = Math.min(Math.max((cursor === null ? Math.floor((most + 1) / 4) : cursor) + step, 0), most);
+  draw();
+});
 show("csv").addEventListener("click", () => {
   const table = tables[chosen], found = interp(table, table.at);
   const lines = table.wavelength.map((nm, i) => `${nm},${found.value[i].toFixed(6)},${found.error[i].toFixed(6)}`);

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from splits.checks import refuse
 from splits.files import whole
@@ -31,11 +32,15 @@ class Shown(NamedTuple):
         Its name, for the line of Python that the page shows.
     about : str
         What it holds, in a sentence.
+    directions : xarray.Dataset, optional
+        Reflectance factors over ``optical_radius_um``, ``incidence_deg``, wavelength, polar angle
+        and azimuth: where the light goes.
     """
 
     table: Table
     file: str
     about: str
+    directions: xr.Dataset | None = None
 
 
 def write_page(tables: Mapping[str, Shown], path: str | Path) -> None:
@@ -106,7 +111,28 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
         "value": _packed(dataset.reflectance.values),
         "stderr": _packed(dataset.reflectance_stderr.values),
         "weights": colour_weights(wavelength).tolist(),
+        "directions": None if shown.directions is None else _directions(shown.directions),
     }
+
+
+STEEPEST_DEG = 85.0
+_DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar", "azimuth")
+
+
+def _directions(dataset: xr.Dataset) -> dict[str, Any]:
+    """Return what the page holds of where light goes: every 5° from above, every 10° around."""
+    found = [str(dim) for dim in dataset.reflectance_factor.dims]
+    if set(found) != {*_DIMS}:
+        raise refuse("explorer", found, f"reflectance factors over {', '.join(_DIMS)}")
+    factor = dataset.reflectance_factor.transpose(*_DIMS)
+    polar, azimuth = dataset.polar.values, dataset.azimuth.values
+    some = factor[
+        ...,
+        (polar % 5.0 == 0.0) & (polar <= STEEPEST_DEG),
+        (azimuth % 10.0 == 0.0) & (azimuth <= 180.0),
+    ]
+    axes = {name: some[name].values.astype(float).tolist() for name in _DIMS}
+    return axes | {"value": _packed(some.values)}
 
 
 _UNITS = {

@@ -18,6 +18,9 @@ ALWAYS = 3
 
 BAND = 4
 """Degrees whose power is compared with that of as many below, to tell what lies beyond."""
+CERTAIN = 4.0
+"""Standard deviations of a normal variable that something found by chance exceeds as rarely as
+coefficients must that are to tell of what lies beyond the polynomials."""
 SLOWEST = 0.95
 """Largest ratio of these powers to go on with."""
 DOUBT = 2.0
@@ -182,6 +185,20 @@ def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
     return found
 
 
+def stands_out(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Tell whether coefficients together are more than noise, shape (…).
+
+    Of k equal variances the sum of squares is distributed as χ², whose quantiles are near a cube
+    (Wilson and Hilferty 1931); unequal ones are as if they were fewer (Satterthwaite 1946).
+    """
+    total = variance.sum(axis=-1)
+    part = np.divide(variance, total[..., np.newaxis], out=np.zeros_like(variance),
+                     where=total[..., np.newaxis] > 0.0)  # fmt: skip
+    ninths = 2.0 / 9.0 * (part**2).sum(axis=-1)
+    bound: np.ndarray = total * (1.0 - ninths + CERTAIN * np.sqrt(ninths)) ** 3
+    return (mean**2).sum(axis=-1) > bound + np.finfo(float).tiny
+
+
 def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
     """Return what detail finer than the polynomials may add, shape (2, directions).
 
@@ -206,7 +223,7 @@ def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarr
         np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1)) for band in (fine, coarse)
     )
     tiny = np.finfo(float).tiny
-    seen = last > PENALTY * noise + tiny
+    seen = stands_out(mean[..., fine], variance[..., fine])
     # A slow fall, which much follows from, is believed as far as noise does not feign it.
     least, most = last - DOUBT * noise, np.maximum(before + DOUBT * noise_before, tiny)
     fall = np.clip(least / most, 0.0, SLOWEST)

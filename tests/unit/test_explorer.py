@@ -39,10 +39,24 @@ def table(shared="optical_radius_um, impurities_ng_g.black_carbon"):
     return Table(made)
 
 
+def directions():
+    """Return reflectance factors that tell every axis apart, and their interpolation is exact."""
+    axes = {
+        "optical_radius_um": np.array([60.0, 240.0, 960.0]), "incidence_deg": np.array([0.0, 60.0]),
+        "wavelength": np.array([450.0, 1030.0]), "polar": np.arange(0.0, 90.0, 2.5),
+        "azimuth": np.arange(0.0, 360.0, 5.0),
+    }  # fmt: skip
+    size, beam, w, polar, azimuth = np.meshgrid(*axes.values(), indexing="ij", sparse=True)
+    turned = np.minimum(azimuth, 360.0 - azimuth)
+    values = 0.1 * np.log(size) - 0.2 * np.cos(np.radians(beam)) + 1e-4 * w
+    values = values + 1e-3 * polar + 1e-4 * turned
+    return xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     path = tmp_path_factory.mktemp("explorer") / "explorer.html"
-    shown = {"snow": Shown(table(), "results/data/a.nc", "Snow"), "</script>": Shown(
+    shown = {"snow": Shown(table(), "results/data/a.nc", "Snow", directions()), "</script>": Shown(
         table("none"), "b.nc", "An awkward name")}  # fmt: skip
     write_page(shown, path)
     return path
@@ -64,6 +78,22 @@ AT = [
 ]
 
 
+def shown(written, folder, number, at):
+    """Return the page as a browser has it at a place."""
+    address = f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}"
+    command = [
+        CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync",
+        f"--user-data-dir={folder}", "--virtual-time-budget=2000", "--dump-dom", address,
+    ]  # fmt: skip
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+def told(text, name):
+    """Return the numbers that an element of a page holds."""
+    return np.array(re.search(rf'data-{name}="([^"]*)"', text)[1].split(), dtype=float)
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("at", AT, ids=str)
@@ -71,21 +101,39 @@ def test_a_browser_reads_what_python_reads(written, tmp_path, number, at):
     expected = table(*(["none"] if number else [])).interp(
         **dict(zip(list(AXES)[:-1], at, strict=True))
     )
-    address = f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}"
-    command = [
-        CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync",
-        f"--user-data-dir={tmp_path}", "--virtual-time-budget=2000", "--dump-dom", address,
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    found = {
-        name: np.array(re.search(rf'data-{name}="([^"]*)"', done.stdout)[1].split(), dtype=float)
-        for name in ("values", "errors")
-    }
+    text = shown(written, tmp_path, number, at)
+    found = {name: told(text, name) for name in ("values", "errors")}
     np.testing.assert_allclose(found["values"], expected.reflectance, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(found["errors"], expected.reflectance_stderr, rtol=0.0, atol=2e-6)
-    assert f'"optical_radius_um": {at[0]:g}' in done.stdout
-    assert len(re.findall(r'type="range" id="axis\d"', done.stdout)) == 4
+    assert f'"optical_radius_um": {at[0]:g}' in text
+    assert len(re.findall(r'type="range" id="axis\d"', text)) == 4
+    # Where the light goes is known of the first table alone.
+    assert ("data-factors" in text) == (number == 0)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+@pytest.mark.parametrize(("size", "beam"), [(60.0, 0.0), (277.0, 25.0), (1830.0, 69.0)])
+def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
+    text = shown(written, tmp_path, 0, (size, beam, 0.0, 0.0))
+    found = told(text, "factors").reshape(18, 19)
+    # The wavelength that is read at first, 620 nm, is nearer to 450 than to 1030.
+    given = directions().reflectance_factor.sel(wavelength=450.0)
+    given = given.sel(polar=np.arange(0.0, 90.0, 5.0), azimuth=np.arange(0.0, 181.0, 10.0))
+    law = given.assign_coords(
+        optical_radius_um=np.log(given.optical_radius_um),
+        incidence_deg=-np.cos(np.radians(given.incidence_deg)),
+    )
+    expected = law.interp(
+        optical_radius_um=np.log(min(size, 960.0)), incidence_deg=-np.cos(np.radians(min(beam, 60)))
+    )
+    np.testing.assert_allclose(found, expected.values, rtol=0.0, atol=2e-5)
+    assert ("nearest of 60 to 960" in text) == (size > 960.0)
+
+
+def test_directions_over_other_axes_are_refused(tmp_path):
+    lacking = directions().isel(incidence_deg=0)
+    with pytest.raises(Refusal, match=r"^explorer = .*must be reflectance factors over"):
+        write_page({"a": Shown(table(), "a.nc", "", lacking)}, tmp_path / "a.html")
 
 
 def test_colours_are_those_of_the_analysis():

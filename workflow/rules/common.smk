@@ -11,6 +11,12 @@ for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
 # The tables of the explorer, where all of them are selected.
 EXPLORED = SETTINGS.explorer if set(SETTINGS.explorer.values()) <= set(TABLES) else {}
+# Where their light goes, as far as that is selected.
+WHERE = {
+    label: name
+    for label, name in SETTINGS.explorer_directions.items()
+    if name in EXPERIMENTS
+}
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
 

@@ -1,6 +1,9 @@
 rule explorer:
     input:
-        **{name: f"{RESULTS}/data/{name}.nc" for name in EXPLORED.values()},
+        **{
+            name: f"{RESULTS}/data/{name}.nc"
+            for name in (*EXPLORED.values(), *WHERE.values())
+        },
     output:
         f"{RESULTS}/explorer.html",
     log:
@@ -10,6 +13,7 @@ rule explorer:
     threads: 1
     params:
         explorer=EXPLORED,
+        directions=WHERE,
         about={name: EXPERIMENTS[name].title for name in EXPLORED.values()},
         page=files_digest(PACKAGE / "explorer", ["page.html", "page.css", "page.js"]),
     message:

@@ -168,7 +168,7 @@ function hemisphere(table, nm) {
   const size = amountOf(table, "optical_radius_um"), beam = amountOf(table, "incidence_deg");
   const ends = [d.optical_radius_um, d.incidence_deg], outside = [size, beam].some((x, k) => x < ends[k][0] || x > ends[k][ends[k].length - 1]);
   const text = `Where the light goes at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
-    "The rim is the horizon; light comes from the left. Clean, dry grains" +
+    `The rim is the horizon; light comes from the left. Clean, dry grains, ± ${Math.round(100 * d.error)} %` +
     (outside ? `; as for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
   show("whither").textContent = text;
   canvas.setAttribute("aria-label", text);

@@ -34,7 +34,7 @@ class Shown(NamedTuple):
         What it holds, in a sentence.
     directions : xarray.Dataset, optional
         Reflectance factors over ``optical_radius_um``, ``incidence_deg``, wavelength, polar angle
-        and azimuth: where the light goes.
+        and azimuth: where the light goes; attribute ``relative_stderr_reached``.
     """
 
     table: Table
@@ -132,7 +132,8 @@ def _directions(dataset: xr.Dataset) -> dict[str, Any]:
         (azimuth % 10.0 == 0.0) & (azimuth <= 180.0),
     ]
     axes = {name: some[name].values.astype(float).tolist() for name in _DIMS}
-    return axes | {"value": _packed(some.values)}
+    error = float(dataset.attrs["relative_stderr_reached"])
+    return axes | {"value": _packed(some.values), "error": error}
 
 
 _UNITS = {

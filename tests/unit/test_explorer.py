@@ -50,7 +50,9 @@ def directions():
     turned = np.minimum(azimuth, 360.0 - azimuth)
     values = 0.1 * np.log(size) - 0.2 * np.cos(np.radians(beam)) + 1e-4 * w
     values = values + 1e-3 * polar + 1e-4 * turned
-    return xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
+    return xr.Dataset(
+        {"reflectance_factor": (tuple(axes), values)}, axes, {"relative_stderr_reached": 0.04}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +129,7 @@ def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
         optical_radius_um=np.log(min(size, 960.0)), incidence_deg=-np.cos(np.radians(min(beam, 60)))
     )
     np.testing.assert_allclose(found, expected.values, rtol=0.0, atol=2e-5)
+    assert "± 4 %" in text
     assert ("nearest of 60 to 960" in text) == (size > 960.0)
 
 

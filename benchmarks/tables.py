@@ -187,6 +187,18 @@ def peers() -> None:
         print(f"TARTES: {used / 100:.5f} s of one core")
     except ImportError:
         print("TARTES: not installed")
+    try:
+        import snowoptics
+
+        def theory() -> Any:
+            sza, area = np.radians(50.0), 3.0 / (917.0 * 200e-6)
+            return snowoptics.albedo_KZ04(WAVELENGTHS * 1e-9, sza, area, impurities={"BC": 50e-9})
+
+        theory()
+        _, _, used = timed(lambda: [theory() for _ in range(100)])
+        print(f"snowoptics (Kokhanovsky and Zege): {used / 100:.5f} s of one core")
+    except ImportError:
+        print("snowoptics: not installed")
 
 
 def main() -> None:

@@ -55,8 +55,9 @@ sleep 5
 slurmd -N "$host"
 say "the node daemon is back"
 kept 28
-say "snakemake is interrupted"
-kill -INT "$made"
+# What a script starts in the background does not hear of Ctrl+C, but of this.
+say "snakemake is told to end"
+kill -TERM "$made"
 wait "$made" || say "it ended with $?"
 squeue --noheader | wc -l | xargs -I{} echo "$(date +%T) jobs left in the queue: {}"
 snakemake --profile profiles/slurm --unlock "$table" > /dev/null 2>&1 || true

@@ -8,6 +8,8 @@
 # EXPERIMENT is one of config/experiments with instrument table; without a reference one is made
 # first, by two cores, in results/reference.
 set -euo pipefail
+# Each background job is a group of its own, and hears of Ctrl+C.
+set -m
 name=$1 host=$(hostname -s)
 table=results/data/$name.nc
 
@@ -55,9 +57,8 @@ sleep 5
 slurmd -N "$host"
 say "the node daemon is back"
 kept 28
-# What a script starts in the background does not hear of Ctrl+C, but of this.
-say "snakemake is told to end"
-kill -TERM "$made"
+say "snakemake is interrupted, as by Ctrl+C"
+kill -INT -- "-$made"
 wait "$made" || say "it ended with $?"
 squeue --noheader | wc -l | xargs -I{} echo "$(date +%T) jobs left in the queue: {}"
 snakemake --profile profiles/slurm --unlock "$table" > /dev/null 2>&1 || true

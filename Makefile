@@ -14,6 +14,10 @@ CORES ?= 2
 ACCURACY ?= standard
 LOCKED = --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate
 REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
+# What the report shows, or is made by, and is newer than it.
+MADE = $(addprefix $(dir $(REPORT)),data figures tables benchmarks)
+NEWER = find Snakefile config $(MADE) -newer $(REPORT) -print -quit 2>/dev/null; \
+	find workflow splits benchmarks -name '*.*' ! -name '*.pyc' -type f -newer $(REPORT) -print -quit
 VENV := .venv
 BIN := $(VENV)/bin
 
@@ -30,9 +34,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
-	@if [ ! -e $(REPORT) ] || [ -n "$$(find Snakefile config workflow splits $(dir $(REPORT))data \
-		$(dir $(REPORT))figures $(dir $(REPORT))tables -type f ! -path '*/__pycache__/*' -newer $(REPORT) -print -quit 2>/dev/null)" ]; then \
-		$(BIN)/snakemake --report $(REPORT) --config accuracy=$(ACCURACY); \
+	@if [ ! -s $(REPORT) ] || [ -n "$$($(NEWER))" ]; then \
+		$(BIN)/snakemake --report $(REPORT:.html=.aside.html) --config accuracy=$(ACCURACY) && \
+		mv $(REPORT:.html=.aside.html) $(REPORT); \
 	else echo "$(REPORT) is up to date"; fi
 
 setup: $(VENV)/ready

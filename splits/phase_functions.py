@@ -34,14 +34,14 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         As `splits.single_scattering` returns it.
     radius_um : float, optional
         Of spheres with the grains' shadows (µm), 0.1 to 1e6; by default the medium's optical
-        radius.
+        radius, which is about that.
 
     Returns
     -------
     xarray.Dataset
         Extinction, optical thickness, single-scattering albedo, asymmetry parameter and moments
-        with diffraction, and errors.  All moments are needed for the peak to show: some
-        4π radius/wavelength.
+        with diffraction, and errors.  For all of the peak to show some 4π radius/wavelength
+        moments are needed.
 
     Raises
     ------
@@ -114,7 +114,8 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Datase
 
     Smoothed by the narrowest peak that so many moments can describe and that is nowhere negative:
     plain sums over moments ring around whatever is narrow.  That
-    peak is 475° over the number of moments wide at half its height.
+    peak is some 475° over the number of moments wide at half its height.  Smoothing lowers the mean
+    cosine: of 64 moments by 0.3 %.
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ def _polynomials(mu: np.ndarray, most: int) -> Iterator[np.ndarray]:
 
 
 def _damping(most: int) -> np.ndarray:
-    """Return the moments of the narrowest peak that polynomials up to an order can be.
+    """Return the moments of the narrowest peak that polynomials up to an (even) order can be.
 
     Of all that are nowhere negative, the square of a polynomial Σ (2k + 1) P_k(x) P_k(μ) of half
     the order has the largest mean cosine, x, the largest zero of the next polynomial: there
@@ -208,28 +209,71 @@ def _largest_zero(order: int) -> float:
     return float(x)
 
 
-def for_eradiate(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Dataset:
-    """Return single-scattering properties as eradiate's particle layers take them.
+def angles_that_resolve(moments: int) -> np.ndarray:
+    """Return angles (degrees) between which a phase function of so many moments is nearly linear.
+
+    A tenth of the narrowest peak apart near 0°, and then wider and wider, up to half a degree.
+    """
+    finest = min(47.5 / max(moments, 1), 0.5)
+    angles = [0.0]
+    while angles[-1] < 180.0:
+        angles.append(angles[-1] + min(max(finest, 0.03 * angles[-1]), 0.5))
+    angles[-1] = 180.0
+    return np.array(angles)
+
+
+def for_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
+    """Return single-scattering properties as particle layers of eradiate take them ("Aer v1").
+
+    A phase function that is smoothed, and linear between angles, is a little less forward than its
+    moments say.  Scattering is made less by as much, so that what is turned away and what is
+    absorbed per metre are as they were (van de Hulst's similarity).
 
     Parameters
     ----------
-    optics, angle_deg
+    optics : xarray.Dataset
         As for `phase_function`.
+    angle_deg : array_like, optional
+        Scattering angles from 0 to 180 degrees; by default as many as the moments need.
 
     Returns
     -------
     xarray.Dataset
         ``sigma_t`` (1/m) and ``albedo`` over ``w`` (nm), and ``phase`` (1/sr) over ``w``, ``mu``
-        (ascending), ``i`` and ``j``: the one element of unpolarized light.
+        (ascending), ``i`` and ``j``: the one element of unpolarized light, which adds up to 1
+        between the angles.  ``optical_thickness`` over ``w`` stands beside them: eradiate asks for
+        it at one wavelength, ``tau_ref`` at ``w_ref``.
+
+    Raises
+    ------
+    ValueError
+        For angles that miss a peak: between which light does not add up to 1 within 1 %.
     """
-    function = phase_function(optics, angle_deg).sortby("angle", ascending=False)
+    angles = angles_that_resolve(int(optics.order[-1])) if angle_deg is None else angle_deg
+    function = phase_function(optics, angles).sortby("angle", ascending=False)
     mu = np.cos(np.radians(function.angle.values))
-    phase = function.phase_function.values[:, :, np.newaxis, np.newaxis]
+    phase = function.phase_function.values
+    total = 2.0 * np.pi * np.trapezoid(phase, mu, axis=1)
+    if np.abs(total - 1.0).max() > 0.01:
+        allowed = "fine enough that the phase function adds up to 1 within 1 %"
+        raise refuse("angle_deg", f"{len(mu)} angles", allowed, "leave them out")
+    phase = phase / total[:, np.newaxis]
+    forward = 2.0 * np.pi * np.trapezoid(phase * mu, mu, axis=1)
+    extinction = optics.extinction.values
+    scattered = extinction * optics[ALBEDO].values
+    absorbed = extinction - scattered
+    scattered = scattered * (1.0 - optics[MOMENT].values[:, 1]) / (1.0 - forward)
+    thinner = (scattered + absorbed) / extinction
+    thickness = optics.optical_thickness.values * thinner
     return xr.Dataset(
         {
-            "sigma_t": ("w", optics.extinction.values, {"units": "m^-1"}),
-            "albedo": ("w", optics[ALBEDO].values, {"units": "dimensionless"}),
-            "phase": (("w", "mu", "i", "j"), phase, {"units": "steradian^-1"}),
+            "sigma_t": ("w", scattered + absorbed, {"units": "m^-1"}),
+            "albedo": ("w", scattered / (scattered + absorbed), {"units": "dimensionless"}),
+            "phase": (
+                ("w", "mu", "i", "j"), phase[:, :, np.newaxis, np.newaxis],
+                {"units": "steradian^-1"},
+            ),
+            "optical_thickness": ("w", thickness, {"units": "dimensionless"}),
         },
         {
             "w": ("w", optics.wavelength.values, {"units": "nm"}),
@@ -238,7 +282,7 @@ def for_eradiate(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Dataset:
             "j": ("j", [0]),
         },
         {"title": "Particle radiative properties", "source": optics.attrs.get("source", "splits")},
-    )
+    )  # fmt: skip
 
 
 def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.dataset import attributes
 from splits.experiments.sections import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
@@ -110,14 +111,24 @@ def _together(
     run = Run.checked(instrument.wavelengths(), beam, error, seed, most, threads, "auto")
     spectra = spectra_of(members.family, run, show)
     order = np.argsort(members.places)
-    return [spectra[which] for which in members.which[order]]
+    return [
+        _of_medium(spectra[which], medium)
+        for which, (_, medium, _) in zip(members.which[order], points, strict=True)
+    ]
+
+
+def _of_medium(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
+    """Return the spectrum of a medium from that of one that is the same to light."""
+    start = f"{medium.kind}_"
+    told = {f"{start}{key}": value for key, value in medium.describe().items()}
+    others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(start)}
+    return xr.Dataset(spectrum.data_vars, spectrum.coords, attributes(others | told))
 
 
 def _head(name: str, points: Sequence[Point], group: Sequence[int]) -> str:
     """Return how lines about some points begin."""
     if len(group) > 1:
-        numbers = ", ".join(str(place + 1) for place in sorted(group))
-        return f"{name} {numbers} of {len(points)} together"
+        return f"{name} {len(group)} of {len(points)} together, from {min(group) + 1}"
     (place,) = group
     where = " ".join(f"{p}={label}" for p, label in points[place][0].items())
     return f"{name} {place + 1}/{len(points)} {where}".rstrip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,29 +111,53 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
         "value": _packed(dataset.reflectance.values),
         "stderr": _packed(dataset.reflectance_stderr.values),
         "weights": colour_weights(wavelength).tolist(),
-        "directions": None if shown.directions is None else _directions(shown.directions),
+        "directions": None if shown.directions is None else _directions(shown.directions, names),
     }
 
 
-STEEPEST_DEG = 85.0
+STEEPEST_DEG = 80.0
+STEP_DEG = 5.0
+"""Polar angle up to which the page shows directions, and the step of that and half that around."""
 _DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar", "azimuth")
 
 
-def _directions(dataset: xr.Dataset) -> dict[str, Any]:
+def _directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
     """Return what the page holds of where light goes: every 5° from above, every 10° around."""
     found = [str(dim) for dim in dataset.reflectance_factor.dims]
     if set(found) != {*_DIMS}:
         raise refuse("explorer", found, f"reflectance factors over {', '.join(_DIMS)}")
-    factor = dataset.reflectance_factor.transpose(*_DIMS)
-    polar, azimuth = dataset.polar.values, dataset.azimuth.values
-    some = factor[
-        ...,
-        (polar % 5.0 == 0.0) & (polar <= STEEPEST_DEG),
-        (azimuth % 10.0 == 0.0) & (azimuth <= 180.0),
-    ]
-    axes = {name: some[name].values.astype(float).tolist() for name in _DIMS}
-    error = float(dataset.attrs["relative_stderr_reached"])
-    return axes | {"value": _packed(some.values), "error": error}
+    for name in _DIMS[:2]:
+        if name not in axes:
+            raise refuse("explorer", list(axes), f"a table with {name}, as its directions have")
+        if dataset.sizes[name] < 2:
+            raise refuse("explorer", f"{dataset.sizes[name]} {name}", "at least two of directions")
+    polar, azimuth = np.arange(0.0, STEEPEST_DEG + 1.0, STEP_DEG), np.arange(0.0, 181.0, 10.0)
+    if not (np.isin(polar, dataset.polar).all() and np.isin(azimuth, dataset.azimuth).all()):
+        allowed = f"every {STEP_DEG:g}° to {STEEPEST_DEG:g}°, and every 10° of azimuth to 180°"
+        raise refuse("explorer", "angles of directions", allowed)
+    some = dataset.reflectance_factor.transpose(*_DIMS).sel(polar=polar, azimuth=azimuth)
+    nodes = {name: some[name].values.astype(float) for name in _DIMS}
+    noise = float(dataset.attrs["relative_stderr_reached"])
+    missed = max(
+        _missed(some.values, axis, law(kind, nodes[name]))
+        for axis, (name, kind) in enumerate(zip(_DIMS, ("logarithm", "cosine"), strict=False))
+    )
+    listed = {name: values.tolist() for name, values in nodes.items()}
+    return listed | {"value": _packed(some.values), "error": float(np.hypot(noise, missed))}
+
+
+def _missed(values: np.ndarray, axis: int, at: np.ndarray) -> float:
+    """Return what reading between two nodes of an axis misses at most, relative.
+
+    A quarter of what a node is off that is left out, for half the distance.
+    """
+    rows = np.moveaxis(values, axis, 0)
+    off = [0.0]
+    for i in range(1, len(at) - 1):
+        share = (at[i] - at[i - 1]) / (at[i + 1] - at[i - 1])
+        found = (1.0 - share) * rows[i - 1] + share * rows[i + 1]
+        off.append(0.25 * float(np.abs(found / rows[i] - 1.0).max()))
+    return max(off)
 
 
 _UNITS = {

@@ -41,6 +41,7 @@ def spectra_of(family: Family, run: Run, progress: Report = None) -> list[xr.Dat
             stderr=whole.stderr[:, rows],
             bias=whole.bias[:, rows],
             groups=whole.groups[..., rows],
+            converged=bool(whole.stderr[:, rows].max() <= run.max_stderr),
         )
         cut = found.cut
         if cut is not None:

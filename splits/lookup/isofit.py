@@ -38,7 +38,8 @@ def for_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: 
         Over ``solar_zenith``, ``observer_zenith``, ``relative_azimuth`` (degrees, 0 where the
         observer stands on the sun's side: 180 less our azimuth), ``grain_radius`` (µm) and ``wl``
         (nm): ``rho_dif_dir``, alike for every sun, as no beam is in it; and ``rho_dir_dir``, the
-        bidirectional reflectance factor, of light that met a grain.
+        bidirectional reflectance factor, of light that met a grain; ``statevec_names``, which
+        isofit asks for: what is retrieved.
 
     Raises
     ------
@@ -110,8 +111,10 @@ def _named(
         "grain_radius": {"units": "um"},
         "wl": {"units": "nm"},
     }
+    state = {"statevec_names": ("n_state", ["GRAIN_RADIUS"])}
     return xr.Dataset(
-        {name: (DIMS, v, {"long_name": about[name], "units": "1"}) for name, v in values.items()},
+        state
+        | {name: (DIMS, v, {"long_name": about[name], "units": "1"}) for name, v in values.items()},
         {name: (name, axis, units[name]) for name, axis in axes.items()},
         {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
     )

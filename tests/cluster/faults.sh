@@ -20,14 +20,14 @@ running() { squeue --noheader --states running --format %i | sort -n; }
 
 # Wait until so many ensembles are kept.
 kept() {
-    until [ "$(find results/blocks -name '*.nc' 2>/dev/null | wc -l)" -ge "$1" ]; do
+    until [ "$(find "results/blocks/$name" -name '*.nc' 2>/dev/null | wc -l)" -ge "$1" ]; do
         if ! kill -0 "$made" 2>/dev/null; then
             say "snakemake has ended already"
             return
         fi
         sleep 0.5
     done
-    say "$(find results/blocks -name '*.nc' | wc -l) ensembles are kept"
+    say "$(find "results/blocks/$name" -name '*.nc' | wc -l) ensembles are kept"
 }
 
 submit() {
@@ -39,6 +39,10 @@ if [ $# -lt 2 ]; then
     snakemake --cores 2 --config results=results/reference --quiet all -- "results/reference/data/$name.nc"
     set -- "$name" "results/reference/data/$name.nc"
 fi
+if [ -e "results/blocks/$name" ] || [ -e "$table" ]; then
+    echo "results/blocks/$name and $table have to be removed first" >&2
+    exit 1
+fi
 submit 1
 kept 4
 victim=$(running | head -1)
@@ -47,7 +51,7 @@ pkill -9 -f "/job0*$victim/slurm_script" || say "it has ended already"
 kept 12
 victim=$(running | tail -1)
 say "job $victim is cancelled"
-scancel "$victim"
+scancel "$victim" || say "it has ended already"
 kept 20
 say "the node daemon and all its jobs are killed with -9"
 pkill -9 -x slurmd || true
@@ -58,7 +62,7 @@ slurmd -N "$host"
 say "the node daemon is back"
 kept 28
 say "snakemake is interrupted, as by Ctrl+C"
-kill -INT -- "-$made"
+kill -INT -- "-$made" || say "it has ended already"
 wait "$made" || say "it ended with $?"
 squeue --noheader | wc -l | xargs -I{} echo "$(date +%T) jobs left in the queue: {}"
 snakemake --profile profiles/slurm --unlock "$table" > /dev/null 2>&1 || true
@@ -76,6 +80,7 @@ import splits
 
 one, other = (splits.load(path) for path in sys.argv[1:])
 same = {name: np.array_equal(one[name].values, other[name].values) for name in one.data_vars}
-print(f"{one.sizes}: same bits", same)
+count = one.reflectance.size // one.sizes["wavelength"]
+print(f"{count} spectra of {one.sizes['wavelength']} wavelengths: same bits", same)
 sys.exit(not all(same.values()))
 PYTHON

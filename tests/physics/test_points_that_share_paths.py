@@ -97,3 +97,13 @@ def test_datasets_look_alike_however_they_were_measured(together):
     assert own[0] == own[1]
     for name in alone.data_vars:
         assert (shared[name].dims, shared[name].attrs) == (alone[name].dims, alone[name].attrs)
+
+
+def test_points_that_are_the_same_to_light_keep_what_is_theirs():
+    """Below a pack without end the ground does not matter."""
+    grounds = {"a": {"ground": 0.1}, "b": {"ground": 0.9}}
+    snow = {"kind": "natural_snow", "specific_surface_area_m2_kg": 20}
+    found = run(experiment(medium=snow, grid={"medium": grounds}), ACCURACY, seed=5, threads=2)
+    assert "snow_ground" not in found.attrs
+    assert found.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
+    np.testing.assert_array_equal(found.reflectance[0], found.reflectance[1])

@@ -343,3 +343,48 @@ def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
     first.communicate()
     second.communicate(b"\n")
     assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0)
+
+
+FAILS = """
+import sys
+from numba import njit
+from splits.transport.compiling.cache import keep
+
+def slow(x):
+    return x + 1
+
+kernel = keep(njit(slow))
+if sys.argv[1:]:
+    compile = kernel._compiler._compile_core
+    def fail(*parts):
+        raise KeyboardInterrupt
+    kernel._compiler._compile_core = fail
+try:
+    print(kernel(1), flush=True)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+input()
+"""
+
+
+@NEEDS_JIT
+def test_nobody_waits_for_a_compilation_that_failed(tmp_path):
+    script = tmp_path / "fails.py"
+    script.write_text(FAILS)
+    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
+    lives_on = subprocess.Popen([sys.executable, script, "fail"], **pipes)
+    assert lives_on.stdout.readline() == "interrupted\n"
+    other = subprocess.run(
+        [sys.executable, script], input="\n", capture_output=True, text=True, env=kept, timeout=60
+    )
+    assert other.stdout == "2\n"
+    lives_on.communicate("\n")
+
+
+def test_a_folder_that_cannot_be_written_to_holds_nobody_up(tmp_path, monkeypatch):
+    turns._opened.cache_clear()
+    gone = tmp_path / "gone"
+    assert not turns.take(gone, "kernel")
+    assert turns.take(tmp_path, "kernel")
+    turns.leave(tmp_path, "kernel")

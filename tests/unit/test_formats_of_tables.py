@@ -82,6 +82,7 @@ def test_isofit_finds_the_names_that_it_looks_for(table):
     assert made.rho_dif_dir.dims == (
         "solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl",
     )  # fmt: skip
+    assert made["statevec_names"].values.tolist() == ["GRAIN_RADIUS"]
     at = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0, "incidence_deg": 60.0}
     expected = table.dataset.reflectance.sel(at)
     for sun in AXES["incidence_deg"]:

@@ -116,8 +116,24 @@ def test_eradiate_finds_what_it_looks_for():
     units = {name: made[name].attrs["units"] for name in ("w", "sigma_t", "phase")}
     assert units == {"w": "nm", "sigma_t": "m^-1", "phase": "steradian^-1"}
     assert (np.diff(made.mu) > 0.0).all()
-    forward = float(made.phase.sel(mu=1.0, w=600.0).squeeze())
-    assert forward == float(splits.phase_function(optics(), [0.0]).phase_function[0, 0])
+    assert (made.mu[0], made.mu[-1]) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize("diffraction", [False, True])
+def test_eradiate_turns_away_and_absorbs_as_much(diffraction):
+    given = splits.with_diffraction(optics()) if diffraction else optics()
+    made = for_eradiate(given)
+    phase, mu = made.phase.values[:, :, 0, 0], made.mu.values
+    total, forward = (2.0 * np.pi * np.trapezoid(phase * x, mu, axis=1) for x in (1.0, mu))
+    np.testing.assert_allclose(total, 1.0, rtol=1e-12)
+    before = (1.0 - given.single_scattering_albedo) * given.extinction
+    np.testing.assert_allclose((1.0 - made.albedo) * made.sigma_t, before)
+    turned = made.albedo.values * made.sigma_t.values * (1.0 - forward)
+    own = given.single_scattering_albedo * given.extinction * (1.0 - given.legendre_moment[:, 1])
+    np.testing.assert_allclose(turned, own)
+    # What is given back is little.
+    np.testing.assert_allclose(made.sigma_t, given.extinction, rtol=5e-3)
+    np.testing.assert_allclose(made.optical_thickness, 1e-2 * made.sigma_t)
 
 
 def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
@@ -141,6 +157,7 @@ def test_what_grains_do_can_be_handed_on():
     [
         (lambda: splits.phase_function(optics(), [200.0]), "angle_deg = 200.0"),
         (lambda: splits.phase_function(xr.Dataset(attrs={"title": "x"})), "optics = 'x'"),
+        (lambda: for_eradiate(optics(), np.arange(0.0, 181.0, 30.0)), "angle_deg = '7 angles'"),
         (lambda: splits.with_diffraction(optics(), -1.0), "radius_um = -1.0"),
         (lambda: splits.with_diffraction(optics(medium="sand")), "radius_um = None"),
         (lambda: splits.with_diffraction(splits.with_diffraction(optics())), "optics = 'Fraun"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import pickle
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,8 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 def keep(kernel: Any) -> Any:
     """Let what a compiled function is compiled to be kept, and return the function."""
     if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        kernel._cache = KernelCache(kernel.py_func)
+        kernel._cache = cache = KernelCache(kernel.py_func)
+        kernel._compiler.compile = cache.ending_turns(kernel._compiler.compile)
     return kernel
 
 
@@ -85,6 +87,18 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         finally:
             self._cache_file.leave_turn(sig)
+
+    def ending_turns(self, compile: Callable[..., Any]) -> Callable[..., Any]:
+        """Return what compiles, and lets others go on if that fails or is interrupted."""
+
+        def compiled(*given: Any) -> Any:
+            try:
+                return compile(*given)
+            except BaseException:
+                self._cache_file.leave_turns()
+                raise
+
+        return compiled
 
     def _kept(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -153,15 +167,20 @@ class Entries:
         for folder in folders():
             with suppress(OSError):
                 folder.make()
-                turns.take(folder.path, f"{self.name} {sig}")
-                self._taken[sig] = folder.path
-                return True
+                if turns.take(folder.path, f"{self.name} {sig}"):
+                    self._taken[sig] = folder.path
+                    return True
         return False
 
     def leave_turn(self, sig: Any) -> None:
         """Let others compile for a signature, or find what this process has compiled."""
         if sig in self._taken:
             turns.leave(self._taken.pop(sig), f"{self.name} {sig}")
+
+    def leave_turns(self) -> None:
+        """Let others compile for all signatures."""
+        for sig in list(self._taken):
+            self.leave_turn(sig)
 
     def flush(self) -> None:
         """Forget what was saved."""

@@ -10,6 +10,7 @@ import functools
 import hashlib
 import logging
 import os
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,6 +20,9 @@ except ImportError:  # Windows has none: processes there compile side by side.
     fcntl = None  # type: ignore[assignment]
 
 FILE = "turns"
+LONGEST_S = 300.0
+"""How long a process waits for another: ten times what the largest kernel takes."""
+_PAUSE_S = 0.05
 
 
 @functools.cache
@@ -32,20 +36,34 @@ def _place(name: str) -> int:
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big")
 
 
-def take(folder: Path, name: str) -> None:
+def take(folder: Path, name: str) -> bool:
     """Wait until no other process compiles what is kept under a name, and keep others waiting.
 
-    Where files cannot be locked nobody waits: kernels are then compiled more than once.
+    Nobody waits longer than `LONGEST_S`, nor where files cannot be locked: kernels are then
+    compiled more than once.
+
+    Returns
+    -------
+    bool
+        Whether others wait for this process now.
     """
     if fcntl is None:
-        return
-    with suppress(OSError):
+        return False
+    begun, told = time.monotonic(), False
+    try:
         file = _opened(folder)
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
-        except (BlockingIOError, PermissionError):
-            logging.getLogger(__name__).info("another process compiles kernels: waiting for it")
-            fcntl.lockf(file, fcntl.LOCK_EX, 1, _place(name))
+        while True:
+            with suppress(BlockingIOError, PermissionError):
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
+                return True
+            if time.monotonic() - begun > LONGEST_S:
+                return False
+            if not told:
+                logging.getLogger(__name__).info("another process compiles kernels: waiting")
+                told = True
+            time.sleep(_PAUSE_S)
+    except OSError:
+        return False
 
 
 def leave(folder: Path, name: str) -> None:

@@ -111,7 +111,7 @@ function colourOf(table, value) {
 
 // --- where the light goes -----------------------------------------------------------------------
 
-// Two nodes and their shares, linear in a law; beyond the ends, the end.
+// Two nodes and their shares of a logarithm, linear in a law; beyond the ends, the end.
 function between(nodes, law, value) {
   const at = nodes.map(law), x = Math.min(Math.max(law(value), at[0]), at[at.length - 1]);
   const right = Math.max(1, at.findIndex((one) => one >= x)), share = (x - at[right - 1]) / (at[right] - at[right - 1]);
@@ -131,9 +131,10 @@ function factors(table, nm) {
   for (const [i, a] of between(d.optical_radius_um, Math.log, amountOf(table, "optical_radius_um"))) {
     for (const [j, b] of between(d.incidence_deg, laws.cosine[0], amountOf(table, "incidence_deg"))) {
       const from = ((i * d.incidence_deg.length + j) * d.wavelength.length + near) * size;
-      for (let k = 0; k < size; k++) out[k] += a * b * d.value[from + k];
+      for (let k = 0; k < size; k++) out[k] += a * b * Math.log(d.value[from + k]);
     }
   }
+  out.forEach((x, k) => { out[k] = Math.exp(x); });
   return { nm: d.wavelength[near], value: out, rows, columns };
 }
 
@@ -168,7 +169,7 @@ function hemisphere(table, nm) {
   const size = amountOf(table, "optical_radius_um"), beam = amountOf(table, "incidence_deg");
   const ends = [d.optical_radius_um, d.incidence_deg], outside = [size, beam].some((x, k) => x < ends[k][0] || x > ends[k][ends[k].length - 1]);
   const text = `Where the light goes at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
-    `The rim is the horizon; light comes from the left. Clean, dry grains, ± ${Math.round(100 * d.error)} %` +
+    `The rim is the horizon; light comes from the left. Clean, dry grains. One error is ${Math.round(100 * d.typical)} % of it typically, ${Math.round(100 * d.error)} % at most` +
     (outside ? `; as for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
   show("whither").textContent = text;
   canvas.setAttribute("aria-label", text);

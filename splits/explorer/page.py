@@ -136,28 +136,35 @@ def _directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
         allowed = f"every {STEP_DEG:g}° to {STEEPEST_DEG:g}°, and every 10° of azimuth to 180°"
         raise refuse("explorer", "angles of directions", allowed)
     some = dataset.reflectance_factor.transpose(*_DIMS).sel(polar=polar, azimuth=azimuth)
+    if not (some > 0.0).all():
+        raise refuse("explorer", f"{float(some.min()):g}", "above 0 in all directions")
     nodes = {name: some[name].values.astype(float) for name in _DIMS}
-    noise = float(dataset.attrs["relative_stderr_reached"])
-    missed = max(
-        _missed(some.values, axis, law(kind, nodes[name]))
-        for axis, (name, kind) in enumerate(zip(_DIMS, ("logarithm", "cosine"), strict=False))
+    stderr = dataset.reflectance_factor_stderr.transpose(*_DIMS).sel(polar=polar, azimuth=azimuth)
+    missed = np.concatenate(
+        [
+            _missed(some.values, axis, law(kind, nodes[name])).ravel()
+            for axis, (name, kind) in enumerate(zip(_DIMS, ("logarithm", "cosine"), strict=False))
+        ]
     )
+    largest = np.hypot(dataset.attrs["relative_stderr_reached"], missed.max(initial=0.0))
+    square = float(((stderr / some) ** 2).mean())
+    typical = np.sqrt(square + (float((missed**2).mean()) if missed.size else 0.0))
     listed = {name: values.tolist() for name, values in nodes.items()}
-    return listed | {"value": _packed(some.values), "error": float(np.hypot(noise, missed))}
+    return listed | {
+        "value": _packed(some.values), "error": float(largest), "typical": float(typical),
+    }  # fmt: skip
 
 
-def _missed(values: np.ndarray, axis: int, at: np.ndarray) -> float:
-    """Return what reading between two nodes of an axis misses at most, relative.
+def _missed(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
+    """Return what reading between two nodes of an axis misses, relative, near each inner node.
 
-    A quarter of what a node is off that is left out, for half the distance.
+    Logarithms are read, linear between nodes.  A quarter of what a node is off that is left out,
+    for half the distance.
     """
-    rows = np.moveaxis(values, axis, 0)
-    off = [0.0]
-    for i in range(1, len(at) - 1):
-        share = (at[i] - at[i - 1]) / (at[i + 1] - at[i - 1])
-        found = (1.0 - share) * rows[i - 1] + share * rows[i + 1]
-        off.append(0.25 * float(np.abs(found / rows[i] - 1.0).max()))
-    return max(off)
+    rows = np.moveaxis(np.log(values), axis, 0)
+    share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2])).reshape(-1, *[1] * (rows.ndim - 1))
+    found: np.ndarray = 0.25 * np.abs((1.0 - share) * rows[:-2] + share * rows[2:] - rows[1:-1])
+    return found
 
 
 _UNITS = {

@@ -78,7 +78,8 @@ def test_a_rough_surface_is_reciprocal():
         )  # fmt: skip
         gap = there.brdf.item() - back.brdf.item()
         z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
-    judge_z(z, "reciprocity of a rough surface")
+    # Errors of an expansion hold what it leaves out.
+    judge_z(z, "reciprocity of a rough surface", bound_added=True)
     assert np.abs(z).max() < 3.0
 
 

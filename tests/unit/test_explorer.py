@@ -50,9 +50,9 @@ def directions():
     turned = np.minimum(azimuth, 360.0 - azimuth)
     values = 0.1 * np.log(size) - 0.2 * np.cos(np.radians(beam)) + 1e-4 * w
     values = values + 1e-3 * polar + 1e-4 * turned
-    return xr.Dataset(
-        {"reflectance_factor": (tuple(axes), values)}, axes, {"relative_stderr_reached": 0.04}
-    )
+    found = {"reflectance_factor": (tuple(axes), values)}
+    made = xr.Dataset(found, axes, {"relative_stderr_reached": 0.04})
+    return made.assign(reflectance_factor_stderr=0.02 * made.reflectance_factor)
 
 
 @pytest.fixture(scope="module")
@@ -121,15 +121,15 @@ def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
     # The wavelength that is read at first, 620 nm, is nearer to 450 than to 1030.
     given = directions().reflectance_factor.sel(wavelength=450.0)
     given = given.sel(polar=np.arange(0.0, 81.0, 5.0), azimuth=np.arange(0.0, 181.0, 10.0))
-    law = given.assign_coords(
+    law = np.log(given).assign_coords(
         optical_radius_um=np.log(given.optical_radius_um),
         incidence_deg=-np.cos(np.radians(given.incidence_deg)),
     )
     expected = law.interp(
         optical_radius_um=np.log(min(size, 960.0)), incidence_deg=-np.cos(np.radians(min(beam, 60)))
     )
-    np.testing.assert_allclose(found, expected.values, rtol=0.0, atol=2e-5)
-    assert "± 4 %" in text
+    np.testing.assert_allclose(found, np.exp(expected.values), rtol=0.0, atol=2e-5)
+    assert "2 % of it typically, 4 % at most" in text
     assert ("nearest of 60 to 960" in text) == (size > 960.0)
 
 
@@ -147,14 +147,19 @@ def test_directions_over_other_axes_are_refused(tmp_path):
 
 
 def test_what_reading_between_directions_misses_is_said():
-    bent = directions()
-    bent["reflectance_factor"] = bent.reflectance_factor * (
-        1.0 + 0.1 * (bent.optical_radius_um == 240.0)
+    even = directions()
+    even["reflectance_factor"] = np.exp(even.reflectance_factor)
+    even["reflectance_factor_stderr"] = 0.02 * even.reflectance_factor
+    bent = even.copy()
+    bent["reflectance_factor"] = even.reflectance_factor * (
+        1.0 + 0.1 * (even.optical_radius_um == 240.0)
     )
-    found = [page._directions(ds, list(AXES))["error"] for ds in (directions(), bent)]
-    assert found[0] == pytest.approx(0.04)
+    found = [page._directions(ds, list(AXES)) for ds in (even, bent)]
+    assert (found[0]["error"], found[0]["typical"]) == pytest.approx((0.04, 0.02))
     # A node that stands out by a tenth: half-way to it a quarter of that is missed.
-    assert found[1] == pytest.approx(np.hypot(0.04, 0.25 * (1.0 - 1.0 / 1.1)), rel=1e-6)
+    missed = 0.25 * np.log(1.1)
+    assert found[1]["error"] == pytest.approx(np.hypot(0.04, missed), rel=1e-6)
+    assert 0.02 < found[1]["typical"] < np.hypot(0.02, missed)
 
 
 def test_colours_are_those_of_the_analysis():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chi2 import largest_z
+from chi2 import NEEDS_JIT, largest_z
 
 import splits
 from splits.experiments.run import run
@@ -12,6 +12,7 @@ from splits.experiments.run_points import measured_points
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 
+pytestmark = NEEDS_JIT
 ERROR = 0.01
 WAVELENGTHS = [500.0, 1030.0, 1300.0]
 SIZES = [5.0, 20.0]

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from chi2 import NEEDS_JIT
 
 import splits
 from splits.checks import Refusal
@@ -121,6 +122,7 @@ def test_negative_noise_is_left_out_and_counted(tmp_path):
     assert "negative: 1." in found["metadata"]["comments"]
 
 
+@NEEDS_JIT
 def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
     beam = {"relative_stderr": 0.5, "polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
     for number, medium in enumerate((

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from chi2 import NEEDS_JIT
 from scipy.special import eval_legendre, j1
 
 import splits
@@ -144,6 +145,7 @@ def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
     np.testing.assert_allclose(table[0, 3:], G**ORDERS, rtol=1e-6)
 
 
+@NEEDS_JIT
 def test_what_grains_do_can_be_handed_on():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1)
     found = splits.single_scattering(snow, [900.0], moments=64, rays=20_000)

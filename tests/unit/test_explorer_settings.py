@@ -1,0 +1,75 @@
+"""What the main configuration says of the explorer: refused where the page could not show it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from splits.experiments import ConfigError, load_experiments, load_settings
+
+EXPERIMENTS = {
+    "deep": """
+title: A table
+medium: {kind: natural_snow}
+instrument: {kind: table}
+grid: {optical_radius_um: [100, 200], incidence_deg: [0, 60]}
+""",
+    "spectra": """
+title: Spectra
+medium: {kind: natural_snow, optical_radius_um: 100}
+""",
+    "where": """
+title: Directions
+medium: {kind: natural_snow, depth_m: 0.1}
+instrument: {kind: goniophotometer, wavelength_nm: [600]}
+grid: {optical_radius_um: [100, 200], incidence_deg: [0, 60]}
+""",
+    "elsewhere": """
+title: Directions over another axis
+medium: {kind: natural_snow, depth_m: 0.1, optical_radius_um: 100}
+instrument: {kind: goniophotometer, wavelength_nm: [600]}
+grid: {incidence_deg: [0, 60]}
+""",
+}
+
+
+@pytest.fixture(scope="module")
+def available(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("experiments")
+    for name, text in EXPERIMENTS.items():
+        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+    return load_experiments(folder, Path(folder / "media"))
+
+
+def chosen(available, **given):
+    settings = {"accuracies": {"standard": {"max_stderr": 0.01, "relative_stderr": 0.1}}, **given}
+    return load_settings(settings).select(available)
+
+
+def test_tables_and_directions_are_taken(available):
+    given = {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "where"}}
+    assert chosen(available, **given) == available
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ({"explorer": {"snow": "spectra"}}, r"explorer.snow = 'spectra': must be a table"),
+        (
+            {"explorer": {"snow": "deep"}, "explorer_directions": {"sand": "where"}},
+            r"explorer_directions.sand = 'where': no table is called so",
+        ),
+        (
+            {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "elsewhere"}},
+            r"explorer_directions.snow = 'elsewhere': must be a goniophotometer over",
+        ),
+        (
+            {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "spectra"}},
+            r"explorer_directions.snow = 'spectra': must be a goniophotometer over",
+        ),
+    ],
+)
+def test_what_the_page_could_not_show_is_refused(available, given, line):
+    with pytest.raises(ConfigError, match=f"^{line}"):
+        chosen(available, **given)

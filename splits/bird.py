@@ -2,7 +2,8 @@
 
 Lanevski et al. 2022, Color Research & Application 47, 1177-1192, with its example and its schema
 ``brdf_json_schema_v1.0.json``.  Where that schema contradicts itself (it asks for a ``name`` of the
-data that it does not allow, and for an ``index`` of ``phi_r``), the example is followed.
+data, an ``index`` of ``phi_r`` and a ``unit`` of polarization, and allows none of them), the
+example is followed.
 """
 
 from __future__ import annotations
@@ -120,6 +121,9 @@ def _check(
         if _parameters(ds.attrs) != _parameters(given[0].attrs):
             other = "another medium"
             raise refuse("datasets", other, "the same for all", "write a file for each medium")
+    angles = [float(ds.attrs["incidence_deg"]) for ds in given]
+    if len(set(angles)) < len(angles):
+        raise refuse("datasets", angles, "of different angles of incidence")
     missing = [name for name in NEEDED if name not in provenance]
     missing += [f"location.{name}" for name in PLACE if name not in provenance.get("location", {})]
     if missing:

@@ -34,7 +34,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         As `splits.single_scattering` returns it.
     radius_um : float, optional
         Of spheres with the grains' shadows (µm), 0.1 to 1e6; by default the medium's optical
-        radius, which is about that.
+        radius, which is about that.  Grains are taken to lie in air, where the peak is widest.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from splits.instruments import (
 )
 from splits.instruments.alike import spectra_of
 from splits.instruments.spectral_run import Run
-from splits.lookup.families import families
+from splits.lookup.families import Members, families
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium
 
@@ -65,55 +65,56 @@ def measured_points(
     if len(groups) < len(points):
         say(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
     rays = 0
-    for group in groups:
-        head = _head(experiment.name, points, group)
+    for places, members in groups:
+        head = _head(experiment.name, points, places)
         show = _shown(head, say)
-        if len(group) == 1:
-            _, medium, incidence = points[group[0]]
+        some = [points[place] for place in places]
+        if members is None:
+            _, medium, incidence = some[0]
             datasets = [measure(instrument, medium, incidence, accuracy, seed, threads, show)]
         else:
-            some = [points[place] for place in group]
-            datasets = _together(some, instrument, accuracy, seed, threads, show)
-        found |= dict(zip(group, datasets, strict=True))
+            datasets = _together(some, members, instrument, accuracy, seed, threads, show)
+        found |= dict(zip(places, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
         _tell(head, datasets, instrument, say)
     return Measured([found[place] for place in range(len(points))], rays)
 
 
-def _alike(instrument: Instrument, points: Sequence[Point]) -> list[list[int]]:
-    """Return the places of points that share paths, those of each group together."""
+def _alike(
+    instrument: Instrument, points: Sequence[Point]
+) -> list[tuple[list[int], Members | None]]:
+    """Return the places of points that share paths, with their family; of others none."""
     grains = all(isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points)
     if instrument.kind != "spectrophotometer" or instrument.estimator == "analog" or not grains:
-        return [[place] for place in range(len(points))]
-    groups: list[list[int]] = []
+        return [([place], None) for place in range(len(points))]
+    wavelengths = np.asarray(instrument.wavelengths(), dtype=float)
+    groups: list[tuple[list[int], Members | None]] = []
     for beam in dict.fromkeys(incidence for *_, incidence in points):
         under = [place for place, (*_, incidence) in enumerate(points) if incidence == beam]
-        media = [points[place][1] for place in under]
-        for members in families(media, np.asarray(instrument.wavelengths(), dtype=float)):
-            groups.append([under[place] for place in members.places])
-    return sorted(groups)
+        for members in families([points[place][1] for place in under], wavelengths):
+            places = [under[place] for place in members.places]
+            groups.append((places, members if len(places) > 1 else None))
+    return sorted(groups, key=lambda group: min(group[0]))
 
 
 def _together(
     points: Sequence[Point],
+    members: Members,
     instrument: Instrument,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
     show: Callable[[Progress], None],
 ) -> list[xr.Dataset]:
-    """Measure points that share paths."""
-    (members,) = families([medium for _, medium, _ in points],
-                          np.asarray(instrument.wavelengths(), dtype=float))  # fmt: skip
+    """Measure points that share paths, in the order of their family's members."""
     most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
     run = Run.checked(instrument.wavelengths(), beam, error, seed, most, threads, "auto")
     spectra = spectra_of(members.family, run, show)
-    order = np.argsort(members.places)
     return [
         _of_medium(spectra[which], medium)
-        for which, (_, medium, _) in zip(members.which[order], points, strict=True)
+        for which, (_, medium, _) in zip(members.which, points, strict=True)
     ]
 
 

@@ -68,7 +68,9 @@ def test_a_rough_surface_is_reciprocal():
         bottom_albedo=0.0, surface=gaussian(0.7),
     )  # fmt: skip
     z = []
-    for number, (one, other, azimuth) in enumerate(((0.0, 45.0, 0.0), (20.0, 60.0, 180.0))):
+    pairs = ((0.0, 45.0, 0.0), (20.0, 60.0, 180.0))
+    # Two comparisons would tell little of errors that are too large.
+    for number, (one, other, azimuth) in enumerate(3 * pairs):
         there, back = (
             splits.goniophotometer(
                 layer, NM, a, seed=10 * number + seed, polar_deg=[b], azimuth_deg=[azimuth],
@@ -78,8 +80,7 @@ def test_a_rough_surface_is_reciprocal():
         )  # fmt: skip
         gap = there.brdf.item() - back.brdf.item()
         z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
-    # Errors of an expansion hold what it leaves out.
-    judge_z(z, "reciprocity of a rough surface", bound_added=True)
+    judge_z(z, "reciprocity of a rough surface")
     assert np.abs(z).max() < 3.0
 
 

@@ -144,6 +144,7 @@ def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
         ([], {}, "datasets = "),
         ([measured(0.0), measured(30.0, snow_depth_m=0.2)], {}, "datasets = 'another medium'"),
         ([measured(0.0).drop_vars("brdf")], {}, "datasets = 'BRDF'"),
+        ([measured(30.0), measured(30.0)], {}, r"datasets = \[30.0, 30.0\]: must be of different"),
         ([measured(0.0)], {"path": "snow.nc"}, "path = 'snow.nc'"),
         ([measured(0.0)], {"provenance": {"email": "a@b.org"}}, "provenance = .*organization"),
         ([measured(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),

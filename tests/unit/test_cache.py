@@ -298,8 +298,8 @@ def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
     assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
 
 
-AT_ONCE = """
-import time
+KERNEL = """
+import sys, time
 from numba import njit
 from splits.transport.compiling.cache import keep
 
@@ -307,6 +307,8 @@ def slow(x):
     return x + 1
 
 kernel = keep(njit(slow))
+"""
+AT_ONCE = f"""{KERNEL}
 compile = kernel._compiler.compile
 def slowly(*parts):
     time.sleep(1.0)
@@ -345,15 +347,7 @@ def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
     assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0)
 
 
-FAILS = """
-import sys
-from numba import njit
-from splits.transport.compiling.cache import keep
-
-def slow(x):
-    return x + 1
-
-kernel = keep(njit(slow))
+FAILS = f"""{KERNEL}
 if sys.argv[1:]:
     compile = kernel._compiler._compile_core
     def fail(*parts):

@@ -14,7 +14,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +30,8 @@ LOCK = threading.RLock()
 REMEDY = "make it again; a run of snakemake does so by itself"
 _SEAL = b"splits-sha256:"
 _SEAL_SIZE = len(_SEAL) + 64
+_AT_ONCE = 2**24
+"""Bytes of a file that are read at a time."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -42,7 +47,8 @@ def content_sha256(file: netCDF4.Dataset) -> str:
         variable = file.variables[name]
         digest.update(_text([name, *variable.dimensions]))
         digest.update(_attributes(variable))
-        digest.update(_values(variable[...]))
+        for part in _parts(variable):
+            digest.update(part)
     return digest.hexdigest()
 
 
@@ -50,8 +56,8 @@ def seal(path: str | Path) -> None:
     """Write both checksums into a netCDF file."""
     with LOCK, netCDF4.Dataset(path, "a") as file:
         file.setncattr(CHECKSUM, content_sha256(file))
-    with open(path, "rb+") as file:
-        digest = hashlib.sha256(file.read()).hexdigest()
+    digest = _bytes_sha256(path, Path(path).stat().st_size)
+    with open(path, "ab") as file:
         file.write(_SEAL + digest.encode())
 
 
@@ -68,25 +74,25 @@ def check(path: str | Path) -> dict[str, Any]:
         If the file cannot be opened.
     """
     # Read here: a disk that fails, a missing right or a file in use is no damage.
-    content = Path(path).read_bytes()
-    body, mark = content[:-_SEAL_SIZE], content[-_SEAL_SIZE:]
+    start, mark, size = _ends(path)
     sealed = mark.startswith(_SEAL)
-    if sealed and mark[len(_SEAL) :] != hashlib.sha256(body).hexdigest().encode():
+    if sealed and mark[len(_SEAL) :] != _bytes_sha256(path, size - _SEAL_SIZE).encode():
         raise _damaged(path, "its bytes have another checksum")
-    if not content:
+    if not size:
         raise _damaged(path, "the file is empty")
     # HDF5's superblock (versions 2 and 3) says how long the file is.
-    if not sealed and content.startswith(_HDF5) and content[8:9] in (b"\2", b"\3"):
-        size = int.from_bytes(content[28:36], "little")
-        if size != len(content):
-            raise _damaged(path, f"{len(content)} bytes where {size} belong")
+    if not sealed and start.startswith(_HDF5) and start[8:9] in (b"\2", b"\3"):
+        told = int.from_bytes(start[28:36], "little")
+        if told != size:
+            raise _damaged(path, f"{size} bytes where {told} belong")
     try:
-        with LOCK, netCDF4.Dataset("memory", memory=content) as file:
+        with LOCK, netCDF4.Dataset(path) as file:
             attributes = {name: file.getncattr(name) for name in file.ncattrs()}
             found = "" if sealed else content_sha256(file)
     # Damaged bytes make the libraries underneath raise errors of almost any kind.
     except Exception as error:
-        what = " ".join(str(error).replace(": 'memory'", "").split()) or type(error).__name__
+        text = str(error).replace(f": {str(path)!r}", "")
+        what = " ".join(text.split()) or type(error).__name__
         raise _damaged(path, f"cannot be read: {what}") from None
     if not sealed and attributes.get(CHECKSUM, found) != found:
         raise _damaged(path, "its content has another checksum")
@@ -112,6 +118,25 @@ def damage(path: str | Path, experiment: str = "") -> str:
     return ""
 
 
+def _ends(path: str | Path) -> tuple[bytes, bytes, int]:
+    """Return the first and last bytes of a file, and how many it has."""
+    with open(path, "rb") as file:
+        start = file.read(_SEAL_SIZE)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - _SEAL_SIZE, 0))
+        return start, file.read(), size
+
+
+def _bytes_sha256(path: str | Path, size: int) -> str:
+    """Return the checksum of the first bytes of a file, which need not fit into memory."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while size > 0 and (part := file.read(min(size, _AT_ONCE))):
+            digest.update(part)
+            size -= len(part)
+    return digest.hexdigest()
+
+
 def _damaged(path: str | Path, what: str) -> DamagedError:
     return DamagedError(f"{path}: damaged, {what} ({REMEDY})")
 
@@ -124,13 +149,35 @@ def _attributes(owner: netCDF4.Dataset | netCDF4.Variable) -> bytes:
     return _counted(b"".join(parts))
 
 
+def _parts(variable: netCDF4.Variable) -> Iterator[bytes]:
+    """Yield what `_values` returns of a variable, which need not fit into memory."""
+    if variable.dtype is str or variable.dtype.kind not in "biuf" or not variable.ndim:
+        yield _values(variable[...])
+        return
+    shape, width = list(variable.shape), variable.dtype.itemsize
+    yield _text([variable.dtype.newbyteorder("<").str, shape])
+    yield _length(width * math.prod(shape))
+    # The first axis whose rows are small enough to be read several at a time.
+    rows = [width * math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    axis = next((axis for axis, row in enumerate(rows) if row <= _AT_ONCE), len(shape) - 1)
+    step = max(1, _AT_ONCE // max(rows[axis], 1))
+    for before in np.ndindex(*shape[:axis]):
+        for first in range(0, shape[axis], step):
+            yield _little(np.asarray(variable[(*before, slice(first, first + step))])).tobytes()
+
+
 def _values(values: Any) -> bytes:
     """Return numbers or texts with their type and shape, the same on every machine."""
     array = np.asarray(values)
     if array.dtype.kind in "OUS":
         return _text([list(array.shape), [str(value) for value in array.ravel()]])
-    little = array.astype(array.dtype.newbyteorder("<"))
+    little = _little(array)
     return _text([little.dtype.str, list(array.shape)]) + _counted(little.tobytes())
+
+
+def _little(array: np.ndarray) -> np.ndarray:
+    """Return numbers in the order of bytes that most machines have."""
+    return array.astype(array.dtype.newbyteorder("<"), copy=False)
 
 
 def _text(content: list[Any]) -> bytes:
@@ -139,4 +186,8 @@ def _text(content: list[Any]) -> bytes:
 
 def _counted(content: bytes) -> bytes:
     """Return bytes after their number, so that no two contents join to the same bytes."""
-    return len(content).to_bytes(8, "little") + content
+    return _length(len(content)) + content
+
+
+def _length(count: int) -> bytes:
+    return count.to_bytes(8, "little")

@@ -99,7 +99,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     for name, variable in dataset.data_vars.items():
         if np.issubdtype(variable.dtype, np.number) and not np.isfinite(variable).all():
             raise ValueError(f"{path.name}: {name} holds values that are not finite")
-    stored = _for_file(dataset)
+    stored = stored_as(dataset)
     encoding = {
         # HDF5 has checksums for arrays of numbers only.
         name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
@@ -127,7 +127,19 @@ def load(path: str | Path) -> xr.Dataset:
     OSError
         If the file cannot be opened.
     """
-    dataset = _read(path)
+    return _owned(_read(path), path)
+
+
+def opened(path: str | Path) -> xr.Dataset:
+    """Return what `load` would, whose values stay in the file until they are asked for.
+
+    For what does not fit into memory.  The file is checked whole when it is opened.
+    """
+    return _owned(_read(path, lazily=True), path)
+
+
+def _owned(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
+    """Return a dataset of the present schema, or refuse one that this package has not written."""
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
     dataset = upgraded(dataset, path)
@@ -138,12 +150,14 @@ def load(path: str | Path) -> xr.Dataset:
     return dataset
 
 
-def _read(path: str | Path) -> xr.Dataset:
+def _read(path: str | Path, *, lazily: bool = False) -> xr.Dataset:
     """Return what a file holds, its checksum included, with coordinates that label dimensions."""
     with LOCK:
         check(path)
-        with xr.open_dataset(path, engine="netcdf4") as file:
-            dataset = file.load()
+        dataset = xr.open_dataset(path, engine="netcdf4")
+        if not lazily:
+            with dataset as file:
+                dataset = file.load()
     for variable in dataset.variables.values():
         # Or it would be written again, whatever coordinates there are by then.
         variable.encoding.pop("coordinates", None)
@@ -158,7 +172,7 @@ def _read(path: str | Path) -> xr.Dataset:
     return dataset
 
 
-def _for_file(dataset: xr.Dataset) -> xr.Dataset:
+def stored_as(dataset: xr.Dataset) -> xr.Dataset:
     """Return a dataset with coordinates and names as CF has them.
 
     Coordinates are numbers, strictly up or down; names have letters, digits and underscores.

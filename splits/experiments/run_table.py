@@ -10,6 +10,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from splits.dataset import save
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.files import whole
@@ -17,6 +18,7 @@ from splits.instruments import Progress
 from splits.instruments.spectral_run import Run
 from splits.lookup.assembly import blank, fill, finished
 from splits.lookup.block import Order, block_file
+from splits.lookup.large import IN_MEMORY, bytes_of, write_by_blocks
 from splits.lookup.measuring import blocks
 from splits.lookup.plan import Ensemble, Plan
 
@@ -104,8 +106,42 @@ def run_table(
     for block in _measured(experiment, order, plan.ensembles, folder, say):
         fill(found, block)
         facts.append(block.attrs)
-    dataset = finished(found, plan, order, facts, time.perf_counter() - begun)
-    return dataset.assign_attrs(
+    return _named(experiment, finished(found, plan, order, facts, time.perf_counter() - begun))
+
+
+def write_table(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    folder: Path,
+    path: Path,
+    threads: int | None = None,
+    say: Say = lambda line: None,
+) -> None:
+    """Write the table that `run_table` returns, one that does not fit into memory block by block.
+
+    Parameters
+    ----------
+    path : path
+        The file appears whole or not at all.
+    """
+    plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
+    if bytes_of(plan, order) <= IN_MEMORY:
+        save(run_table(experiment, accuracy, seed, folder, threads, say), path)
+        return
+    say(f"{experiment.name}: {plan}")
+    write_by_blocks(
+        path,
+        plan,
+        order,
+        lambda: _measured(experiment, order, plan.ensembles, folder, say),
+        lambda table: _named(experiment, table),
+    )
+
+
+def _named(experiment: Simulation, table: xr.Dataset) -> xr.Dataset:
+    """Return a table that says of which experiment it is."""
+    return table.assign_attrs(
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,
         instrument="table",

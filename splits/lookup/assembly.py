@@ -18,15 +18,21 @@ from splits.lookup.plan import Plan
 from splits.sources import physics_digest
 
 
+def arrays_of(plan: Plan, order: Order) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays of a table by variable, its points in a row."""
+    shape = (plan.axes.size, plan.wavelengths.size)
+    found: dict[str, tuple[int, ...]] = {}
+    for side in order.quantities:
+        found |= {side: shape, f"{side}_stderr": shape}
+        if order.covariance:
+            found[f"{side}_groups"] = (GROUPS, *shape)
+    return found
+
+
 def blank(plan: Plan, order: Order) -> dict[str, np.ndarray]:
     """Return the arrays of a table, by variable, that `fill` fills."""
-    shape = (plan.axes.size, plan.wavelengths.size)
-    found: dict[str, np.ndarray] = {}
-    for side in order.quantities:
-        found |= {name: np.full(shape, np.nan, np.float32) for name in (side, f"{side}_stderr")}
-        if order.covariance:
-            found[f"{side}_groups"] = np.full((GROUPS, *shape), np.nan, np.float32)
-    return found
+    shapes = arrays_of(plan, order)
+    return {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
 
 
 def fill(found: dict[str, np.ndarray], block: xr.Dataset) -> None:

@@ -38,6 +38,11 @@ class Weights(NamedTuple):
     left_out: np.ndarray
     others: np.ndarray
 
+    def among(self, some: np.ndarray) -> Weights:
+        """Return the same of an axis that has only some of its nodes, in their order."""
+        nodes, left_out = (np.searchsorted(some, row) for row in (self.nodes, self.left_out))
+        return Weights(nodes, self.share, left_out, self.others[:, some])
+
 
 def spaced(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
     """Return by which law an axis is interpolated, and its nodes so.

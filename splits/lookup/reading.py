@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import number, one_of, refuse, unknown_key
-from splits.dataset import attributes, load
+from splits.dataset import attributes, load, opened
 from splits.lookup.axes import INCIDENCE
 from splits.lookup.formats import for_spires, write_csv
-from splits.lookup.interpolation import weights_at
+from splits.lookup.interpolation import Weights, weights_at
 from splits.lookup.isofit import for_isofit
+from splits.lookup.large import IN_MEMORY
 
 
 class Table:
@@ -82,14 +83,20 @@ class Table:
             if name not in self.axes:
                 raise unknown_key(name, self.axes)
         part = self.dataset[self._variables()]
-        parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
-                 for q in self.quantities]  # fmt: skip
+        weights = []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
                 raise refuse(name, None, "given", "an axis of the table")
-            given = at.get(name, values[0])
-            parts = [_along(read, name, values, given) for read in parts]
+            found = _weights(name, values, at.get(name, values[0]))
+            # Only the nodes that count are read from a table that lies in its file.
+            needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
+            weights.append(found.among(needed))
+            part = part.isel({name: needed})
+        parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
+                 for q in self.quantities]  # fmt: skip
+        for found in weights:
+            parts = [_along(read, found) for read in parts]
         wavelengths = self.dataset.wavelength.values
         wanted = np.atleast_1d(np.asarray(at.get("wavelength", wavelengths), dtype=float))
         if not np.array_equal(wanted, wavelengths):
@@ -139,13 +146,17 @@ class _Read:
         self.missed = np.zeros_like(value) if missed is None else missed
 
 
-def _along(read: _Read, name: str, nodes: np.ndarray, given: Any) -> _Read:
+def _weights(name: str, nodes: np.ndarray, given: Any) -> Weights:
+    """Return how a value is drawn from the nodes of an axis; of texts, from that one."""
+    if nodes.dtype.kind == "f":
+        return weights_at(name, nodes, number(name, given))
+    one_of(name, str(given), nodes.tolist())
+    place = (nodes == str(given)).argmax(keepdims=True)
+    return Weights(place, np.ones(1), place[:0], np.zeros((0, nodes.size)))
+
+
+def _along(read: _Read, w: Weights) -> _Read:
     """Return what is read at a place of the first axis."""
-    if nodes.dtype.kind != "f":
-        one_of(name, str(given), nodes.tolist())
-        place = int((nodes == str(given)).argmax())
-        return _Read(read.value[place], read.stderr[place], read.missed[place])
-    w = weights_at(name, nodes, number(name, given))
     some = [read.value[w.nodes], read.stderr[w.nodes], read.missed[w.nodes]]
     value = np.tensordot(w.share, some[0], 1)
     # Cells share paths, or at least random numbers: how alike they are off is between the two.
@@ -159,7 +170,7 @@ def _along(read: _Read, name: str, nodes: np.ndarray, given: Any) -> _Read:
 
 def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
     """Return what is read at other wavelengths."""
-    points = [_along(read, "wavelength", nodes, one) for one in wanted]
+    points = [_along(read, weights_at("wavelength", nodes, float(one))) for one in wanted]
     value, stderr, missed = (
         np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
     )
@@ -167,7 +178,7 @@ def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
 
 
 def open_table(path: str | Path) -> Table:
-    """Open a table that was written.
+    """Open a table that was written; of a large one only what is asked for is read.
 
     Parameters
     ----------
@@ -179,4 +190,5 @@ def open_table(path: str | Path) -> Table:
     ValueError
         For a file that holds no table, or is damaged.
     """
-    return Table(load(path))
+    small = Path(path).stat().st_size <= 1.2 * IN_MEMORY
+    return Table(load(path) if small else opened(path))

@@ -184,9 +184,9 @@ def test_a_missing_right_is_no_damage(tmp_path, monkeypatch):
     path = tmp_path / "made.nc"
     splits.save(make(), path)
 
-    def refuse(_path):
+    def refuse(*_arguments):
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(type(path), "read_bytes", refuse)
+    monkeypatch.setattr("builtins.open", refuse)
     with pytest.raises(PermissionError):
         splits.load(path)

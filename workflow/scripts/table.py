@@ -6,19 +6,18 @@ from splits.interrupts import end_on_signals
 
 end_on_signals(snakemake.wildcards.experiment)
 
-from splits import save
-from splits.experiments.run_table import run_table
+from splits.experiments.run_table import write_table
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.progress_log import progress_log
 
 with progress_log(snakemake.log[0]) as say:
-    dataset = run_table(
+    write_table(
         Simulation.model_validate(snakemake.params.experiment),
         Accuracy.model_validate(snakemake.params.accuracy),
         snakemake.params.seed,
         Path(snakemake.input[0]).parent,
+        Path(snakemake.output[0]),
         snakemake.threads,
         say,
     )
-    save(dataset, snakemake.output[0])

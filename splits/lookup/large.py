@@ -1,0 +1,124 @@
+"""Tables that need not fit into memory: written block by block, straight into their file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import xarray as xr
+
+from splits.checksum import LOCK, seal
+from splits.dataset import stored_as
+from splits.files import whole
+from splits.instruments.ensemble import GROUPS
+from splits.lookup.assembly import arrays_of, finished
+from splits.lookup.block import Order
+from splits.lookup.plan import Plan
+
+IN_MEMORY = 2**28
+"""Bytes up to which a table is put together in memory, and read into it."""
+
+
+def bytes_of(plan: Plan, order: Order) -> int:
+    """Return the bytes that the values of a table take."""
+    rows = sum(2 + GROUPS * order.covariance for _ in order.quantities)
+    return 4 * rows * plan.axes.size * plan.wavelengths.size
+
+
+def write_by_blocks(
+    path: Path,
+    plan: Plan,
+    order: Order,
+    blocks: Callable[[], Iterable[xr.Dataset]],
+    described: Callable[[xr.Dataset], xr.Dataset],
+) -> None:
+    """Write a table so that its file appears whole or not at all.
+
+    Of its values no more than a block is in memory at a time.  They lie in the file in the order of
+    the axes, uncompressed, so that each spectrum is read by itself.
+
+    Parameters
+    ----------
+    path : Path
+    plan : Plan
+    order : Order
+    blocks : callable
+        Returns the blocks, each time it is called.
+    described : callable
+        Adds to the table's attributes.
+
+    Raises
+    ------
+    OSError
+        If the file does not hold the blocks afterwards.
+    """
+    with LOCK, whole(path) as aside:
+        skeleton = stored_as(described(_hollow(plan, order, [block.attrs for block in blocks()])))
+        values = [str(name) for name in skeleton.data_vars]
+        skeleton.drop_vars(values).to_netcdf(aside, engine="netcdf4")
+        with netCDF4.Dataset(aside, "a") as file:
+            for name in values:
+                _declare(file, name, skeleton)
+            for block in blocks():
+                for name in values:
+                    _put(file.variables[name], block, plan.axes.shape)
+        with netCDF4.Dataset(aside) as file:
+            file.set_auto_maskandscale(False)
+            held = all(
+                _holds(file.variables[name], block, plan.axes.shape)
+                for block in blocks()
+                for name in values
+            )
+        if not held:
+            raise OSError(f"{path}: the file written does not hold the table")
+        seal(aside)
+
+
+def _hollow(plan: Plan, order: Order, facts: Sequence[Mapping[str, Any]]) -> xr.Dataset:
+    """Return a table without values, which takes no memory for them."""
+    nothing = {
+        name: np.broadcast_to(np.float32(np.nan), shape)
+        for name, shape in arrays_of(plan, order).items()
+    }
+    return finished(nothing, plan, order, facts, sum(float(one["wall_time_s"]) for one in facts))
+
+
+def _declare(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
+    """Make a variable in a file, whose values are still to come."""
+    variable = skeleton[name]
+    dims = [str(dim) for dim in variable.dims]
+    for dim, size in zip(dims, variable.shape, strict=True):
+        if dim not in file.dimensions:
+            file.createDimension(dim, size)
+    made = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
+    made.setncatts(variable.attrs)
+    beside = [str(c) for c in variable.coords if c not in variable.dims]
+    if beside:
+        made.coordinates = " ".join(beside)
+
+
+def _rows(block: xr.Dataset, shape: tuple[int, ...]) -> Iterable[tuple[int, tuple[Any, ...]]]:
+    """Yield where the points of a block are among its own, and in the table."""
+    places = np.unravel_index(block.point.values, shape)
+    yield from enumerate(zip(*(axis.tolist() for axis in places), strict=True))
+
+
+def _put(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> None:
+    """Write what a block has of a variable."""
+    lead = (slice(None),) * (variable.ndim - len(shape) - 1)
+    values = block[variable.name].values
+    for row, place in _rows(block, shape):
+        variable[(*lead, *place)] = values[..., row, :]
+
+
+def _holds(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> bool:
+    """Tell whether a file has what a block has of a variable."""
+    lead = (slice(None),) * (variable.ndim - len(shape) - 1)
+    values = block[variable.name].values
+    return all(
+        np.array_equal(variable[(*lead, *place)], values[..., row, :])
+        for row, place in _rows(block, shape)
+    )

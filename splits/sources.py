@@ -14,7 +14,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent
 PHYSICS = (
     "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py", "names.py",
-    "lookup/axes.py", "lookup/block.py", "lookup/families.py", "lookup/plan.py",
+    "lookup/axes.py", "lookup/block.py", "lookup/plan.py",
     "experiments/coordinates.py", "experiments/run.py", "experiments/run_points.py",
 )  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""

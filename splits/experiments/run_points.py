@@ -21,8 +21,8 @@ from splits.instruments import (
     surface_map,
 )
 from splits.instruments.alike import spectra_of
+from splits.instruments.families import Members, families
 from splits.instruments.spectral_run import Run
-from splits.lookup.families import Members, families
 from splits.media.granular import GranularMedium, LayeredMedium
 from splits.media.turbid import Medium
 

@@ -107,13 +107,13 @@ class Rows:
         )
 
     def changing(
-        self, media: Sequence[Medium], steps: np.ndarray, wavelength_nm: np.ndarray, column: int
+        self, moved: Family, steps: np.ndarray, wavelength_nm: np.ndarray, column: int
     ) -> Rows:
         """Return these rows, of one medium, with the derivatives that moved ones tell.
 
         Parameters
         ----------
-        media : sequence of Medium
+        moved : Family
             The medium with one parameter after the other moved.
         steps : float, shape (media,)
             By so much.
@@ -121,7 +121,7 @@ class Rows:
         column : int
             Column of a ground to whose own absorption the last derivative is, or `NO_GROUND`.
         """
-        others = [constants_of(medium, wavelength_nm).absorption for medium in media]
+        others = [one.absorption for one in moved.constants(wavelength_nm)]
         changes = [(o - self.absorption) / s for o, s in zip(others, steps, strict=True)]
         if column != NO_GROUND:
             changes.append(np.zeros_like(self.absorption))

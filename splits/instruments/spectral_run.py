@@ -16,7 +16,7 @@ from splits.instruments.arguments import (
 from splits.instruments.cut import Cut
 from splits.instruments.deep_packs import cut_of
 from splits.instruments.estimators import ESTIMATORS, Estimate
-from splits.instruments.jacobian import Moves
+from splits.instruments.jacobian import NO_MOVES, Moves
 from splits.instruments.progress import Report
 from splits.instruments.runner import Runner
 from splits.instruments.shared_paths import Family, Rows
@@ -31,7 +31,6 @@ QUANTITIES = {
     "transmittance": "hemispherical transmittance",
     "absorptance": "absorptance",
 }
-NO_MOVES = Moves((), (), np.zeros(0))
 
 
 class Found(NamedTuple):
@@ -87,7 +86,8 @@ class Run(NamedTuple):
     ) -> Found:
         """Return estimates for media that share paths, or for one, and its derivatives."""
         if moves.media:
-            family = Family.of_one_size([*family.media, *moves.media])
+            scales = np.concatenate([family.scales, moves.scales])
+            family = Family((*family.media, *moves.media), scales)
         cut = None if estimator == "analog" else self.cut(family)
         return self.estimated_above(cut, family, moves, estimator, progress)
 
@@ -111,7 +111,7 @@ class Run(NamedTuple):
                 hint = f"as at {white[0]:g} nm"
                 raise refuse("jacobian", list(moves.parameters), allowed, hint)
             ground = NO_GROUND if cut is None else rows.absorption.shape[1] - 1
-            rows = rows.changing(traced.media[count:], moves.steps, w, ground)
+            rows = rows.changing(traced.part(slice(count, None)), moves.steps, w, ground)
 
         def estimate(goal: float) -> Estimate:
             how = (self.seed, self.threads, analog, self.kernel, progress)

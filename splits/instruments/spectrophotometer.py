@@ -10,8 +10,9 @@ import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
 from splits.instruments.arguments import check_medium
-from splits.instruments.estimators import ESTIMATORS
-from splits.instruments.jacobian import Moves, parameter_axis, slope_variables
+from splits.instruments.differences import difference
+from splits.instruments.estimators import ESTIMATORS, Estimate
+from splits.instruments.jacobian import Moves, checked, parameter_axis, slope_variables, together
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.progress import Report, shows_progress
 from splits.instruments.shared_paths import Family
@@ -54,9 +55,12 @@ def spectrophotometer(
         Paths shared by all wavelengths, or the papers' algorithm as a reference: one wavelength
         at a time, absorption by coin toss.
     jacobian : sequence of str
-        Amounts of impurities to give derivatives to, such as ``impurities_ng_g.black_carbon``,
-        ``algae_cells_ml.snow_algae`` or ``layers.0.impurities_ng_g.black_carbon``: of those that
-        are there, and of those that might be.  They come from the same paths.
+        Parameters to give derivatives to: keywords of the medium that are numbers, such as
+        ``depth_m`` or ``optical_radius_um``, distributions such as ``facetness``, amounts that are
+        there or might be (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
+        (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords stay.  Those that leave
+        the paths as they are cost next to nothing, each of the others some four runs more
+        (`splits.instruments.differences`); ``parameter_method`` tells which is which.
     max_rays : int
         The run stops once this many are traced (the first round is traced in any case);
         attribute ``stopped_by`` says whether the error or the rays came first.
@@ -94,15 +98,26 @@ def spectrophotometer(
     check_medium(medium, endless=estimator == "spectral")
     one_of("estimator", estimator, ESTIMATORS)
     run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
-    moves = Moves.of(medium, jacobian, run.wavelengths)
-    if moves.parameters and estimator != "spectral":
-        raise refuse("jacobian", list(moves.parameters), "left out for this estimator")
+    names = checked(medium, run.incidence, jacobian)
+    if names and estimator != "spectral":
+        raise refuse("jacobian", list(names), "left out for this estimator")
+    moves = Moves.of(medium, names, run.wavelengths)
     begun = time.perf_counter()
     found = run.estimated(Family.of_one_size([medium]), moves, estimator, progress)
-    result = found.result
 
-    variables = run.variables(result, ("wavelength",))
-    variables |= slope_variables(result.slopes, moves.parameters, SIDES)
+    def nearby(other: Medium, incidence: float | str) -> Estimate:
+        one = run._replace(incidence=incidence)
+        return one.estimated(Family.of_one_size([other]), progress=progress).result
+
+    others = [
+        difference(nearby, medium, run.incidence, n) for n in names if n not in moves.parameters
+    ]
+    variables = run.variables(found.result, ("wavelength",))
+    if names:
+        slopes = together(names, found.result.slopes, moves, others)
+        variables |= slope_variables(slopes, names, SIDES)
     facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
-    axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(moves.parameters)}
+    if others:
+        facts["rays_of_differences"] = sum(one.rays for one in others)
+    axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(names, moves)}
     return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.facts(found))

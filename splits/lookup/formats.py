@@ -81,7 +81,7 @@ def for_spires(
     named = bands_of(bands)
     if not named:
         raise refuse("bands", bands, "at least one band")
-    weights = np.stack([_weights(name, band, w) for name, band in named.items()])
+    weights = np.stack([band_weights(name, band, w) for name, band in named.items()])
     mean = np.einsum("bw,irdw->bidr", weights, _ordered(part, impurity))
     return xr.DataArray(
         mean,
@@ -103,7 +103,7 @@ def _ordered(part: xr.DataArray, impurity: str) -> np.ndarray:
     return values.astype(float)
 
 
-def _weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
+def band_weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
     """Return the weights of wavelengths in the mean over a band."""
     low, high = band.ends
     if low < w[0] or high > w[-1]:

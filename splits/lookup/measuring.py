@@ -12,12 +12,12 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.families import absorbing, likeness
 from splits.instruments.progress import Progress, Report, shows_progress
 from splits.instruments.spectral_run import SIDES, Run
 from splits.lookup.assembly import blank, fill, finished
 from splits.lookup.axes import Axes
 from splits.lookup.block import Cuts, Order, keep, kept, measure
-from splits.lookup.families import absorbing, likeness
 from splits.lookup.plan import Ensemble, Plan
 from splits.media.turbid import Medium
 from splits.sources import physics_digest

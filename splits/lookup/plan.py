@@ -9,9 +9,9 @@ import numpy as np
 
 from splits.checks import refuse
 from splits.instruments.arguments import check_incidence, check_medium
+from splits.instruments.families import Members, families
 from splits.instruments.shared_paths import Family
 from splits.lookup.axes import INCIDENCE, Axes
-from splits.lookup.families import Members, families
 
 
 class Ensemble(NamedTuple):

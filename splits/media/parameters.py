@@ -1,70 +1,178 @@
-"""Parameters of a medium by name, as derivatives take them: what absorbs, and how much of it."""
+"""Parameters of a medium by name: what they are, and the medium with other ones.
+
+A name is a keyword whose value is a number (``depth_m``, ``liquid_water_content``), one whose value
+is a distribution (``facetness``), which moves as a whole, an amount
+(``impurities_ng_g.black_carbon``), or one of these in a layer of a stack (``layers.0.depth_m``).
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, replace
+from numbers import Real
+from typing import Any, NamedTuple
 
-from splits.checks import one_of, refuse, under
+from splits.checks import one_of, refuse, unknown_key
 from splits.materials.impurities import ALGAE, kinds
+from splits.media.ground import Ground
+from splits.media.measured_inputs import AREA, RADIUS, WATER
 from splits.media.stack import Stack
+from splits.names import AMOUNTS, parameter_about
 
-AMOUNTS = {"impurities_ng_g": "(ng/g)-1", "algae_cells_ml": "ml"}
-"""Keywords that are mappings of amounts, and the unit of a derivative to one."""
-_PATH = re.compile(r"(?:layers\.(?P<layer>\d+)\.)?(?P<key>\w+)\.(?P<name>.+)")
+SHIFTED = {"facetness": 3, "sphericity": 3, "roundness": 1}
+"""Distributions, and how many of their first numbers move: the last is a standard deviation."""
+INCIDENCE = "incidence_deg"
+_LAYER = re.compile(r"layers\.(\d+)\.(.+)")
+_PER = {
+    "impurities_ng_g": "(ng/g)-1", "algae_cells_ml": "ml", "um": "um-1", "m": "m-1",
+    "degree": "degree-1", "degC": "degC-1", "kg m-3": "m3 kg-1", "m2 kg-1": "kg m-2",
+}  # fmt: skip
+"""Units of derivatives, by keyword or by the unit of the parameter."""
 
 
-def moved(medium: Any, parameter: str, by: float) -> Any:
-    """Return a medium with a parameter moved.
+class _Place(NamedTuple):
+    """Where a parameter is: of which layer, or of the medium; its keyword; its kind if any."""
 
-    Parameters
-    ----------
-    medium : GranularMedium or Stack
-    parameter : str
-        Such as ``impurities_ng_g.black_carbon``, ``algae_cells_ml.snow_algae``, or with
-        ``layers.0.`` before it, that of a stack's layer.
-    by : float
+    layer: int | None
+    key: str
+    kind: str
+
+
+def names_of(medium: Any) -> list[str]:
+    """Return the parameters that a medium has, of each sort of amounts one kind."""
+    if isinstance(medium, Stack):
+        own = ["ground"] if _albedo_of(medium) is not None else []
+        return own + [
+            f"layers.{i}.{n}" for i, one in enumerate(medium.layers) for n in names_of(one)
+        ]
+    found = [f.name for f in fields(medium) if _is_number(getattr(medium, f.name))]
+    found += [name for name in SHIFTED if hasattr(medium, name)]
+    found += [n for n in getattr(medium, "OTHER_KEYWORDS", ()) if hasattr(medium, n)]
+    if _albedo_of(medium) is not None:
+        found.append("ground")
+    examples = {"impurities_ng_g": "black_carbon", "algae_cells_ml": "snow_algae"}
+    return found + [f"{key}.{kind}" for key, kind in examples.items() if hasattr(medium, key)]
+
+
+def value_of(medium: Any, name: str) -> float:
+    """Return the value of a parameter; of a distribution, its mean.
 
     Raises
     ------
     ValueError
         For a parameter that the medium does not have.
     """
-    found = _PATH.fullmatch(parameter) if isinstance(parameter, str) else None
-    if found is None or found["key"] not in AMOUNTS:
-        allowed = "a kind of impurity or of algae"
-        raise refuse("jacobian", parameter, allowed, "such as impurities_ng_g.black_carbon")
-    key, name = found["key"], found["name"]
-    if not isinstance(medium, Stack):
-        if found["layer"] is not None:
-            raise refuse("jacobian", parameter, "without layers: this medium is no stack")
-        return _more(medium, parameter, key, name, by)
-    number = -1 if found["layer"] is None else int(found["layer"])
-    if not 0 <= number < len(medium.layers):
-        last = len(medium.layers) - 1
-        raise refuse("jacobian", parameter, f"of one of layers.0 to layers.{last}")
-    layers: list[Any] = list(medium.layers)
-    with under(f"layers.{number}"):
-        layers[number] = _more(layers[number], parameter, key, name, by)
+    place = _place_of(medium, name)
+    owner = medium if place.layer is None else medium.layers[place.layer]
+    if place.kind:
+        given = getattr(owner, place.key).get(place.kind, 0.0)
+        return float(given["ng_g"] if isinstance(given, Mapping) else given)
+    if place.key == "ground":
+        return float(owner.ground.values[0])
+    value = getattr(owner, place.key)
+    return float(value[SHIFTED[place.key] - 1] if place.key in SHIFTED else value)
+
+
+def with_value(medium: Any, name: str, value: float) -> Any:
+    """Return a medium with another value of a parameter.
+
+    Sizes keep the ratio that they have, and distributions their width.
+
+    Parameters
+    ----------
+    medium : Snow, Sand, Layer or Stack
+    name : str
+    value : float
+
+    Raises
+    ------
+    ValueError
+        For a parameter that the medium does not have, or a value outside its range.
+    """
+    place = _place_of(medium, name)
+    if place.layer is None:
+        return _with(medium, place, float(value))
+    layers = list(medium.layers)
+    layers[place.layer] = _with(layers[place.layer], place, float(value))
     return replace(medium, layers=tuple(layers))
 
 
-def unit_of(parameter: str) -> str:
+def moved(medium: Any, name: str, by: float) -> Any:
+    """Return a medium with a parameter moved by so much, see `with_value`."""
+    return with_value(medium, name, value_of(medium, name) + by)
+
+
+def unit_of(name: str) -> str:
     """Return the unit of a derivative to a parameter."""
-    found = _PATH.fullmatch(parameter)
-    return AMOUNTS[found["key"]] if found else "1"
+    found = _LAYER.fullmatch(name)
+    key = (found[2] if found else name).partition(".")[0]
+    return _PER.get(key) or _PER.get(parameter_about(key)[1], "1")
 
 
-def _more(medium: Any, parameter: str, key: str, name: str, by: float) -> Any:
-    if not hasattr(medium, key):
-        raise refuse("jacobian", parameter, "of a medium that takes impurities: snow")
-    amounts = dict(getattr(medium, key))
-    if name not in amounts:
-        one_of(f"jacobian: {key}", name, ALGAE if key == "algae_cells_ml" else kinds())
-    given = amounts.get(name, 0.0)
-    own = isinstance(given, Mapping)
-    amount = (given["ng_g"] if own else given) + by
-    amounts[name] = {**given, "ng_g": amount} if own else amount
-    return replace(medium, **{key: amounts})
+def _with(owner: Any, place: _Place, value: float) -> Any:
+    key = place.key
+    if place.kind:
+        amounts = dict(getattr(owner, key))
+        given = amounts.get(place.kind)
+        amounts[place.kind] = {**given, "ng_g": value} if isinstance(given, Mapping) else value
+        return replace(owner, **{key: amounts})
+    if key in SHIFTED:
+        before = getattr(owner, key)
+        count = SHIFTED[key]
+        by = value - before[count - 1]
+        return replace(owner, **{key: (*(x + by for x in before[:count]), *before[count:])})
+    if key in (AREA, RADIUS):
+        if not 0.0 < value < float("inf"):
+            raise refuse(key, value, "above 0")
+        ratio = value / getattr(owner, key)
+        factor = ratio if key == RADIUS else 1.0 / ratio
+        return replace(owner, grain_size_um=tuple(factor * x for x in owner.grain_size_um))
+    if key == WATER:
+        return replace(owner, saturation=value / owner.porosity)
+    return replace(owner, **{key: value})
+
+
+def _place_of(medium: Any, name: Any) -> _Place:
+    """Return where a parameter is, or refuse one that the medium does not have."""
+    if not isinstance(name, str):
+        raise refuse("parameter", name, "a name, such as depth_m")
+    found = _LAYER.fullmatch(name)
+    if not isinstance(medium, Stack):
+        if found:
+            raise refuse("parameter", name, "without layers: this medium is no stack")
+        return _own_place(medium, name, name, None)
+    if name == "ground" and _albedo_of(medium) is not None:
+        return _Place(None, "ground", "")
+    number = int(found[1]) if found else -1
+    if not found or not 0 <= number < len(medium.layers):
+        last = len(medium.layers) - 1
+        raise refuse("parameter", name, f"of one of layers.0 to layers.{last}")
+    return _own_place(medium.layers[number], found[2], name, number)
+
+
+def _own_place(owner: Any, own: str, name: str, layer: int | None) -> _Place:
+    """Return where a parameter of a medium without layers is."""
+    key, _, kind = own.partition(".")
+    if kind and key in AMOUNTS:
+        if not hasattr(owner, key):
+            raise refuse("parameter", name, "of a medium that takes impurities: snow")
+        if kind not in getattr(owner, key):
+            one_of(f"parameter {key}", kind, ALGAE if key == "algae_cells_ml" else kinds())
+        return _Place(layer, key, kind)
+    known = names_of(owner)
+    if own not in known:
+        raise unknown_key(f"parameter {name}", known)
+    return _Place(layer, own, "")
+
+
+def _albedo_of(medium: Any) -> float | None:
+    """Return the albedo of a ground that is the same at all wavelengths, else None."""
+    ground = getattr(medium, "ground", None)
+    if not isinstance(ground, Ground) or ground.wavelength_nm is not None:
+        return None
+    return float(ground.values[0])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)

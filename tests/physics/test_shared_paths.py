@@ -212,12 +212,16 @@ def test_media_that_do_not_share_paths_are_refused(name):
 STACK = splits.Stack([BASE, BASE])
 UNKNOWN = {
     "unknown kind": (BASE, ["impurities_ng_g.soot"], "black_carbon"),
-    "unknown key": (BASE, ["optical_radius_um"], "a kind of impurity or of algae"),
+    "unknown key": (BASE, ["optical_radius"], "did you mean optical_radius_um"),
+    "a range": (BASE, ["grain_size_um"], "unknown key"),
+    "an open ground": (BASE, ["ground"], "unknown key"),
+    "no end": (splits.Snow.natural(optical_radius_um=100), ["depth_m"], "finite value"),
+    "diffuse": (BASE, ["incidence_deg"], "of a beam"),
     "a layer of none": (BASE, [f"layers.0.{SOOT}"], "no stack"),
     "no layer": (STACK, [SOOT], r"layers.0 to layers.1"),
     "far layer": (STACK, [f"layers.2.{SOOT}"], r"layers.0 to layers.1"),
     "sand": (splits.Sand(), [SOOT], "takes impurities"),
-    "a lid": (splits.Layer(optical_thickness=1), [SOOT], "left out for this medium"),
+    "a layer": (splits.Layer(optical_thickness=1), [SOOT], "takes impurities"),
     "twice": (BASE, [SOOT, SOOT], "named once"),
     "text": (BASE, SOOT, "a list of parameters"),
     "algae by mass": (BASE, ["impurities_ng_g.snow_algae"], "snow_algae"),
@@ -228,7 +232,8 @@ UNKNOWN = {
 def test_derivatives_that_do_not_exist_are_refused(name):
     medium, jacobian, message = UNKNOWN[name]
     with pytest.raises(Refusal, match=message):
-        splits.spectrophotometer(medium, [500.0], max_stderr=0.1, jacobian=jacobian)
+        light = "diffuse" if "incidence_deg" in jacobian else 0.0
+        splits.spectrophotometer(medium, [500.0], light, max_stderr=0.1, jacobian=jacobian)
 
 
 def test_derivatives_need_shared_paths():

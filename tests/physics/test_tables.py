@@ -11,12 +11,12 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.checks import Refusal
+from splits.instruments.families import likeness
 from splits.instruments.shared_paths import Family
 from splits.instruments.spectral_run import Run
 from splits.lookup import measuring
 from splits.lookup.axes import Axes
 from splits.lookup.block import Order
-from splits.lookup.families import likeness
 from splits.lookup.plan import Plan
 
 WAVELENGTHS = np.array([450.0, 800.0, 1030.0, 1300.0])

@@ -1,0 +1,227 @@
+"""Derivatives of spectra: against differences of long runs, and what each way to them costs.
+
+    python benchmarks/derivatives.py [--max-stderr 0.002] [--media "natural snow" sand]
+
+1. Every parameter of four media at six wavelengths, against five-point differences of runs with
+   random numbers of their own to half the error.
+2. What those that leave the paths as they are cost beside the spectrum alone.
+3. Of the others: variance times seconds of one core, in units of that of independent runs at their
+   best step, for runs that share random numbers, and, where attenuation is all that changes, for
+   likelihood ratios (a path of n legs of total length l has d ln p / d ln μ = n − μ l).
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+
+import splits
+from splits.instruments.ensemble import Ensemble
+from splits.instruments.fixed import EVERY_RAY
+from splits.instruments.runner import Runner
+from splits.instruments.scenes import constants_of
+from splits.media.granular import mean_leg_m
+from splits.media.parameters import INCIDENCE, value_of, with_value
+from splits.transport.sums.tally import EXIT_LENGTH, EXIT_ORDER, EXIT_SIDE, EXIT_WEIGHT, REFLECTED
+
+W = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
+ANGLE = 40.0
+SOOT = "impurities_ng_g.black_carbon"
+SNOW = splits.Snow.natural(
+    optical_radius_um=150, depth_m=0.02, density_kg_m3=200, ground=0.2, facetness=(0.2,) * 3 + (0,),
+    impurities_ng_g={"black_carbon": 100}, liquid_water_content=0.03,
+)  # fmt: skip
+MEDIA: dict[str, Any] = {
+    "natural snow": (SNOW, {
+        SOOT: 50, "ground": 0.1, "optical_radius_um": 15, "specific_surface_area_m2_kg": 2,
+        "liquid_water_content": 0.012, "density_kg_m3": 20, "depth_m": 0.002, "facetness": 0.05,
+        "sphericity": 0.05, INCIDENCE: 5,
+    }),
+    "deep snow": (
+        splits.Snow.natural(optical_radius_um=150, impurities_ng_g={"black_carbon": 100}),
+        {SOOT: 50, "optical_radius_um": 30, "specific_surface_area_m2_kg": 4},
+    ),
+    "sand": (splits.Sand(hematite_ratio=0.3, magnetite=0.02, saturation=0.3), {
+        "iron_oxide": 0.002, "hematite_ratio": 0.1, "magnetite": 0.005, "saturation": 0.1,
+        "porosity": 0.05, "sphericity": 0.02, INCIDENCE: 5,
+    }),
+    "layer": (splits.Layer(optical_thickness=3), {
+        "optical_thickness": 0.5, "single_scattering_albedo": 0.004, "asymmetry": 0.04,
+        "bottom_albedo": 0.1, "refractive_index": 0.05, INCIDENCE: 5,
+    }),
+    "two layers": (
+        splits.Stack([
+            splits.Snow.natural(optical_radius_um=80, depth_m=0.005),
+            splits.Snow.natural(optical_radius_um=400, depth_m=0.05,
+                                impurities_ng_g={"black_carbon": 200}),
+        ], ground=0.3),
+        {"ground": 0.1, f"layers.0.{SOOT}": 50, f"layers.1.{SOOT}": 50, "layers.0.depth_m": 0.001,
+         "layers.0.optical_radius_um": 10, "layers.1.optical_radius_um": 50},
+    ),
+}  # fmt: skip
+"""Media, and steps of the differences of long runs."""
+KEPT = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+"""Legs as likelihood ratios take them: exponential, whatever fits."""
+FREE = {
+    "natural snow": [SOOT, "algae_cells_ml.snow_algae", "ground"],
+    "deep snow": [SOOT, "algae_cells_ml.snow_algae", "optical_radius_um"],
+    "two layers": ["ground", f"layers.0.{SOOT}", f"layers.1.{SOOT}"],
+}
+
+
+def wavelengths(medium: Any) -> list[float]:
+    """Return the wavelengths of a medium; a layer has no colour."""
+    return W[:1] if medium.kind == "layer" else W
+
+
+def measured(medium: Any, error: float, seed: int, incidence: float = ANGLE, **more: Any) -> Any:
+    """Return a spectrum and the seconds of processors that it took."""
+    begun = time.process_time()
+    found = splits.spectrophotometer(medium, wavelengths(medium), incidence, error, seed, **more)
+    return found, time.process_time() - begun
+
+
+def at(medium: Any, name: str, by: float) -> tuple[Any, float]:
+    """Return a medium and an incidence with a parameter moved."""
+    if name == INCIDENCE:
+        return medium, ANGLE + by
+    return with_value(medium, name, value_of(medium, name) + by), ANGLE
+
+
+def long_difference(medium: Any, name: str, step: float, error: float, seed: int) -> Any:
+    """Return a five-point difference of runs with random numbers of their own, and its error."""
+    value, square = 0.0, 0.0
+    for number, (place, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items()):
+        other, incidence = at(medium, name, place * step)
+        run, _ = measured(other, error, seed + number, incidence)
+        value = value + weight / (12.0 * step) * run.reflectance.values
+        square = square + (weight / (12.0 * step) * run.reflectance_stderr.values) ** 2
+    return value, np.sqrt(square)
+
+
+def compare(chosen: list[str], error: float) -> None:
+    """Hold all derivatives against differences of long runs."""
+    every = []
+    for label in chosen:
+        medium, steps = MEDIA[label]
+        for number, (name, step) in enumerate(steps.items()):
+            found, _ = measured(medium, error, 1, jacobian=[name])
+            value, stderr = long_difference(medium, name, step, 0.5 * error, 100 + 10 * number)
+            own, own_error = found.reflectance_jacobian[0], found.reflectance_jacobian_stderr[0]
+            z = ((own - value) / np.hypot(own_error, stderr)).values
+            every.append(z)
+            print(
+                f"{label:13} {name:32} {found.parameter_method.values[0]:12} rms z "
+                f"{np.sqrt((z**2).mean()):.2f}, at {wavelengths(medium)[0]:g} nm "
+                f"{float(own[0]):.4g} ± {float(own_error[0]):.2g}, long runs {value[0]:.4g} ± "
+                f"{stderr[0]:.2g}", flush=True,
+            )  # fmt: skip
+    z = np.concatenate(every)
+    bound = statistics.NormalDist().inv_cdf(0.5 + 0.5 * 0.99 ** (1.0 / z.size))
+    print(f"{z.size} derivatives: rms z {np.sqrt((z**2).mean()):.3f}, largest {abs(z).max():.2f} "
+          f"(99 % bound {bound:.2f})")  # fmt: skip
+
+
+def cost_of_free(error: float) -> None:
+    """Print what derivatives from the same paths cost beside the spectrum alone."""
+    for label, names in FREE.items():
+        medium = MEDIA[label][0]
+        pairs = [
+            [measured(medium, error, seed, jacobian=some)[1] for some in ([], names)]
+            for seed in range(1, 8)
+        ]
+        alone, both = np.median(pairs, axis=0)
+        print(f"{label}: {', '.join(names)} cost {both / alone:.2f} times the spectrum alone")
+
+
+class Scored(Ensemble):
+    """Reflected weights times the score of attenuation, ray by ray."""
+
+    sums: np.ndarray
+    attenuation: float
+
+    def tally(self, level: Any, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+        """Return sums and sums of squares over the rays of a batch, by wavelength."""
+        lengths = exits[:, EXIT_LENGTH:]
+        weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
+        weight[exits[:, EXIT_SIDE] != REFLECTED - 1] = 0.0
+        score = exits[:, EXIT_ORDER] - self.attenuation * lengths[:, 0]
+        both = weight * score[:, None]
+        return np.stack([both.sum(axis=0), (both**2).sum(axis=0)]), len(exits)
+
+    def add(self, level: Any, tallies: Any) -> None:
+        """Add batches up."""
+        for sums, rays in tallies:
+            self.sums = self.sums + sums
+            level.rays += rays
+
+
+def likelihood(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the derivative to the logarithm of attenuation, its variance, and seconds."""
+    begun = time.process_time()
+    index, absorption = constants_of(medium, np.array(W))
+    runner = Runner(medium, ANGLE, 1, None, False)
+    one = Scored(0, index[len(W) // 2], absorption, np.ones(len(W), bool), runner.tracer.manner,
+                 levels=EVERY_RAY)  # fmt: skip
+    one.sums, one.attenuation = np.zeros((2, len(W))), 1.0 / mean_leg_m(medium)
+    runner.trace([(one, level, rays) for level in one.levels], 1.0, 0.0)
+    count = one.levels[0].rays
+    mean = one.sums[0] / count
+    variance = (one.sums[1] / count - mean**2) / count
+    return mean, variance, time.process_time() - begun
+
+
+def ways(chosen: list[str], error: float) -> None:
+    """Print variance times seconds of every way, independent runs at their best step as 1."""
+    for label in chosen:
+        medium, steps = MEDIA[label]
+        for name, step in steps.items():
+            found, seconds = measured(medium, error, 1, jacobian=[name])
+            if found.parameter_method.values[0] == "paths":
+                continue
+            _, alone = measured(medium, error, 1)
+            own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
+            _, stderr = long_difference(medium, name, step, error, 100)
+            other = stderr**2 * 4.0 * alone
+            print(f"{label:13} {name:28} common random numbers {np.median(own / other):.2f}")
+    for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
+        medium = splits.Snow.natural(optical_radius_um=150, depth_m=depth, density_kg_m3=200,
+                                     impurities_ng_g={"black_carbon": 100}, readings=KEPT)  # fmt: skip
+        measured(medium, 0.02, 1)
+        found, seconds = measured(medium, error, 1, jacobian=["density_kg_m3"])
+        _, alone = measured(medium, error, 1)
+        other, stderr = long_difference(medium, "density_kg_m3", 20.0, error, 100)
+        # Grains stay as they are: attenuation goes as density over pores.
+        legs = [1.0 / mean_leg_m(with_value(medium, "density_kg_m3", x)) for x in (199.0, 201.0)]
+        rate = 0.5 * np.log(legs[1] / legs[0])
+        mean, variance, spent = likelihood(medium, 100_000)
+        own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
+        ratio = rate**2 * variance * spent
+        z = (rate * mean - other) / np.hypot(rate * np.sqrt(variance), stderr)
+        independent = stderr**2 * 4.0 * alone
+        print(
+            f"{label}, density: common random numbers {np.median(own / independent):.2f}, "
+            f"likelihood ratio {np.median(ratio / independent):.2f} (rms z of it "
+            f"{np.sqrt((z**2).mean()):.2f})"
+        )
+
+
+def main() -> None:
+    """Print all three."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--max-stderr", type=float, default=0.002)
+    parser.add_argument("--media", nargs="+", default=list(MEDIA), choices=list(MEDIA))
+    given = parser.parse_args()
+    for label in given.media:
+        measured(MEDIA[label][0], 0.05, 1)
+    compare(given.media, given.max_stderr)
+    cost_of_free(given.max_stderr)
+    ways(given.media, given.max_stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Retrievals of spectra whose truth is known: coverage, bias, what is not told; speed of maps.
+
+    python benchmarks/retrieval.py FOLDER [--snows 1000] [--sands 300] [--pixels 500]
+
+Truths are drawn evenly in the coordinates of the retrieval (the logarithm of a size, the root of
+an amount) and simulated with random numbers of their own, not read from the table.  The measured
+spectra have noise of 1 % and 0.003, independent between wavelengths.  FOLDER keeps the tables.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.stats import binom
+
+import splits
+from splits.instruments.alike import spectra_of
+from splits.instruments.families import families
+from splits.instruments.spectral_run import Run
+from splits.lookup.interpolation import law
+from splits.retrieval.coordinates import Free
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import Measurement
+
+SIZE, WATER, SOOT = "optical_radius_um", "liquid_water_content", "impurities_ng_g.black_carbon"
+W_SNOW = np.arange(400.0, 2401.0, 25.0)
+W_SAND = np.arange(400.0, 1001.0, 20.0)
+ANGLES = [0.0, 45.0, 65.0]
+SNOW_GRID: dict[str, Any] = {
+    SIZE: np.geomspace(40.0, 1800.0, 10), "incidence_deg": ANGLES,
+    WATER: [0.0, 0.01, 0.03, 0.06, 0.1, 0.15], SOOT: [0, 5, 20, 60, 150, 300, 500],
+}  # fmt: skip
+SNOW_TRUTH = {SIZE: (50.0, 1500.0), WATER: (0.0, 0.15), SOOT: (0.0, 500.0)}
+SAND_GRID: dict[str, Any] = {
+    "iron_oxide": [0.001, 0.003, 0.01, 0.02, 0.04], "hematite_ratio": [0.0, 0.1, 0.3, 0.6, 1.0],
+    "saturation": [0.0, 0.1, 0.3, 0.6, 1.0],
+}  # fmt: skip
+SAND_TRUTH = {"iron_oxide": (0.001, 0.04), "hematite_ratio": (0.0, 1.0), "saturation": (0.0, 1.0)}
+LAWS = {SIZE: "logarithm", SOOT: "root", WATER: "root", "iron_oxide": "logarithm",
+        "hematite_ratio": "root", "saturation": "root"}  # fmt: skip
+RELATIVE, FLOOR = 0.01, 0.003
+
+
+def snow(**settings: Any) -> splits.Snow:
+    """Return deep natural snow."""
+    soot = settings.pop(SOOT)
+    return splits.Snow.natural(impurities_ng_g={"black_carbon": soot}, **settings)
+
+
+def table(path: Path, make: Callable[..., Any], grid: dict[str, Any], w: np.ndarray, error: float,
+          incidence: float = 0.0) -> splits.Table:  # fmt: skip
+    """Return a table that a file keeps."""
+    if not path.exists():
+        begun = time.process_time()
+        found = splits.table(make, grid, w, incidence, max_stderr=error)
+        splits.save(found, path)
+        print(f"{path.name}: {time.process_time() - begun:.0f} s of CPU", flush=True)
+    return splits.open_table(path)
+
+
+def drawn(random: np.random.Generator, ranges: dict[str, Any], count: int) -> dict[str, np.ndarray]:
+    """Return truths, drawn evenly in coordinates."""
+    found = {}
+    for name, (low, high) in ranges.items():
+        ends = law(LAWS[name], np.array([low, high]))
+        at = ends[0] + random.random(count) * (ends[1] - ends[0])
+        kind = LAWS[name]
+        found[name] = np.exp(at) if kind == "logarithm" else at**2 if kind == "root" else at
+    return found
+
+
+def simulated(media: list[Any], w: np.ndarray, incidence: float, seed: int) -> np.ndarray:
+    """Return spectra of media, those that share paths from one ensemble."""
+    run = Run.checked(w, incidence, 0.001, seed, 20_000_000, None, "auto")
+    found = np.empty((len(media), w.size))
+    for members in families(media, w):
+        spectra = spectra_of(members.family, run)
+        for place, which in zip(members.places, members.which, strict=True):
+            found[place] = spectra[which].reflectance.values
+    return found
+
+
+def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) -> None:
+    """Print coverage with binomial bounds, bias, and how often each was not told."""
+    many = len(found)
+    quantiles = np.stack([one.dataset.quantiles.values for one in found])
+    told = np.stack([one.dataset.determined.values for one in found]).astype(bool)
+    misfit = np.mean(
+        [one.dataset.attrs["chi2"] / one.dataset.attrs["chi2_expected"] for one in found]
+    )
+    print(f"{label}: {many} spectra, chi2 {misfit:.2f} of 1 expected")
+    for i, name in enumerate(names):
+        truth = truths[:, i]
+        # The truth's rank in the posterior: its normal score is z, whatever the shape.
+        line = [f"  {name:32}"]
+        for low, high, share in ((1, 3, 0.68), (0, 4, 0.95)):
+            inside = (quantiles[:, low, i] <= truth) & (truth <= quantiles[:, high, i])
+            bounds = binom.ppf([0.005, 0.995], many, share) / many
+            line.append(
+                f"{inside.mean():.3f} within {share:.0%} ({bounds[0]:.3f} to {bounds[1]:.3f})"
+            )
+        ranks = np.array([(one.dataset.draws.values[:, i] < t).mean()
+                          for one, t in zip(found, truth, strict=True)])  # fmt: skip
+        off = (ranks.mean() - 0.5) * np.sqrt(12.0 * many)
+        line.append(
+            f"mean rank off by {off:+.1f} of its errors, not told {1 - told[:, i].mean():.2f}"
+        )
+        print(", ".join(line), flush=True)
+
+
+def noisy(random: np.random.Generator, spectrum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a measured spectrum and its noise."""
+    noise = np.hypot(RELATIVE * spectrum, FLOOR)
+    return spectrum + noise * random.standard_normal(spectrum.size), noise
+
+
+def snows(known: splits.Table, many: int, waters: int = 10) -> None:
+    """Retrieve synthetic snow: size, water and soot, under three angles."""
+    random = np.random.default_rng(20)
+    names, found, truths = [SIZE, WATER, SOOT], [], []
+    each = -(-many // (len(ANGLES) * waters))
+    for number, angle in enumerate(np.repeat(ANGLES, waters)):
+        truth = drawn(random, SNOW_TRUTH, each)
+        truth[WATER][:] = truth[WATER][0]
+        media = [snow(**{n: float(truth[n][i]) for n in names}) for i in range(each)]
+        for i, spectrum in enumerate(simulated(media, W_SNOW, float(angle), 1000 + number)):
+            measured, noise = noisy(random, spectrum)
+            at = {"incidence_deg": float(angle)}
+            found.append(splits.retrieve((W_SNOW, measured), known, SNOW_TRUTH, noise, at=at))
+            truths.append([truth[n][i] for n in names])
+    judge("snow", names, found, np.array(truths))
+
+
+def sands(known: splits.Table, many: int) -> None:
+    """Retrieve synthetic sand: iron oxide, hematite, water."""
+    random = np.random.default_rng(21)
+    names, found = list(SAND_TRUTH), []
+    truth = drawn(random, SAND_TRUTH, many)
+    for i in range(many):
+        sand = splits.Sand(**{n: float(truth[n][i]) for n in names})
+        (spectrum,) = simulated([sand], W_SAND, 0.0, 2000 + i)
+        measured, noise = noisy(random, spectrum)
+        found.append(splits.retrieve((W_SAND, measured), known, SAND_TRUTH, noise))
+    judge("sand", names, found, np.stack([truth[n] for n in names], axis=1))
+
+
+def maps(known: splits.Table, pixels: int) -> None:
+    """Retrieve a map made from the table, with noise of 1 %."""
+    random = np.random.default_rng(22)
+    names, at = [SIZE, WATER, SOOT], {"incidence_deg": 45.0}
+    plain = Measurement.of((W_SNOW, np.full(W_SNOW.size, 0.5)), RELATIVE)
+    model = OfTable(known, plain, Free.of(SNOW_TRUTH, None, ranges_of(known)), at)
+    places = random.random((pixels * pixels, len(names)))
+    truth = model.free.at(places)
+    cube = model.values(places) + RELATIVE * random.standard_normal((len(places), W_SNOW.size))
+    image = xr.DataArray(cube.reshape(pixels, pixels, -1), {"wavelength": W_SNOW},
+                         ("y", "x", "wavelength"))  # fmt: skip
+    splits.retrieve_map(image[:2], known, SNOW_TRUTH, RELATIVE, at=at)
+    begun = time.perf_counter(), time.process_time()
+    found = splits.retrieve_map(image, known, SNOW_TRUTH, RELATIVE, at=at)
+    clock, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
+    print(f"map of {pixels} by {pixels} pixels: {clock:.1f} s, {len(places) / cpu:.0f} spectra per "
+          f"second of a core, flagged {(found.flags.values > 0).mean():.3f}")  # fmt: skip
+    for i, name in enumerate(names):
+        off = (found[name].values.ravel() - truth[:, i]) / found[f"{name}_stderr"].values.ravel()
+        print(
+            f"  {name}: within one error {(np.abs(off) < 1).mean():.3f}, median {np.median(off):+.3f}"
+        )
+
+
+def main() -> None:
+    """Make tables, retrieve."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--snows", type=int, default=1000)
+    parser.add_argument("--sands", type=int, default=300)
+    parser.add_argument("--pixels", type=int, default=500)
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    of_snow = table(given.folder / "snow.nc", snow, SNOW_GRID, W_SNOW, 0.002)
+    maps(of_snow, given.pixels)
+    if given.snows:
+        snows(of_snow, given.snows)
+    if given.sands:
+        sands(table(given.folder / "sand.nc", splits.Sand, SAND_GRID, W_SAND, 0.002), given.sands)
+
+
+if __name__ == "__main__":
+    main()

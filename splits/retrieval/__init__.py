@@ -1,0 +1,1 @@
+"""From spectra back to what made them: optimal estimation with errors."""

@@ -1,0 +1,158 @@
+"""What a retrieval is free to vary: ranges, priors, and coordinates from 0 to 1.
+
+A coordinate goes evenly where light changes evenly, by the laws of
+`splits.lookup.interpolation.spaced`: the logarithm of a size, the root of an amount from 0 on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import numbers, refuse, unknown_key
+from splits.lookup.interpolation import law
+
+LEVEL = "level"
+"""Name of the factor of the measurement, such as that of a reference panel."""
+FLAT_VARIANCE = 1.0 / 12.0
+"""Of a coordinate of which nothing is known."""
+
+
+class Widest(NamedTuple):
+    """The widest range of a parameter, and the law by which light changes evenly along it."""
+
+    low: float
+    high: float
+    law: str
+
+
+class Free(NamedTuple):
+    """Free parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+    low, high : float, shape (parameters,)
+        Ranges, in the parameters' own units.
+    laws : tuple of str
+        By which coordinates go.
+    prior_mean, prior_sd : float, shape (parameters,)
+        Normal priors in coordinates; of a parameter without one, 1/2 and infinite.
+    """
+
+    names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    laws: tuple[str, ...]
+    prior_mean: np.ndarray
+    prior_sd: np.ndarray
+
+    @classmethod
+    def of(cls, ranges: Any, prior: Any, known: Mapping[str, Widest]) -> Free:
+        """Return what a user leaves free, or refuse it.
+
+        Parameters
+        ----------
+        ranges : sequence of str or mapping
+            Parameters, or their (low, high) by name.
+        prior : mapping or None
+            (mean, standard deviation) by name.
+        known : mapping
+            Widest ranges by name, of those that can be free.
+
+        Raises
+        ------
+        ValueError
+            For a name that is not known, a range that is none or not within the widest, or a
+            prior of what is not free.
+        """
+        given = _ranges(ranges, known)
+        names = tuple(given)
+        low, high = np.array([given[name] for name in names]).T
+        laws = tuple(known[name].law for name in names)
+        plain = cls(names, low, high, laws, np.full(len(names), 0.5), np.full(len(names), np.inf))
+        if prior is None:
+            return plain
+        if not isinstance(prior, Mapping):
+            raise refuse("prior", prior, "a mapping of names to (mean, standard deviation)")
+        mean, sd = plain.prior_mean.copy(), plain.prior_sd.copy()
+        for name, pair in prior.items():
+            if name not in names:
+                raise unknown_key(f"prior.{name}", names)
+            i = names.index(name)
+            mean[i], sd[i] = plain._prior(i, pair)
+        return plain._replace(prior_mean=mean, prior_sd=sd)
+
+    def _prior(self, i: int, pair: Any) -> tuple[float, float]:
+        """Return mean and standard deviation of a prior in its coordinate, or refuse it."""
+        key = f"prior.{self.names[i]}"
+        mean, sd = numbers(key, pair, ("mean", "standard deviation"))
+        if not sd > 0.0:
+            raise refuse(key, pair, "a standard deviation above 0")
+        low, high = self.low[i], self.high[i]
+        if not low <= mean <= high:
+            raise refuse(key, pair, f"a mean in the range {low:g} to {high:g}")
+        ends = [np.clip(mean + sign * sd, low, high) for sign in (-1.0, 1.0)]
+        below, middle, above = self.coordinates_of(i, np.array([ends[0], mean, ends[1]])).tolist()
+        # Where the range cuts one side off, the other one tells.
+        cut = [ends[0] > mean - sd, ends[1] < mean + sd]
+        sides = [d for d, off in zip((middle - below, above - middle), cut, strict=True) if not off]
+        return middle, float(np.mean(sides)) if sides else float("inf")
+
+    def coordinates(self, values: np.ndarray) -> np.ndarray:
+        """Return coordinates of values, shape (..., parameters)."""
+        found = [self.coordinates_of(i, values[..., i]) for i in range(len(self.names))]
+        return np.stack(found, axis=-1)
+
+    def coordinates_of(self, i: int, values: np.ndarray) -> np.ndarray:
+        """Return coordinates of values of one parameter."""
+        first, last = law(self.laws[i], np.array([self.low[i], self.high[i]]))
+        row: np.ndarray = (law(self.laws[i], values) - first) / (last - first)
+        return row
+
+    def at(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return the values of coordinates, shape (..., parameters)."""
+        found = np.empty(np.shape(coordinates))
+        for i, kind in enumerate(self.laws):
+            first, last = law(kind, np.array([self.low[i], self.high[i]]))
+            found[..., i] = _values(kind, first + coordinates[..., i] * (last - first))
+        return np.clip(found, self.low, self.high)
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Precision of the priors, 0 without one."""
+        return 1.0 / self.prior_sd**2
+
+    @property
+    def prior_variance(self) -> np.ndarray:
+        """Variance of what was known before: of the prior, or of the range."""
+        return 1.0 / np.maximum(self.precision, 1.0 / FLAT_VARIANCE)
+
+
+def _values(kind: str, at: np.ndarray) -> np.ndarray:
+    """Return the values that a law has made these of, see `splits.lookup.interpolation.law`."""
+    if kind == "cosine":
+        return np.degrees(np.arccos(np.clip(-at, -1.0, 1.0)))
+    if kind == "logarithm":
+        return np.exp(at)
+    return np.square(at) if kind == "root" else np.asarray(at, dtype=float)
+
+
+def _ranges(given: Any, known: Mapping[str, Widest]) -> dict[str, tuple[float, float]]:
+    """Return (low, high) by name, or refuse them."""
+    if isinstance(given, str) or not isinstance(given, Mapping | Sequence) or not len(given):
+        raise refuse("free", given, "names of parameters, or their (low, high) by name")
+    found = {}
+    for name in given:
+        if name not in known:
+            raise unknown_key(f"free.{name}", known)
+        widest = known[name]
+        pair = given[name] if isinstance(given, Mapping) else (widest.low, widest.high)
+        low, high = numbers(f"free.{name}", pair, ("low", "high"))
+        if not widest.low <= low < high <= widest.high:
+            allowed = f"{widest.low:g} <= low < high <= {widest.high:g}"
+            raise refuse(f"free.{name}", pair, allowed)
+        found[str(name)] = (low, high)
+    return found

@@ -1,0 +1,209 @@
+"""Whole images against a table: a retrieval for every pixel, with errors and flags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import known_arguments, one_of, refuse
+from splits.dataset import attributes, provenance
+from splits.instruments.arguments import check_threads
+from splits.lookup.reading import Table
+from splits.names import parameter_about
+from splits.retrieval.coordinates import LEVEL, Free
+from splits.retrieval.descents import descend_each, reduce_each
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import PER_CENT, Measurement
+from splits.uncertainty import quantity
+
+MOST_COMPONENTS = 24
+"""Components that spectra are reduced to, at most."""
+LOST = 0.01
+"""Part of the noise variance of a component below which what it tells is left out."""
+FLAGS = {
+    "gap": 1, "out_of_range": 2, "poor_fit": 4, "at_low_end": 8, "at_high_end": 16, "untold": 32,
+}  # fmt: skip
+PIXELS = 4096
+"""Of a piece of work."""
+IMPROBABLE = 1e-3
+
+
+class _Reduced(NamedTuple):
+    """A table whose spectra are few numbers, of which noise has variance 1 each.
+
+    Attributes
+    ----------
+    project : float, shape (components, wavelengths)
+    centre : float, shape (wavelengths,)
+    cells : float, shape (cells, components)
+    white : float, shape (wavelengths, wavelengths)
+        Lower triangle.
+    """
+
+    project: np.ndarray
+    centre: np.ndarray
+    cells: np.ndarray
+    white: np.ndarray
+
+
+def _reduced(model: OfTable, covariance: np.ndarray) -> _Reduced:
+    """Return the directions of spectra in which the table tells something, in units of noise."""
+    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    centre = model.cells.mean(axis=0)
+    cells = (model.cells - centre) @ white.T
+    _, sizes, directions = np.linalg.svd(cells, full_matrices=False)
+    # How far the cells scatter along each.
+    far = sizes / np.sqrt(len(cells)) > np.sqrt(LOST)
+    count = min(max(int(far.sum()), len(model.axes)), MOST_COMPONENTS, len(sizes))
+    some = directions[:count]
+    return _Reduced(some @ white, centre, cells @ some.T, white)
+
+
+@known_arguments
+def retrieve_map(
+    image: xr.DataArray,
+    table: Table,
+    free: Any,
+    noise: Any,
+    *,
+    at: Mapping[str, Any] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    threads: int | None = None,
+) -> xr.Dataset:
+    """Retrieve parameters in every pixel of an image.
+
+    Each pixel's most probable values by Gauss and Newton's method in the table, from the nearest of
+    its cells, and errors from the curvature there: what `splits.retrieve` does for one spectrum, to
+    which draws are left.
+
+    Parameters
+    ----------
+    image : xarray.DataArray
+        Reflectances over ``wavelength`` (nm) and one or more other dimensions; of dask arrays, block
+        by block.  Gaps are flagged.
+    table : Table
+    free : sequence of str or mapping
+        As for `splits.retrieve`, but ``level``.
+    noise : float, array_like or mapping
+        Of every pixel, as for `splits.retrieve`.
+    at, prior : mapping
+        As for `splits.retrieve`.
+    threads : int, optional
+        Default: every CPU this process may use.
+
+    Returns
+    -------
+    xarray.Dataset
+        Every parameter and its ``…_stderr`` over the image's dimensions, NaN where there is a gap;
+        ``chi2``, and what to expect of it as its attribute ``expected``; ``flags``, sums of those in
+        `FLAGS`, as their attributes say.
+
+    Raises
+    ------
+    ValueError
+        As `splits.retrieve`.
+    """
+    if not isinstance(image, xr.DataArray) or "wavelength" not in image.coords:
+        raise refuse("image", type(image).__name__, "a DataArray over wavelength and others")
+    one_of("quantity", "reflectance", table.quantities)
+    which = Free.of(free, prior, ranges_of(table))
+    if LEVEL in which.names:
+        raise refuse("free", LEVEL, "left out of maps")
+    w = image.wavelength.values
+    measurement = Measurement.of((w, np.full(w.size, 0.5)), noise)
+    model = OfTable(table, measurement, which, at or {})
+    # What the table is off by, in the middle of the ranges.
+    covariance = measurement.covariance + model.covariance(np.full(len(which.names), 0.5))
+    work = _Work(which, model, _reduced(model, covariance), covariance, check_threads(threads))
+    dims = [d for d in image.dims if d != "wavelength"]
+    stacked = image.transpose(*dims, "wavelength")
+    many = 2 * len(which.names) + 2
+    found = xr.apply_ufunc(
+        work.block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[["what"]],
+        dask="parallelized", output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {"what": many}},
+    )  # fmt: skip
+    return _dataset(found, which, work)
+
+
+class _Work(NamedTuple):
+    """What all pixels have in common."""
+
+    free: Free
+    model: OfTable
+    reduced: _Reduced
+    covariance: np.ndarray
+    threads: int
+
+    def block(self, spectra: np.ndarray) -> np.ndarray:
+        """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
+        flat = np.ascontiguousarray(spectra.reshape(-1, spectra.shape[-1]), dtype=float)
+        with ThreadPoolExecutor(self.threads) as pool:
+            parts = [flat[i : i + PIXELS] for i in range(0, len(flat), PIXELS)]
+            found = np.concatenate(list(pool.map(self._piece, parts)))
+        return found.reshape(*spectra.shape[:-1], -1)
+
+    def _piece(self, spectra: np.ndarray) -> np.ndarray:
+        free, count = self.free, len(self.free.names)
+        gap = ~np.isfinite(spectra).all(axis=1)
+        odd = ~gap & (np.abs(np.where(gap[:, None], 0.0, spectra)).max(axis=1) > PER_CENT)
+        fine = ~(gap | odd)
+        project, centre, cells, white = self.reduced
+        y, rest = np.empty((len(spectra), len(project))), np.empty(len(spectra))
+        # What the components leave no parameter explains.
+        reduce_each(np.where(fine[:, np.newaxis], spectra, 0.5), centre, project, white, y, rest)
+        table = self.model.grid(cells)
+        mean, precision = free.prior_mean, free.precision
+        places, variances = np.empty((2, len(y), count))
+        misfit = np.empty(len(y))
+        known = (mean, precision, free.prior_variance)
+        descend_each(table, y, *known, places, variances, misfit)
+        natural = free.at(places)
+        near = [np.clip(places + s * np.sqrt(variances), 0.0, 1.0) for s in (-1.0, 1.0)]
+        stderr = 0.5 * np.abs(free.at(near[1]) - free.at(near[0]))
+        chi2 = misfit + rest
+        flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * odd
+        flags = flags + FLAGS["poor_fit"] * (fine & (chi2 > self.limit()))
+        flags = flags + FLAGS["at_low_end"] * (fine & (places < 1e-6).any(axis=1))
+        flags = flags + FLAGS["at_high_end"] * (fine & (places > 1.0 - 1e-6).any(axis=1))
+        untold = np.sqrt(variances) > 0.5 * np.sqrt(free.prior_variance)
+        flags = flags + FLAGS["untold"] * (fine & untold.any(axis=1))
+        found = np.column_stack([natural, stderr, chi2])
+        found[~fine] = np.nan
+        return np.column_stack([found, flags])
+
+    def limit(self) -> float:
+        """Return the misfit that one in a thousand exceeds."""
+        from scipy.stats import chi2
+
+        return float(chi2.isf(IMPROBABLE, self.expected()))
+
+    def expected(self) -> int:
+        """Return the misfit to expect."""
+        return max(len(self.covariance) - len(self.free.names), 1)
+
+
+def _dataset(found: xr.DataArray, free: Free, work: _Work) -> xr.Dataset:
+    """Return parameters, errors, misfit and flags by name."""
+    variables = {}
+    dims = tuple(str(d) for d in found.dims[:-1])
+    for i, name in enumerate(free.names):
+        long_name, units = parameter_about(name)
+        pair = quantity(name, dims, found[..., i].data, found[..., len(free.names) + i].data,
+                        long_name, units)  # fmt: skip
+        variables |= pair
+    variables |= quantity("chi2", dims, found[..., -2].data, None, "sum of squares of the misfit")
+    variables["chi2"][2]["expected"] = work.expected()
+    flags = found[..., -1].astype(np.int16)
+    told = {
+        "long_name": "flags", "units": "1", "flag_masks": np.array(list(FLAGS.values()), np.int16),
+        "flag_meanings": " ".join(FLAGS),
+    }  # fmt: skip
+    variables["flags"] = (dims, flags.data, told)
+    facts = {"title": "Map of a retrieval", **provenance("map of a retrieval")}
+    coordinates = {k: v for k, v in found.coords.items() if k != "what"}
+    return xr.Dataset(variables, coordinates, attributes(facts))

@@ -1,0 +1,134 @@
+"""What was measured: reflectances over wavelengths or bands, and how far they may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.checks import in_range, increasing, refuse, row_of
+from splits.skies.bands import Band, bands_of
+
+PER_CENT = 2.0
+"""Reflectance factor above which the numbers are taken for per cent."""
+LARGEST = 3.0
+"""Noise of a reflectance above which it says nothing."""
+
+
+class Measurement(NamedTuple):
+    """A spectrum that was measured.
+
+    Attributes
+    ----------
+    values : float, shape (n,)
+    wavelength_nm : float, shape (n,)
+        Of bands, where their middle is.
+    covariance : float, shape (n, n)
+        Of its noise.
+    bands : dict of Band
+        By name; empty for a spectrum.
+    """
+
+    values: np.ndarray
+    wavelength_nm: np.ndarray
+    covariance: np.ndarray
+    bands: dict[str, Band]
+
+    @classmethod
+    def of(cls, measured: Any, noise: Any, bands: Any = None) -> Measurement:
+        """Return what a user has measured, or refuse it.
+
+        Parameters
+        ----------
+        measured : xarray.DataArray, pandas.Series or pair of array_like
+            Over ``wavelength`` (nm), or (wavelengths, reflectances); a row where there are bands.
+        noise : float, array_like or mapping
+            Standard errors, one or as many as values, or their covariance matrix; or a mapping of
+            ``stderr`` and ``correlation_nm``, over which errors are alike: what two wavelengths d
+            apart have in common is e^(−d/correlation_nm).
+        bands : mapping or str, optional
+            As for `splits.albedo`, in the order of the values.
+
+        Raises
+        ------
+        ValueError
+            For gaps, per cent, noise that is not above 0, or numbers that do not go together.
+        """
+        some = bands_of(bands)
+        w, values = (None, row_of("measured", measured)) if some else _spectrum(measured)
+        gaps = np.flatnonzero(~np.isfinite(values))
+        if gaps.size:
+            where = f"value {gaps[0]}" if w is None else f"at {w[gaps[0]]:g} nm"
+            raise refuse("measured", f"{gaps.size} gaps, the first {where}", "numbers",
+                         "leave those wavelengths out")  # fmt: skip
+        if np.abs(values).max() > PER_CENT:
+            largest = float(values[np.abs(values).argmax()])
+            raise refuse("measured", largest, f"at most {PER_CENT:g}", "a share, not per cent")
+        if w is None:
+            if len(some) != values.size:
+                raise refuse("measured", f"{values.size} values", f"{len(some)}, one for each band")
+            w = np.array([_middle(band) for band in some.values()])
+        return cls(values, w, _covariance(noise, w), some)
+
+
+def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return wavelengths and reflectances, or refuse them."""
+    allowed = "a DataArray over wavelength, a Series, or (wavelengths, reflectances)"
+    if isinstance(measured, xr.DataArray):
+        if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
+            raise refuse("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
+        pair: Any = (measured.wavelength.values, measured.values)
+    elif isinstance(measured, pd.Series):
+        pair = (measured.index.to_numpy(), measured.to_numpy())
+    elif isinstance(measured, tuple | list) and len(measured) == 2:
+        pair = measured
+    else:
+        raise refuse("measured", type(measured).__name__, allowed)
+    w = row_of("measured (wavelengths)", pair[0])
+    values = np.asarray(pair[1], dtype=float)
+    if values.shape != w.shape:
+        found = f"{w.size} wavelengths, {values.size} values"
+        raise refuse("measured", found, "as many of both")
+    return increasing("measured (wavelengths)", w), values
+
+
+def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the covariance of noise, or refuse it."""
+    count = wavelength_nm.size
+    allowed = f"standard errors above 0, one or {count} of them, or their covariance"
+    alike = np.eye(count)
+    if isinstance(noise, Mapping):
+        if set(noise) != {"stderr", "correlation_nm"}:
+            raise refuse("noise", sorted(map(str, noise)), "stderr and correlation_nm")
+        length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
+        alike = np.exp(-np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm) / length)
+        noise = noise["stderr"]
+    try:
+        given = np.asarray(noise, dtype=float)
+    except (TypeError, ValueError):
+        raise refuse("noise", noise, allowed) from None
+    if given.shape == (count, count) and count > 1:
+        if not np.allclose(given, given.T, rtol=1e-9, atol=0.0):
+            raise refuse("noise", "a matrix that is not symmetric", allowed)
+        if not np.linalg.eigvalsh(given)[0] > 0.0:
+            raise refuse("noise", "a matrix that is not positive definite", allowed)
+        return given
+    if given.shape not in ((), (count,)):
+        raise refuse("noise", f"of shape {given.shape}", allowed)
+    wrong = ~((given > 0.0) & (given < LARGEST))
+    if wrong.any():
+        hint = "no measurement is without noise"
+        raise refuse("noise", float(given[wrong].flat[0]), allowed, hint)
+    stderr = np.broadcast_to(given, (count,))
+    found: np.ndarray = alike * stderr[:, np.newaxis] * stderr
+    return found
+
+
+def _middle(band: Band) -> float:
+    """Return the mean wavelength (nm) of a band."""
+    w = np.linspace(*band.ends, 501)
+    response = np.interp(w, band.wavelength_nm, band.response)
+    return float((w * response).sum() / response.sum())

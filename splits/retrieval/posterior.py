@@ -1,0 +1,151 @@
+"""The distribution of what is free, given a measurement: draws, whatever shape it has.
+
+Importance sampling: places drawn around the optima by a wide distribution count by how probable
+they are in truth, and the distribution is drawn anew from what was found, until enough of them
+count (adaptive importance sampling; Bugallo et al. 2017, IEEE Signal Processing Magazine 34, 60).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.retrieval.estimation import Optimum, told
+from splits.retrieval.forward import Model
+from splits.retrieval.measurement import Measurement
+
+DRAWS = 4000
+FREEDOM = 5.0
+"""Degrees of freedom of Student's t: tails heavier than any that is to be found."""
+ENOUGH = 400.0
+"""Effective number of draws."""
+ROUNDS = 6
+DEFENCE = 0.1
+"""Share of draws from the whole range, so that no part of it is overlooked for good."""
+
+
+class Draws(NamedTuple):
+    """Draws from a posterior.
+
+    Attributes
+    ----------
+    places : float, shape (DRAWS, parameters)
+        Coordinates, equally probable.
+    effective : float
+        Number of independent draws that they are worth.
+    """
+
+    places: np.ndarray
+    effective: float
+
+
+class _Part(NamedTuple):
+    """A part of the distribution that is drawn from."""
+
+    centre: np.ndarray
+    lower: np.ndarray
+
+    @classmethod
+    def of(cls, centre: np.ndarray, covariance: np.ndarray) -> _Part:
+        tiny = 1e-12 * np.eye(len(centre))
+        return cls(centre, np.linalg.cholesky(covariance + tiny))
+
+    def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
+        normal = random.standard_normal((count, len(self.centre)))
+        wide = np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, np.newaxis]
+        places: np.ndarray = self.centre + wide * (normal @ self.lower.T)
+        return places
+
+    def density(self, places: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the density, but for a constant that all parts share."""
+        off = np.linalg.solve(self.lower, (places - self.centre).T)
+        many = len(self.centre)
+        scale = np.log(np.diag(self.lower)).sum()
+        found: np.ndarray = -scale - 0.5 * (FREEDOM + many) * np.log1p(
+            (off**2).sum(axis=0) / FREEDOM
+        )
+        return found
+
+
+def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], seed: int) -> Draws:
+    """Return draws from the posterior.
+
+    Parameters
+    ----------
+    model : Model
+    measurement : Measurement
+    ends : sequence of Optimum
+        Best first; the covariance of errors is that at the best.
+    seed : int
+    """
+    random = np.random.default_rng([seed, 20])
+    parts = [_Part.of(end.place, 1.5 * told(end, model).covariance) for end in ends]
+    constant = _student(len(ends[0].place))
+    lower = np.linalg.cholesky(ends[0].covariance)
+    for _ in range(ROUNDS):
+        places = _drawn(parts, random)
+        inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
+        places = places[inside]
+        height = np.logaddexp.reduce([part.density(places) for part in parts], axis=0)
+        height += constant - np.log(len(parts)) + np.log1p(-DEFENCE)
+        log = _probable(model, measurement, places, lower) - np.logaddexp(height, np.log(DEFENCE))
+        weight = np.exp(log - log.max())
+        weight /= weight.sum()
+        effective = float(1.0 / (weight**2).sum())
+        if effective >= ENOUGH:
+            break
+        parts = _anew(places, weight, parts)
+    return Draws(places[_systematic(weight, random)], effective)
+
+
+def _drawn(parts: Sequence[_Part], random: np.random.Generator) -> np.ndarray:
+    """Return draws from all parts, and some from everywhere."""
+    everywhere = random.random((int(DEFENCE * DRAWS), len(parts[0].centre)))
+    share = (DRAWS - len(everywhere)) // len(parts)
+    return np.concatenate([everywhere, *(part.draw(random, share) for part in parts)])
+
+
+def _student(many: int) -> float:
+    """Return the logarithm of the constant of Student's t in so many dimensions."""
+    from math import lgamma, log, pi
+
+    return lgamma(0.5 * (FREEDOM + many)) - lgamma(0.5 * FREEDOM) - 0.5 * many * log(FREEDOM * pi)
+
+
+def _probable(
+    model: Model, measurement: Measurement, places: np.ndarray, lower: np.ndarray
+) -> np.ndarray:
+    """Return the logarithm of the posterior, but for a constant."""
+    off = np.linalg.solve(lower, (model.values(places) - measurement.values).T)
+    prior = ((places - model.free.prior_mean) / model.free.prior_sd) ** 2
+    found: np.ndarray = -0.5 * ((off**2).sum(axis=0) + prior.sum(axis=1))
+    return found
+
+
+def _anew(places: np.ndarray, weight: np.ndarray, parts: Sequence[_Part]) -> list[_Part]:
+    """Return parts around what was found, each place with the part that it is nearest to."""
+    nearest = np.argmax([part.density(places) for part in parts], axis=0)
+    found = []
+    for number, part in enumerate(parts):
+        own = weight * (nearest == number)
+        if own.sum() < 1e-6:
+            continue
+        own /= own.sum()
+        centre = own @ places
+        off = places - centre
+        spread = (own[:, np.newaxis] * off).T @ off
+        few = 1.0 / (own**2).sum()
+        # A handful of places does not tell a covariance.
+        keep = 1.0 / (1.0 + few / (4.0 * len(centre)))
+        before = part.lower @ part.lower.T
+        found.append(_Part.of(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
+    return found or list(parts)
+
+
+def _systematic(weight: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Return rows as often as they weigh, with as little chance as can be."""
+    at = (np.arange(DRAWS) + random.random()) / DRAWS
+    rows: np.ndarray = np.searchsorted(np.cumsum(weight), at * weight.sum())
+    return np.minimum(rows, len(weight) - 1)

@@ -1,0 +1,203 @@
+"""What a retrieval has found, in numbers and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.dataset import attributes, provenance
+from splits.instruments.labels import wavelength_axis
+from splits.names import parameter_about
+from splits.retrieval.coordinates import LEVEL, Free
+from splits.retrieval.estimation import Optimum, Told
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.posterior import DRAWS, ENOUGH, Draws
+from splits.uncertainty import quantity
+
+QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
+UNTOLD = 0.5
+"""Part of the spread of what was known before from which on a parameter counts as not told."""
+IMPROBABLE = 0.01
+"""Probability of so large a misfit below which the model does not follow the measurement."""
+AT_END = 0.01
+"""Distance (coordinate) from the end of a range within which a value lies at it."""
+FAR_FROM_PRIOR = 3.0
+"""Standard deviations between prior and result from which they disagree."""
+
+
+class Retrieved:
+    """What a measurement tells.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        See `splits.retrieve`.
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+    """
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self.dataset = dataset
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Medians by parameter."""
+        found = self.dataset.quantiles.sel(quantile=0.5)
+        return {str(p): float(found.sel(parameter=p)) for p in found.parameter.values}
+
+    @property
+    def stderr(self) -> dict[str, float]:
+        """Standard deviations by parameter."""
+        found = self.dataset.value_stderr
+        return {str(p): float(found.sel(parameter=p)) for p in found.parameter.values}
+
+    @property
+    def determined(self) -> dict[str, bool]:
+        """Which parameters the measurement tells."""
+        found = self.dataset.determined
+        return {str(p): bool(found.sel(parameter=p)) for p in found.parameter.values}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be known before these numbers are used."""
+        told = str(self.dataset.attrs["warnings"])
+        return [] if told == "none" else told.split("; ")
+
+    def __repr__(self) -> str:
+        """Return every parameter with its error in a line, and what is to be known of them."""
+        quantiles = self.dataset.quantiles
+        lines = []
+        for name in map(str, quantiles.parameter.values):
+            low, middle, high = quantiles.sel(parameter=name, quantile=[0.16, 0.5, 0.84]).values
+            unit = str(self.dataset.parameter_unit.sel(parameter=name).item())
+            tail = f" {unit}" if unit != "1" else ""
+            if not self.determined[name]:
+                tail += ", not told by the measurement"
+            lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){tail}")
+        about = self.dataset.attrs
+        lines.append(
+            f"misfit: chi2 {about['chi2']:.4g} of {about['chi2_expected']:.4g}; "
+            f"{about['degrees_of_freedom']:.2f} degrees of freedom of signal, "
+            f"{about['information_bits']:.1f} bits"
+        )
+        return "\n".join([*lines, *(f"! {line}" for line in self.warnings)])
+
+
+class Found(NamedTuple):
+    """What a retrieval has found.
+
+    Attributes
+    ----------
+    ends : sequence of Optimum
+        Best first.
+    told : Told
+    draws : Draws
+    excess : float
+        By so much variances were enlarged, as the misfit asks for.
+    tension : float, shape (parameters,)
+        How far priors are from what the measurement says without them, in standard errors.
+    """
+
+    ends: Sequence[Optimum]
+    told: Told
+    draws: Draws
+    excess: float
+    tension: np.ndarray
+
+
+def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
+    """Return what was found as a dataset."""
+    (best, *_), told, draws, excess, _ = found
+    names = list(free.names)
+    natural = free.at(draws.places)
+    spread = draws.places.std(axis=0)
+    determined = spread < UNTOLD * np.sqrt(free.prior_variance)
+    noise = np.sqrt(np.diag(measurement.covariance))
+    over, pair = ("parameter",), ("parameter", "other_parameter")
+    with np.errstate(invalid="ignore"):
+        related = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.places, rowvar=False)))
+    labels = [f"{name}: {parameter_about(name)[0]}" for name in names]
+    variables = {
+        **quantity("value", over, free.at(best.place), natural.std(axis=0), "most probable value"),
+        **quantity("mean", over, natural.mean(axis=0), None, "mean"),
+        **quantity("determined", over, determined.astype(np.int8), None,
+                   "1 where the measurement halves what was not known before"),
+        **quantity("quantiles", ("quantile", "parameter"),
+                   np.quantile(natural, QUANTILES, axis=0), None, "quantiles"),
+        **quantity("averaging_kernel", pair, told.averaging_kernel, None,
+                   "averaging kernel of coordinates"),
+        **quantity("correlation", pair, related, None, "correlation of coordinates"),
+        **quantity("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
+        **quantity("measured", "wavelength", measurement.values, noise, "measured"),
+        **quantity("fitted", "wavelength", best.values, np.sqrt(np.maximum(
+            np.diag(best.covariance) - noise**2, 0.0)), "of the most probable value"),
+    }  # fmt: skip
+    facts: dict[str, Any] = {
+        "title": "Retrieval",
+        "chi2": best.chi2,
+        "chi2_expected": len(best.values) - told.degrees_of_freedom,
+        "errors_enlarged_by": float(np.sqrt(excess)),
+        "degrees_of_freedom": told.degrees_of_freedom,
+        "information_bits": told.information_bits,
+        "effective_draws": draws.effective,
+        "warnings": "; ".join(_warnings(free, found, determined)) or "none",
+        **provenance("retrieval"),
+    }
+    units = [parameter_about(name)[1] if name != LEVEL else "1" for name in names]
+    axes = {
+        "parameter": ("parameter", names, {"long_name": "parameter"}),
+        "other_parameter": ("other_parameter", names, {"long_name": "parameter"}),
+        "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
+        "parameter_label": ("parameter", labels, {"long_name": "parameter in words"}),
+        "quantile": ("quantile", np.array(QUANTILES), {"long_name": "probability", "units": "1"}),
+        "draw": ("draw", np.arange(DRAWS), {"long_name": "draw"}),
+        "wavelength": wavelength_axis(measurement.wavelength_nm),
+    }
+    return Retrieved(xr.Dataset(variables, axes, attributes(facts)))
+
+
+def excess_of(best: Optimum, told: Told) -> float:
+    """Return by how much variances are to be enlarged so that the misfit is no surprise."""
+    from scipy.stats import chi2
+
+    left = len(best.values) - told.degrees_of_freedom
+    if left < 1.0 or chi2.sf(best.chi2, left) > IMPROBABLE:
+        return 1.0
+    return best.chi2 / left
+
+
+def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
+    """Return what is to be known of the numbers."""
+    ends, _, draws, excess, tension = result
+    best, found = ends[0], []
+    if excess > 1.0:
+        found.append(
+            f"the model does not follow the measurement within its noise: errors are enlarged by "
+            f"{np.sqrt(excess):.3g}, and may still be too small"
+        )
+    untold = [name for name, known in zip(free.names, determined, strict=True) if not known]
+    if untold:
+        found.append(f"not told by the measurement: {', '.join(untold)}")
+    for name, off in zip(free.names, tension, strict=True):
+        if off > FAR_FROM_PRIOR:
+            found.append(f"{name}: prior and measurement are {off:.1f} standard deviations apart")
+    for i, name in enumerate(free.names):
+        low, high = (float(free.at(np.full(len(free.names), x))[i]) for x in (0.0, 1.0))
+        if not determined[i]:
+            continue
+        if best.place[i] < AT_END and low != 0.0:
+            found.append(f"{name} lies at the low end of its range, {low:g}")
+        if best.place[i] > 1.0 - AT_END:
+            found.append(f"{name} lies at the high end of its range, {high:g}")
+    if len(ends) > 1:
+        other = free.at(ends[1].place)
+        told = ", ".join(f"{n} {v:.3g}" for n, v in zip(free.names, other, strict=True))
+        found.append(f"another answer is nearly as good: {told}")
+    if draws.effective < ENOUGH:
+        found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")
+    return found

@@ -1,0 +1,130 @@
+"""Which snow, sand or layer has a measured spectrum, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from splits.checks import known_arguments, one_of, refuse
+from splits.instruments.arguments import check_whole
+from splits.lookup.reading import Table
+from splits.retrieval.coordinates import Free
+from splits.retrieval.estimation import Optimum, optima, optimum, told
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.posterior import draws_of
+from splits.retrieval.result import Found, Retrieved, excess_of, result_of
+
+
+@known_arguments
+def retrieve(
+    measured: Any,
+    table: Table,
+    free: Any,
+    noise: Any,
+    *,
+    at: Mapping[str, Any] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    bands: Any = None,
+    quantity: str = "reflectance",
+    seed: int = 1,
+) -> Retrieved:
+    """Retrieve parameters from a measured spectrum, with their errors.
+
+    The most probable values, and draws from the distribution of all that the measurement allows
+    (optimal estimation; Rodgers 2000).  In the errors is the noise of the measurement, that of the
+    table and what interpolation in it misses.
+
+    Parameters
+    ----------
+    measured : xarray.DataArray, pandas.Series or pair of array_like
+        Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
+        there are `bands`.
+    table : Table
+        Of the light to be expected, see `splits.table` and `splits.open_table`.
+    free : sequence of str or mapping
+        Axes of the table to be found, or their (low, high) by name.  ``level`` is a factor of the
+        measurement, for a panel whose reflectance is not known.
+    noise : float, array_like or mapping
+        Standard errors of the measurement, one or as many as values, their covariance matrix, or
+        ``{"stderr": …, "correlation_nm": …}``.
+    at : mapping
+        Values of the other axes, such as ``incidence_deg``.
+    prior : mapping
+        (mean, standard deviation) of what was known before, by name.  Without one all of a range
+        is as probable, in the coordinate in which light changes evenly: the logarithm of a size,
+        the root of an amount.
+    bands : mapping or str
+        Bands of a sensor in which it was measured, as for `splits.albedo`.
+    quantity : str
+        Of the table.
+    seed : int
+        Of the draws.
+
+    Returns
+    -------
+    Retrieved
+        Prints what was found.  Its ``dataset`` has, over ``parameter``: ``value`` (most probable)
+        and ``value_stderr``, ``mean``, ``determined``, ``quantiles`` over ``quantile``; the
+        ``averaging_kernel`` and the ``correlation``; ``draws``; ``measured`` and ``fitted`` over
+        ``wavelength``, with errors.  Attributes: ``chi2`` and what to expect of it,
+        ``degrees_of_freedom`` of signal, ``information_bits``, ``warnings``.
+
+    Raises
+    ------
+    ValueError
+        For gaps, per cent, noise of 0, wavelengths outside of the table, or ranges that cannot be.
+
+    References
+    ----------
+    Rodgers (2000), Inverse Methods for Atmospheric Sounding, World Scientific.
+
+    Examples
+    --------
+    >>> import splits
+    >>> snow = splits.table(
+    ...     splits.Snow.natural,
+    ...     {"optical_radius_um": [50, 100, 200, 400, 800], "incidence_deg": [50]},
+    ...     [860, 1030, 1240],
+    ...     max_stderr=0.01,
+    ... )
+    >>> found = splits.retrieve(
+    ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), splits.Table(snow), ["optical_radius_um"], 0.02
+    ... )
+    >>> found.determined
+    {'optical_radius_um': True}
+    """
+    if not isinstance(table, Table):
+        given = type(table).__name__
+        raise refuse("table", given, "a Table", "splits.Table(splits.table(…)), or open_table")
+    one_of("quantity", quantity, table.quantities)
+    seed = check_whole("seed", seed, 0)
+    measurement = Measurement.of(measured, noise, bands)
+    which = Free.of(free, prior, ranges_of(table))
+    model = OfTable(table, measurement, which, at or {}, quantity)
+    ends = optima(model, measurement, *model.nodes())
+    excess = excess_of(ends[0], told(ends[0], model))
+    ends = [_enlarged(end, excess) for end in ends]
+    draws = draws_of(model, measurement, ends, seed)
+    found = Found(ends, told(ends[0], model), draws, excess, _tension(model, measurement, ends[0]))
+    return result_of(which, measurement, found)
+
+
+def _tension(model: OfTable, measurement: Measurement, end: Optimum) -> np.ndarray:
+    """Return how far priors are from what the measurement says without them, in their errors."""
+    free = model.free
+    if not np.isfinite(free.prior_sd).any():
+        return np.zeros(len(free.names))
+    model.free = free._replace(prior_sd=np.full(len(free.names), np.inf))
+    alone = optimum(model, measurement, end.place)
+    own = np.diag(told(alone, model).covariance)
+    model.free = free
+    tension: np.ndarray = np.abs(alone.place - free.prior_mean) / np.sqrt(free.prior_sd**2 + own)
+    return tension
+
+
+def _enlarged(end: Optimum, excess: float) -> Optimum:
+    """Return an optimum whose errors are enlarged."""
+    return end._replace(covariance=excess * np.asarray(end.covariance))

@@ -1,0 +1,47 @@
+"""Tables whose spectra are formulas, so that what is in them is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+import splits
+
+W = np.linspace(500.0, 1500.0, 11)
+
+
+def spectrum(size, dirt, w=W):
+    """Return something like the reflectance of snow: darker with size and, below 1 µm, with dirt."""
+    ice = 10.0 ** (-4.0 + 4.0 * (w - 500.0) / 1000.0)
+    soot = (500.0 / w) ** 2
+    return np.exp(-4.0 * np.sqrt(size / 200.0 * (ice + 1e-5 * dirt * soot)))
+
+
+def table_of(make, axes, stderr=1e-4, w=W):
+    """Return a table of a function of its axes that returns a spectrum."""
+    names, rows = list(axes), [np.asarray(row, dtype=float) for row in axes.values()]
+    grids = np.meshgrid(*rows, indexing="ij")
+    points = np.stack([grid.ravel() for grid in grids], axis=1)
+    values = np.array([make(*point) for point in points]).reshape(*grids[0].shape, w.size)
+    dims = (*names, "wavelength")
+    about = {"long_name": "reflectance", "units": "1"}
+    return splits.Table(
+        xr.Dataset(
+            {
+                "reflectance": (dims, values.astype(np.float32), about),
+                "reflectance_stderr": (dims, np.full(values.shape, stderr, np.float32), about),
+            },
+            {**dict(zip(names, rows, strict=True)), "wavelength": w},
+            {"axes_that_share_paths": "none", "title": "a formula"},
+        )
+    )
+
+
+def snowlike(stderr=1e-4):
+    """Return a table of `spectrum`, fine enough that interpolation is exact to 1e-4."""
+    axes = {
+        "optical_radius_um": np.geomspace(40.0, 2000.0, 14),
+        "impurities_ng_g.black_carbon": np.linspace(0.0, 40.0, 14) ** 2,
+        "incidence_deg": [0.0, 30.0, 60.0],
+    }
+    return table_of(lambda size, dirt, _: spectrum(size, dirt), axes, stderr)

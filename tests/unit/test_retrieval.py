@@ -1,0 +1,208 @@
+"""Retrievals: exact answers where there are any, coverage, and what cannot be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT
+from formula_tables import W, snowlike, spectrum, table_of
+from scipy.stats import binom
+
+import splits
+from splits.checks import Refusal
+from splits.retrieval.coordinates import Free
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import Measurement
+
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+AT = {"incidence_deg": 30.0}
+
+
+@pytest.fixture(scope="module")
+def table():
+    return snowlike()
+
+
+def model_of(table, free, at=AT, noise=0.01):
+    measurement = Measurement.of((W, np.full(W.size, 0.5)), noise)
+    which = Free.of(free, None, ranges_of(table))
+    return OfTable(table, measurement, which, at)
+
+
+def test_values_are_those_of_the_table(table):
+    model = model_of(table, [SIZE, DIRT], {"incidence_deg": 20.0})
+    places = np.random.default_rng(1).random((20, 2))
+    found = model.values(places)
+    for place, row in zip(places, found, strict=True):
+        size, dirt = model.free.at(place)
+        there = table.interp(**{SIZE: size, DIRT: dirt, "incidence_deg": 20.0})
+        np.testing.assert_allclose(row, there.reflectance, rtol=1e-9)
+
+
+def test_slopes_are_those_of_the_values(table):
+    model = model_of(table, [SIZE, DIRT, "level"])
+    place = np.array([0.31, 0.62, 0.4])
+    values, slopes = model.with_slopes(place)
+    np.testing.assert_allclose(values, model.values(place[np.newaxis])[0])
+    for i, step in enumerate(1e-6 * np.eye(3)):
+        both = model.values(np.stack([place - step, place + step]))
+        np.testing.assert_allclose(slopes[:, i], (both[1] - both[0]) / 2e-6, rtol=1e-5, atol=1e-8)
+
+
+def test_linear_models_have_the_exact_answer():
+    """Where all is linear and normal, the textbook's formulas hold (Rodgers 2000, chapter 2)."""
+    rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
+    linear = table_of(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+                      {"a": np.linspace(-1.0, 1.0, 6), "b": np.linspace(-1.0, 1.0, 6)}, 1e-8)  # fmt: skip
+    noise, prior = 0.02, {"a": (0.1, 0.2), "b": (-0.1, 0.3)}
+    measured = 0.5 + 0.1 * (0.2 * rows[0] - 0.3 * rows[1])
+    found = splits.retrieve((W, measured), linear, ["a", "b"], noise, prior=prior)
+    k = 0.1 * rows.T
+    fisher, before = k.T @ k / noise**2, np.diag([1.0 / 0.2**2, 1.0 / 0.3**2])
+    after = np.linalg.inv(fisher + before)
+    exact = after @ (fisher @ [0.2, -0.3] + before @ [0.1, -0.1])
+    ds = found.dataset
+    np.testing.assert_allclose(ds.value, exact, atol=1e-6)
+    np.testing.assert_allclose(ds.averaging_kernel, after @ fisher, atol=1e-6)
+    assert ds.attrs["degrees_of_freedom"] == pytest.approx(np.trace(after @ fisher), rel=1e-5)
+    bits = 0.5 * np.linalg.slogdet(np.eye(2) + fisher @ np.linalg.inv(before))[1] / np.log(2.0)
+    assert ds.attrs["information_bits"] == pytest.approx(bits, rel=1e-5)
+    # Of 4000 draws, a spread is known to 1 to 2 %, a mean to 2 % of it.
+    draws = ds.draws.values
+    np.testing.assert_allclose(np.cov(draws, rowvar=False), after, atol=0.08 * after.max())
+    np.testing.assert_allclose(draws.mean(axis=0), exact, atol=0.08 * np.sqrt(after.max()))
+
+
+def test_draws_follow_a_posterior_that_is_not_normal(table):
+    """Little dirt, which the measurement hardly tells from none, against integration."""
+    measured = spectrum(200.0, 3.0)
+    found = splits.retrieve((W, measured), table, [DIRT], 0.01, at={**AT, SIZE: 200.0})
+    model = model_of(table, [DIRT], {**AT, SIZE: 200.0})
+    u = np.linspace(0.0, 1.0, 20_001)
+    best = np.sqrt(found.dataset.value.values / 1600.0)
+    off = model.values(u[:, np.newaxis]) - measured
+    covariance = model.measurement.covariance + model.covariance(best)
+    chi2 = (off * np.linalg.solve(covariance, off.T).T).sum(axis=1)
+    height = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
+    shares = found.dataset["quantile"].values
+    places = np.sqrt(found.dataset.quantiles.values[:, 0] / 1600.0)
+    exact = np.interp(places, u, height / height[-1])
+    # Quantiles of so many draws, by four standard errors.
+    many = found.dataset.attrs["effective_draws"]
+    assert (np.abs(exact - shares) < 4.0 * np.sqrt(shares * (1.0 - shares) / many)).all()
+
+
+@NEEDS_JIT
+def test_errors_cover_the_truth(table):
+    random = np.random.default_rng(5)
+    model = model_of(table, [SIZE, DIRT])
+    inside = np.zeros((2, 2), dtype=int)
+    misfits, many = [], 200
+    for number in range(many):
+        size, dirt = model.free.at(random.random(2))
+        measured = spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), table, [SIZE, DIRT], 0.01, at=AT, seed=number)
+        quantiles = found.dataset.quantiles.values
+        for row, (low, high) in enumerate(((1, 3), (0, 4))):
+            inside[row] += (quantiles[low] <= [size, dirt]) & ([size, dirt] <= quantiles[high])
+        misfits.append(found.dataset.attrs["chi2"])
+    for row, share in zip(inside, (0.68, 0.95), strict=True):
+        low, high = binom.ppf([0.001, 0.999], many, share)
+        assert (low <= row).all() and (row <= high).all()
+    assert np.mean(misfits) == pytest.approx(W.size - 2, abs=4.0 * np.sqrt(2.0 * 9 / many))
+
+
+def test_what_is_not_told_is_said(table):
+    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
+                            at={DIRT: 50.0})  # fmt: skip
+    assert found.determined == {SIZE: True, "incidence_deg": False}
+    assert any("not told by the measurement: incidence_deg" in line for line in found.warnings)
+    assert "not told by the measurement" in repr(found)
+    assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_one_band_does_not_tell_two_parameters(table):
+    found = splits.retrieve(([600.0], spectrum(200.0, 500.0, np.array([600.0]))), table,
+                            [SIZE, DIRT], 0.01, at=AT)  # fmt: skip
+    assert not all(found.determined.values())
+
+
+def test_a_misfit_enlarges_the_errors(table):
+    bumpy = spectrum(200.0, 50.0) * (1.0 + 0.1 * np.sin(W / 60.0))
+    plain = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**AT, DIRT: 50.0})
+    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, at={**AT, DIRT: 50.0})
+    assert any("does not follow" in line for line in found.warnings)
+    assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
+
+
+def test_a_prior_that_excludes_the_truth_is_said(table):
+    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE], 0.01,
+                            at={**AT, DIRT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
+    assert any("prior and measurement are" in line for line in found.warnings)
+
+
+def test_the_end_of_a_range_is_said(table):
+    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
+                            at={**AT, DIRT: 50.0})  # fmt: skip
+    assert any("high end of its range, 150" in line for line in found.warnings)
+
+
+def test_the_level_of_a_panel(table):
+    measured = 1.12 * spectrum(200.0, 50.0)
+    found = splits.retrieve((W, measured), table, [SIZE, DIRT, "level"], 0.002, at=AT)
+    assert found.values["level"] == pytest.approx(1.12, abs=4.0 * found.stderr["level"])
+
+
+def test_bands(table):
+    bands = {"red": (600, 700), "near infrared": (800, 900), "1240": (1200, 1300)}
+    w = np.linspace(500.0, 1500.0, 1001)
+    fine = spectrum(300.0, 200.0, w)
+    means = [fine[(w >= low) & (w <= high)].mean() for low, high in bands.values()]
+    found = splits.retrieve(means, table, [SIZE, DIRT], 0.003, at=AT, bands=bands)
+    assert found.values[SIZE] == pytest.approx(300.0, abs=4.0 * found.stderr[SIZE])
+
+
+def test_series_and_arrays_say_the_same(table):
+    measured = spectrum(200.0, 50.0)
+    kinds = [
+        (W, measured),
+        pd.Series(measured, index=W),
+        xr.DataArray(measured, {"wavelength": W}, "wavelength"),
+    ]
+    first, *others = (
+        splits.retrieve(one, table, [SIZE], 0.01, at={**AT, DIRT: 50.0}) for one in kinds
+    )
+    for other in others:
+        xr.testing.assert_equal(other.dataset, first.dataset)
+
+
+GOOD = (W, spectrum(200.0, 50.0))
+WRONG = {
+    "gap": ({"measured": (W, np.where(W == 700.0, np.nan, 0.5))}, "1 gaps, the first at 700 nm"),
+    "per cent": ({"measured": (W, 100.0 * GOOD[1])}, "not per cent"),
+    "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),
+    "no noise": ({"noise": 0.0}, "no measurement is without noise"),
+    "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
+    "unknown": ({"free": ["optical_radius"]}, "did you mean"),
+    "nothing free": ({"free": []}, "names of parameters"),
+    "contradictory": ({"free": {SIZE: (300.0, 200.0), DIRT: (0.0, 10.0)}}, "low < high"),
+    "beyond the table": ({"free": {SIZE: (10.0, 200.0), DIRT: (0.0, 10.0)}}, "40 <= low"),
+    "angle left out": ({"at": {}}, "at.incidence_deg"),
+    "free and given": ({"at": {**AT, SIZE: 100.0}}, "left out, as it is free"),
+    "prior of nothing": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
+    "prior outside": ({"prior": {SIZE: (5000.0, 10.0)}}, "a mean in the range"),
+    "sure prior": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),
+    "no table": ({"table": 3}, "a Table"),
+    "another quantity": ({"quantity": "transmittance"}, "reflectance"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_input_is_refused_in_one_line(table, name):
+    other, message = WRONG[name]
+    given = {"measured": GOOD, "table": table, "free": [SIZE, DIRT], "noise": 0.01, "at": AT}
+    with pytest.raises(Refusal, match=message) as caught:
+        splits.retrieve(**(given | other))
+    assert "\n" not in str(caught.value)

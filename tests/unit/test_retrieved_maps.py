@@ -1,0 +1,108 @@
+"""Maps: every pixel as if it were retrieved alone, and flags where it cannot be."""
+
+from __future__ import annotations
+
+import dask.array
+import numpy as np
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT
+from formula_tables import W, snowlike, spectrum
+
+import splits
+from splits.checks import Refusal
+from splits.retrieval.maps import FLAGS
+
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+AT = {"incidence_deg": 30.0}
+
+
+@pytest.fixture(scope="module")
+def table():
+    return snowlike()
+
+
+def image_of(sizes, dirts, noise=0.01):
+    random = np.random.default_rng(3)
+    values = np.array([[spectrum(size, dirt) for dirt in dirts] for size in sizes])
+    values += noise * random.standard_normal(values.shape)
+    return xr.DataArray(values, {"wavelength": W, "y": np.arange(len(sizes))},
+                        ("y", "x", "wavelength"))  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def image():
+    return image_of(np.geomspace(60.0, 1500.0, 4), [20.0, 200.0, 900.0])
+
+
+def test_pixels_are_as_retrieved_alone(table, image):
+    found = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT)
+    assert found[SIZE].dims == ("y", "x")
+    assert not found.flags.any()
+    for y in range(image.sizes["y"]):
+        for x in range(image.sizes["x"]):
+            alone = splits.retrieve(image[y, x], table, [SIZE, DIRT], 0.01, at=AT).dataset
+            off = found[[SIZE, DIRT]].isel(y=y, x=x).to_dataarray().values - alone.value.values
+            # The map's components leave out what tells less than a hundredth of the noise.
+            assert (np.abs(off) < 0.25 * alone.value_stderr.values).all()
+
+
+def test_bad_pixels_are_flagged(table, image):
+    broken = image.copy()
+    broken[0, 0, 2] = np.nan
+    broken[1, 1] *= 100.0
+    broken[2, 2] = np.linspace(0.1, 0.9, W.size)
+    found = splits.retrieve_map(broken, table, [SIZE, DIRT], 0.01, at=AT)
+    assert found.flags[0, 0] == FLAGS["gap"] and np.isnan(found[SIZE][0, 0])
+    assert found.flags[1, 1] == FLAGS["out_of_range"] and np.isnan(found[SIZE][1, 1])
+    assert found.flags[2, 2].values & FLAGS["poor_fit"]
+    fine = found.flags.values == 0
+    plain = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT)
+    np.testing.assert_array_equal(found[SIZE].values[fine], plain[SIZE].values[fine])
+
+
+def test_ends_of_ranges_and_what_is_not_told_are_flagged(table, image):
+    low = splits.retrieve_map(image, table, {SIZE: (400.0, 900.0)}, 0.01, at={**AT, DIRT: 200.0})
+    assert (low.flags[0].values & FLAGS["at_low_end"]).all()
+    assert (low.flags[3].values & FLAGS["at_high_end"]).all()
+    angle = splits.retrieve_map(image[:1, :1], table, [SIZE, "incidence_deg"], 0.01,
+                                at={DIRT: 20.0})  # fmt: skip
+    assert angle.flags.values.item() & FLAGS["untold"]
+
+
+def test_blocks_and_threads_do_not_matter(table, image):
+    whole = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT, threads=1)
+    lazy = image.copy(data=dask.array.from_array(image.values, chunks=(1, 2, W.size)))
+    blocks = splits.retrieve_map(lazy, table, [SIZE, DIRT], 0.01, at=AT, threads=2)
+    assert isinstance(blocks[SIZE].data, dask.array.Array)
+    xr.testing.assert_equal(blocks.compute(), whole)
+
+
+@NEEDS_JIT
+def test_errors_of_pixels(table):
+    """z of the logarithm of size and the root of dirt, over 900 pixels."""
+    sizes, dirts = np.geomspace(80.0, 1200.0, 30), np.linspace(6.0, 36.0, 30) ** 2
+    found = splits.retrieve_map(image_of(sizes, dirts), table, [SIZE, DIRT], 0.01, at=AT)
+    z = [
+        (np.log(found[SIZE] / sizes[:, np.newaxis]) * found[SIZE] / found[f"{SIZE}_stderr"]).values,
+        (2.0 * (np.sqrt(found[DIRT]) - np.sqrt(dirts)) * np.sqrt(found[DIRT])
+         / found[f"{DIRT}_stderr"]).values,
+    ]  # fmt: skip
+    for one in z:
+        assert np.sqrt((one**2).mean()) == pytest.approx(1.0, abs=0.1)
+        assert abs(one.mean()) < 0.15
+
+
+WRONG = {
+    "no image": ({"image": np.zeros((2, 2, W.size))}, "a DataArray over wavelength"),
+    "level": ({"free": [SIZE, "level"]}, "left out of maps"),
+    "no noise": ({"noise": 0.0}, "no measurement is without noise"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_input_is_refused(table, image, name):
+    other, message = WRONG[name]
+    given = {"image": image, "table": table, "free": [SIZE], "noise": 0.01, "at": {**AT, DIRT: 9.0}}
+    with pytest.raises(Refusal, match=message):
+        splits.retrieve_map(**(given | other))

@@ -189,8 +189,9 @@ def ways(chosen: list[str], error: float) -> None:
             other = stderr**2 * 4.0 * alone
             print(f"{label:13} {name:28} common random numbers {np.median(own / other):.2f}")
     for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
+        soot = {"black_carbon": 100}
         medium = splits.Snow.natural(optical_radius_um=150, depth_m=depth, density_kg_m3=200,
-                                     impurities_ng_g={"black_carbon": 100}, readings=KEPT)  # fmt: skip
+                                     impurities_ng_g=soot, readings=KEPT)  # fmt: skip
         measured(medium, 0.02, 1)
         found, seconds = measured(medium, error, 1, jacobian=["density_kg_m3"])
         _, alone = measured(medium, error, 1)

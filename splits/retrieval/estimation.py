@@ -80,6 +80,7 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
 
     free = model.free
     known = np.isfinite(free.prior_sd)
+    pull = np.diag(1.0 / free.prior_sd)[known]
     place = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(ROUNDS):
         covariance = measurement.covariance + model.covariance(place)
@@ -93,12 +94,7 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
 
         def slopes(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
             _, along = model.with_slopes(x)
-            return np.vstack(
-                [
-                    np.linalg.solve(lower, along),
-                    np.diag(1.0 / np.where(known, free.prior_sd, 1.0))[known],
-                ]
-            )
+            return np.vstack([np.linalg.solve(lower, along), pull])
 
         found = least_squares(residuals, place, slopes, bounds=(0.0, 1.0), xtol=1e-9, ftol=1e-9)
         moved = float(np.abs(found.x - place).max())

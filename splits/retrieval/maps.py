@@ -83,8 +83,7 @@ def retrieve_map(
     Parameters
     ----------
     image : xarray.DataArray
-        Reflectances over ``wavelength`` (nm) and one or more other dimensions; of dask arrays, block
-        by block.  Gaps are flagged.
+        Reflectances over ``wavelength`` (nm) and other dimensions; dask arrays block by block.
     table : Table
     free : sequence of str or mapping
         As for `splits.retrieve`, but ``level``.
@@ -98,9 +97,9 @@ def retrieve_map(
     Returns
     -------
     xarray.Dataset
-        Every parameter and its ``…_stderr`` over the image's dimensions, NaN where there is a gap;
-        ``chi2``, and what to expect of it as its attribute ``expected``; ``flags``, sums of those in
-        `FLAGS`, as their attributes say.
+        Every parameter and its ``…_stderr`` over the image's dimensions; ``chi2``, and what to
+        expect of it as its attribute ``expected``; ``flags``, sums of those that the attribute
+        ``flag_meanings`` names.  Pixels with gaps, or beyond any reflectance, have NaN and a flag.
 
     Raises
     ------
@@ -189,7 +188,7 @@ class _Work(NamedTuple):
 
 def _dataset(found: xr.DataArray, free: Free, work: _Work) -> xr.Dataset:
     """Return parameters, errors, misfit and flags by name."""
-    variables = {}
+    variables: dict[str, Any] = {}
     dims = tuple(str(d) for d in found.dims[:-1])
     for i, name in enumerate(free.names):
         long_name, units = parameter_about(name)

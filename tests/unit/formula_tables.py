@@ -11,7 +11,7 @@ W = np.linspace(500.0, 1500.0, 11)
 
 
 def spectrum(size, dirt, w=W):
-    """Return something like the reflectance of snow: darker with size and, below 1 µm, with dirt."""
+    """Return something like snow's reflectance: darker with size and, below 1 µm, with dirt."""
     ice = 10.0 ** (-4.0 + 4.0 * (w - 500.0) / 1000.0)
     soot = (500.0 / w) ** 2
     return np.exp(-4.0 * np.sqrt(size / 200.0 * (ice + 1e-5 * dirt * soot)))

@@ -54,8 +54,9 @@ def test_slopes_are_those_of_the_values(table):
 def test_linear_models_have_the_exact_answer():
     """Where all is linear and normal, the textbook's formulas hold (Rodgers 2000, chapter 2)."""
     rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
+    nodes = np.linspace(-1.0, 1.0, 6)
     linear = table_of(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
-                      {"a": np.linspace(-1.0, 1.0, 6), "b": np.linspace(-1.0, 1.0, 6)}, 1e-8)  # fmt: skip
+                      {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
     noise, prior = 0.02, {"a": (0.1, 0.2), "b": (-0.1, 0.3)}
     measured = 0.5 + 0.1 * (0.2 * rows[0] - 0.3 * rows[1])
     found = splits.retrieve((W, measured), linear, ["a", "b"], noise, prior=prior)

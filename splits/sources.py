@@ -25,6 +25,13 @@ FITTING = (
     "experiments/run_fit.py",
 )
 """Files behind a fit besides."""
+RETRIEVING = (
+    "experiments/retrieve_section.py", "experiments/run_retrieve.py", "lookup/interpolation.py",
+    "lookup/reading.py", "retrieval/coordinates.py", "retrieval/cubics.py",
+    "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
+    "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+)  # fmt: skip
+"""Files behind retrievals from a table."""
 
 
 def sources(*, fit: bool = False) -> list[str]:

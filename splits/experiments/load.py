@@ -89,6 +89,11 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
             columns = "wavelength_nm and " + " or ".join(quantity)
             name = experiment.figure.measured
             raise refuse("figure.measured", name, f"a table with columns {columns}")
+    if experiment.retrieve:
+        section = experiment.retrieve
+        table = _measured("retrieve.measured", measured, section.measured)
+        for name in section.spectra(table, experiment.instrument.wavelengths()):
+            section.where(name, list(experiment.grid))
     if experiment.fit:
         if experiment.figure.kind not in ("fit", "none"):
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from splits.checks import one_of, refuse
 from splits.experiments.coordinates import coordinate_values
 from splits.experiments.grids import label_at
+from splits.experiments.retrieve_section import RetrieveSection
 from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
@@ -18,11 +19,12 @@ from splits.instruments.scenes import ground_of
 from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
+from splits.retrieval.coordinates import LEVEL
 
 RULES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
-    "figure_speed_against_error", "fitted_parameters", "simulate", "speed_against_error", "table",
-    "table_part",
+    "figure_speed_against_error", "fitted_parameters", "retrieve", "simulate",
+    "speed_against_error", "table", "table_part",
 )  # fmt: skip
 """Names that the workflow's own rules have taken."""
 
@@ -33,6 +35,7 @@ class Experiment(Simulation):
     title: str = ""
     caption: str = ""
     figure: FigureSection = Field(default_factory=FigureSection)
+    retrieve: RetrieveSection | None = None
 
     @field_validator("name")
     @classmethod
@@ -68,6 +71,7 @@ class Experiment(Simulation):
             label_at(dimension, self.grid[dimension], given)
         self._check_points()
         self._check_swatches()
+        self._check_retrieve()
         for _, medium, _ in self.points():
             self._check_quantity(medium)
         return self
@@ -132,6 +136,20 @@ class Experiment(Simulation):
                 "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
                 f"kind {kind}", "it shows one point of the grid; the dataset holds all",
             )  # fmt: skip
+
+    def _check_retrieve(self) -> None:
+        """Refuse retrievals from what is no table, or does not have what is to be found."""
+        section, instrument = self.retrieve, self.instrument
+        if section is None:
+            return
+        if instrument.kind != "table":
+            raise refuse("instrument.kind", instrument.kind, "table with a section retrieve")
+        if "reflectance" not in (instrument.quantities or ("reflectance",)):
+            raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
+        for key in ("free", "at", "prior"):
+            allowed = self.grid if key == "at" else [*self.grid, LEVEL]
+            for name in getattr(section, key):
+                one_of(f"retrieve.{key}", name, allowed)
 
     def _check_swatches(self) -> None:
         """Refuse colours of spectra that are not of daylight, or of too many parameters."""

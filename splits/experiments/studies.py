@@ -5,92 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from splits.analysis.roles import (
-    ANGULAR,
-    LAYER,
-    SAND,
-    SENSITIVITY_DEPTHS,
-    SNOW,
-    SURFACE_AREA,
-    Role,
-)
+from splits.analysis.roles import SENSITIVITY_DEPTHS, Role
 from splits.checks import one_of, refuse, suggestion, unknown_key
 from splits.experiments.model import RULES, Experiment
 from splits.experiments.rank_readings import BOUNDARIES, FATES
 from splits.experiments.sections import Section
 from splits.experiments.simulation import NAME
+from splits.experiments.study_kinds import FILES, OF_TABLES, PRODUCTS, ROLES, SOME
 from splits.experiments.yaml_files import ConfigError
 from splits.media.readings import CHOICES, Readings
-
-FIGURE = (".png", ".svg", ".pdf")
-"""What names of figures end in; the report shows the first."""
-
-
-class Product(NamedTuple):
-    """Files that a study makes: their folder, suffixes and usual name."""
-
-    folder: str
-    suffixes: tuple[str, ...]
-    name: str
-
-
-def _table(name: str) -> Product:
-    return Product("tables", (".csv",), name)
-
-
-PRODUCTS: dict[str, dict[str, Product]] = {
-    "sensitivity": {
-        "table": _table("{study}"),
-        "chosen": _table("{study}_chosen"),
-        "data": Product("data", (".nc",), "{study}_index"),
-        "figure": Product("figures", FIGURE, "{study}_index"),
-    },
-    "agreement": {
-        "agreement": _table("{study}"),
-        "bands": _table("{study}_bands"),
-        "table1": _table("{study}_table1"),
-        "table3": _table("{study}_table3"),
-        "figure": Product("figures", FIGURE, "{study}_measured"),
-    },
-    "sand_tables": {
-        key: _table(f"{{study}}_{key}") for key in ("trends", "weights", "colours")
-    },
-    "sand_compositions": {"table": _table("{study}")},
-    "readings": {
-        "table": _table("{study}"),
-        "statements": _table("{study}_statements"),
-        "without": _table("{study}_without"),
-        "figure": Product("figures", FIGURE, "{study}"),
-    },
-    "angular_trends": {"table": _table("{study}")},
-    "layer_trends": {"table": _table("{study}")},
-    "surface_area": {
-        "table": _table("{study}"),
-        "law": _table("{study}_law"),
-        "figure": Product("figures", FIGURE, "{study}_found"),
-        "law_figure": Product("figures", FIGURE, "{study}_law"),
-    },
-}  # fmt: skip
-"""What each kind of study makes, by key; `Study.products` gives other names."""
-
-ROLES: dict[str, Mapping[str, Role]] = {
-    "agreement": SNOW, "sand_tables": SAND, "angular_trends": ANGULAR, "layer_trends": LAYER,
-    "surface_area": SURFACE_AREA,
-}  # fmt: skip
-SOME = ("angular_trends", "layer_trends")
-"""Kinds that make what they can of some of their roles."""
-FILES = {
-    "sensitivity": {"published": "published"},
-    "readings": {"published": "published"},
-    "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
-    "surface_area": {"spectra": "measured"},
-}
-"""Tables of numbers that a kind of study reads, and their folders beside that of media."""
 
 
 class SensitivityPair(Section):
@@ -113,7 +41,7 @@ class Study(Section):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "readings", "surface_area",
+        "layer_trends", "readings", "surface_area", "sobol",
     ]  # fmt: skip
     experiments: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
@@ -193,7 +121,9 @@ def check_studies(
             _check_names(study, about, studies)
             _check_files(about, tables)
             for role, name in about.experiments.items():
-                if name in available:
+                if name in available and about.kind in OF_TABLES:
+                    _check_table(f"experiments.{role}", available[name])
+                elif name in available:
                     _check_role(f"experiments.{role}", available[name], ROLES[about.kind][role])
             for pair, given in about.pairs.items():
                 _check_pair(f"pairs.{pair}", given, available)
@@ -205,6 +135,10 @@ def check_studies(
 def _check_keys(study: Study) -> None:
     """Refuse keys that a kind of study does not know, or the lack of those that it needs."""
     roles = ROLES.get(study.kind, {})
+    if study.kind in OF_TABLES:
+        if not study.experiments:
+            raise refuse("experiments", study.experiments, "at least one experiment by name")
+        roles = dict.fromkeys(study.experiments, Role(()))
     for key, known in (
         ("experiments", roles), ("files", FILES.get(study.kind, {})),
         ("products", PRODUCTS[study.kind]),
@@ -267,6 +201,14 @@ def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
         place = tables[FILES[about.kind][key]]
         if not (place / file).is_file():
             one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])
+
+
+def _check_table(place: str, experiment: Experiment) -> None:
+    """Refuse an experiment that makes no table of reflectance over two numbers or more."""
+    axes = experiment.axes().values if experiment.instrument.kind == "table" else ()
+    several = [row for row in axes if len(row) > 1 and not isinstance(row[0], str)]
+    if len(several) < 2:
+        raise refuse(place, experiment.name, "a table over two parameters or more")
 
 
 def _check_role(place: str, experiment: Experiment, role: Role) -> None:

@@ -80,6 +80,11 @@ class Axes(NamedTuple):
         return {name: (name, *_coordinate(name, row)) for name, row in zip(*self, strict=True)}
 
 
+def numeric(dataset: Any, names: Iterable[str]) -> list[str]:
+    """Return the axes of a table that are of several numbers."""
+    return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
+
+
 def _row(name: str, given: Any) -> tuple[Any, ...]:
     """Return the values of an axis, or refuse them."""
     key = f"grid.{named(name)}"

@@ -14,6 +14,7 @@ from splits.skies.bands import Band, bands_of
 
 PER_CENT = 2.0
 """Reflectance factor above which the numbers are taken for per cent."""
+ALIKE = ("stderr", "correlation_nm", "independent")
 LARGEST = 3.0
 """Noise of a reflectance above which it says nothing."""
 
@@ -47,8 +48,9 @@ class Measurement(NamedTuple):
             Over ``wavelength`` (nm), or (wavelengths, reflectances); a row where there are bands.
         noise : float, array_like or mapping
             Standard errors, one or as many as values, or their covariance matrix; or a mapping of
-            ``stderr`` and ``correlation_nm``, over which errors are alike: what two wavelengths d
-            apart have in common is e^(−d/correlation_nm).
+            ``stderr`` and ``correlation_nm``, over which errors are alike (what two wavelengths d
+            apart have in common is e^(−d/correlation_nm)), and perhaps ``independent`` standard
+            errors besides.
         bands : mapping or str, optional
             As for `splits.albedo`, in the order of the values.
 
@@ -99,13 +101,15 @@ def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
     """Return the covariance of noise, or refuse it."""
     count = wavelength_nm.size
     allowed = f"standard errors above 0, one or {count} of them, or their covariance"
-    alike = np.eye(count)
     if isinstance(noise, Mapping):
-        if set(noise) != {"stderr", "correlation_nm"}:
-            raise refuse("noise", sorted(map(str, noise)), "stderr and correlation_nm")
+        if not {"stderr", "correlation_nm"} <= set(noise) <= {*ALIKE}:
+            raise refuse("noise", sorted(map(str, noise)), " and ".join(ALIKE[:2]))
         length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
-        alike = np.exp(-np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm) / length)
-        noise = noise["stderr"]
+        apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
+        own = _covariance(noise["independent"], wavelength_nm) if "independent" in noise else 0.0
+        stderr = np.sqrt(np.diag(_covariance(noise["stderr"], wavelength_nm)))
+        together: np.ndarray = np.exp(-apart / length) * stderr[:, np.newaxis] * stderr + own
+        return together
     try:
         given = np.asarray(noise, dtype=float)
     except (TypeError, ValueError):
@@ -122,9 +126,7 @@ def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
     if wrong.any():
         hint = "no measurement is without noise"
         raise refuse("noise", float(given[wrong].flat[0]), allowed, hint)
-    stderr = np.broadcast_to(given, (count,))
-    found: np.ndarray = alike * stderr[:, np.newaxis] * stderr
-    return found
+    return np.diag(np.broadcast_to(given, (count,)) ** 2)
 
 
 def _middle(band: Band) -> float:

@@ -75,6 +75,7 @@ class Retrieved:
         for name in map(str, quantiles.parameter.values):
             low, middle, high = quantiles.sel(parameter=name, quantile=[0.16, 0.5, 0.84]).values
             unit = str(self.dataset.parameter_unit.sel(parameter=name).item())
+            unit = {"1e-9": "ng/g", "um": "µm", "degree": "°", "m2 kg-1": "m²/kg"}.get(unit, unit)
             tail = f" {unit}" if unit != "1" else ""
             if not self.determined[name]:
                 tail += ", not told by the measurement"

@@ -49,7 +49,8 @@ def retrieve(
         measurement, for a panel whose reflectance is not known.
     noise : float, array_like or mapping
         Standard errors of the measurement, one or as many as values, their covariance matrix, or
-        ``{"stderr": …, "correlation_nm": …}``.
+        ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
+        many nm, and others besides.
     at : mapping
         Values of the other axes, such as ``incidence_deg``.
     prior : mapping

@@ -174,6 +174,32 @@ for NAME in of_kind("surface_area"):
             "../scripts/surface_area.py"
 
 
+for NAME in of_kind("sobol"):
+
+    rule:
+        name:
+            NAME
+        input:
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            names=list(STUDIES[NAME].experiments),
+            seed=SETTINGS.seed,
+            program=files_digest(PACKAGE, RETRIEVING),
+        message:
+            "Taking Sobol indices over tables"
+        script:
+            "../scripts/sobol.py"
+
+
 for NAME in of_kind("sand_compositions"):
 
     rule:

@@ -1,6 +1,7 @@
 from splits.experiments.run_table import parts_of
-from splits.experiments.studies import FIGURE, FILES, left_out
-from splits.sources import PACKAGE, files_digest, physics_digest
+from splits.experiments.studies import left_out
+from splits.experiments.study_kinds import FIGURE, FILES
+from splits.sources import PACKAGE, RETRIEVING, files_digest, physics_digest
 
 STUDIES = SETTINGS.studies
 # Studies that lack experiments, each with the line that says so.
@@ -17,6 +18,8 @@ WHERE = {
     for label, name in SETTINGS.explorer_directions.items()
     if name in EXPERIMENTS
 }
+# Experiments whose tables are used to read measured spectra.
+RETRIEVED = [name for name, e in EXPERIMENTS.items() if e.retrieve]
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
 
@@ -44,6 +47,10 @@ REPORTS = {
         "statements": ("readings_statements", "Agreement"),
         "without": ("readings_without", "Agreement"),
         "figure": ("readings_together", "Agreement"),
+    },
+    "sobol": {
+        "table": ("sobol", "Sensitivity"),
+        "figure": ("sobol", "Sensitivity"),
     },
     "sand_compositions": {"table": ("sand_compositions", "Sand")},
     "angular_trends": {"table": ("angular_trends", "Angles")},
@@ -78,6 +85,9 @@ def products(name):
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")
+    if name in RETRIEVED:
+        made += [f"{RESULTS}/figures/{name}_retrieved{suffix}" for suffix in FIGURE]
+        made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
     return data([name]) + made
 
 
@@ -106,6 +116,11 @@ def fitted_files(name):
     """Return the measured table that an experiment fits sands to, if any."""
     fit = EXPERIMENTS[name].fit
     return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
+
+
+def retrieved_files(name):
+    """Return the measured table that an experiment's own table is used to read."""
+    return [f"{SETTINGS.measured_folder}/{EXPERIMENTS[name].retrieve.measured}"]
 
 
 def all_cores():

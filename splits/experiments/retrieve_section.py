@@ -1,0 +1,116 @@
+"""The section `retrieve` of an experiment: measured spectra to read in its own table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from splits.checks import in_range, one_of, refuse, under
+from splits.experiments.sections import Section, check_file
+from splits.lookup.axes import INCIDENCE
+
+WAVELENGTH = "wavelength_nm"
+LEAST = 1e-6
+"""Least standard error, of a reflectance of 0."""
+AT = "@"
+"""Between the name of a sample and the angle of incidence it was measured under."""
+
+
+class Noise(Section):
+    """Standard errors of measured reflectances: absolute ones, and ones relative to the value.
+
+    The former are independent, the latter alike over `correlation_nm`, unless that is left out.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    absolute: float = 0.0
+    relative: float = 0.0
+    correlation_nm: float | None = None
+
+    @model_validator(mode="after")
+    def _some(self) -> Noise:
+        with under("retrieve.noise"):
+            for key in ("absolute", "relative"):
+                in_range(key, getattr(self, key), 0.0, 1.0)
+            if not self.absolute + self.relative > 0.0:
+                raise refuse("absolute", 0.0, "above 0, or relative", "no measurement is exact")
+            if self.correlation_nm is not None:
+                in_range("correlation_nm", self.correlation_nm, 0.0, 1e5, open_low=True)
+        return self
+
+    def of(self, values: np.ndarray) -> Any:
+        """Return the noise of reflectances as `splits.retrieve` takes it."""
+        relative = np.maximum(self.relative * np.abs(values), LEAST)
+        if self.correlation_nm is None:
+            return np.hypot(self.absolute, relative)
+        together = {"stderr": relative, "correlation_nm": self.correlation_nm}
+        return together | ({"independent": self.absolute} if self.absolute else {})
+
+
+class RetrieveSection(Section):
+    """Measured spectra from which parameters are to be retrieved with the experiment's table.
+
+    `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
+    sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
+    incidence.  `free`, `at` and `prior` are as for `splits.retrieve`; `left_out_nm` are intervals
+    that do not count, such as those where water vapour lets no light through.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    measured: str
+    free: dict[str, tuple[float, float]] | tuple[str, ...]
+    noise: Noise
+    samples: tuple[str, ...] = ()
+    at: dict[str, float | str] = Field(default_factory=dict)
+    prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    left_out_nm: tuple[tuple[float, float], ...] = ()
+
+    @field_validator("measured")
+    @classmethod
+    def _file(cls, value: str) -> str:
+        return check_file("retrieve.measured", value)
+
+    @model_validator(mode="after")
+    def _intervals(self) -> RetrieveSection:
+        for low, high in self.left_out_nm:
+            if not low < high:
+                raise refuse("retrieve.left_out_nm", [low, high], "low < high")
+        return self
+
+    def spectra(self, measured: pd.DataFrame, wavelengths: np.ndarray) -> dict[str, pd.Series]:
+        """Return the spectra to read, by sample, where the table has them and nothing leaves out.
+
+        Raises
+        ------
+        ValueError
+            For a table without wavelengths, or a sample that it does not have.
+        """
+        if WAVELENGTH not in measured:
+            columns = list(measured.columns)
+            raise refuse("retrieve.measured", columns, f"a table with column {WAVELENGTH}")
+        known = [str(c) for c in measured.columns if c != WAVELENGTH]
+        w = measured[WAVELENGTH].to_numpy(dtype=float)
+        inside = (w >= wavelengths[0]) & (w <= wavelengths[-1])
+        for low, high in self.left_out_nm:
+            inside &= (w < low) | (w > high)
+        if not inside.any():
+            allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
+            raise refuse("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
+        names = [one_of("retrieve.samples", s, known) for s in self.samples] or known
+        return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
+
+    def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:
+        """Return what is known of a sample: `at`, and the angle that its name tells."""
+        found = dict(self.at)
+        _, mark, angle = sample.rpartition(AT)
+        if mark and INCIDENCE in axes and INCIDENCE not in (*found, *self.free):
+            try:
+                found[INCIDENCE] = float(angle)
+            except ValueError:
+                raise refuse("retrieve.samples", sample, f"an angle after {AT}") from None
+        return found

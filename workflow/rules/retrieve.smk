@@ -1,0 +1,40 @@
+rule retrieve:
+    input:
+        table=f"{RESULTS}/data/{{experiment}}.nc",
+        measured=lambda wildcards: retrieved_files(wildcards.experiment),
+    output:
+        table=report(
+            f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
+            caption="../report/retrieved.rst",
+            category="Retrievals",
+            labels={"experiment": "{experiment}"},
+        ),
+        figure=[
+            report(
+                f"{RESULTS}/figures/{{experiment}}_retrieved.png",
+                caption="../report/retrieved.rst",
+                category="Retrievals",
+                labels={"experiment": "{experiment}"},
+            ),
+            f"{RESULTS}/figures/{{experiment}}_retrieved.svg",
+            f"{RESULTS}/figures/{{experiment}}_retrieved.pdf",
+        ],
+    log:
+        f"{RESULTS}/logs/retrieve/{{experiment}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/retrieve/{{experiment}}.tsv"
+    wildcard_constraints:
+        experiment="|".join(RETRIEVED) or "none",
+    conda:
+        "../../environment.yml"
+    threads: 1
+    params:
+        retrieve=lambda wildcards: EXPERIMENTS[
+            wildcards.experiment
+        ].retrieve.model_dump(),
+        seed=SETTINGS.seed,
+        program=files_digest(PACKAGE, RETRIEVING),
+    message:
+        "Retrieving what {wildcards.experiment} names"
+    script:
+        "../scripts/retrieve.py"

@@ -1,0 +1,20 @@
+"""Take Sobol indices over tables (map snakemake to `splits.sobol_indices`)."""
+
+from pathlib import Path
+
+import pandas as pd
+
+import splits
+from splits.analysis.tables import write_table
+from splits.figures.sobol import sobol
+from splits.figures.style import save_figure
+from splits.lookup.axes import numeric
+
+found = {}
+for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
+    table = splits.open_table(path)
+    free = numeric(table.dataset, table.axes[:-1])
+    found[name.replace("_", " ")] = splits.sobol_indices(table, free, seed=snakemake.params.seed)
+lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
+write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
+save_figure(sobol(found), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -29,7 +29,8 @@ RETRIEVING = (
     "experiments/retrieve_section.py", "experiments/run_retrieve.py", "lookup/interpolation.py",
     "lookup/reading.py", "retrieval/coordinates.py", "retrieval/cubics.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
-    "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py",
+    "retrieval/retrieve.py",
 )  # fmt: skip
 """Files behind retrievals from a table."""
 

@@ -10,7 +10,7 @@ from formula_tables import W, table_of
 import splits
 from splits.checks import Refusal
 
-A, B = np.linspace(0.0, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
+A, B = np.linspace(0.1, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from .media import Snow as Snow
 from .media import Stack as Stack
 from .phase_functions import phase_function as phase_function
 from .phase_functions import with_diffraction as with_diffraction
+from .retrieval.design import best_bands as best_bands
 from .retrieval.importance import sobol_indices as sobol_indices
 from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve

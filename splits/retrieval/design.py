@@ -1,0 +1,149 @@
+"""Which bands of a sensor tell most: greedily, one after the other.
+
+How much a few bands tell of what is free is the information that they would add to what was known
+before, in the mean over the ranges (Rodgers 1996, Proceedings of SPIE 2830, 136-148).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import known_arguments, refuse
+from splits.dataset import attributes, provenance
+from splits.instruments.arguments import check_whole
+from splits.lookup.reading import Table
+from splits.names import parameter_about
+from splits.retrieval.coordinates import Free
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import Measurement
+from splits.skies.bands import bands_of
+
+PLACES = 200
+"""Places in the ranges over which information is averaged."""
+
+
+@known_arguments
+def best_bands(
+    table: Table,
+    bands: Any,
+    free: Any,
+    noise: Any,
+    most: int = 5,
+    *,
+    at: Mapping[str, Any] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    seed: int = 1,
+) -> xr.Dataset:
+    """Return the bands that tell most, in the order in which each adds most to those before it.
+
+    Parameters
+    ----------
+    table : Table
+    bands : mapping, str or array_like
+        As for `splits.albedo`, or a row of wavelengths (nm).
+    free : sequence of str or mapping
+        As for `splits.retrieve`.
+    noise : float or array_like
+        Standard errors, one or as many as bands.
+    most : int
+        How many bands, at least 1 and at most all.
+    at, prior : mapping
+        As for `splits.retrieve`.
+    seed : int
+        Of the places in the ranges over which the mean is taken.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``step``: ``band`` chosen, ``information_bits`` of it and those before it and its
+        standard error over the ranges, and ``spread`` over ``parameter``: the standard deviation
+        that is left of its coordinate, as a part of that before.
+
+    Raises
+    ------
+    ValueError
+        As `splits.retrieve`.
+    """
+    if not isinstance(table, Table):
+        raise refuse("table", type(table).__name__, "a Table", "splits.open_table(…)")
+    measurement, names = _measurement(bands, noise)
+    most = check_whole("most", most, 1, len(names))
+    which = Free.of(free, prior, ranges_of(table))
+    model = OfTable(table, measurement, which, at or {})
+    random = np.random.default_rng(check_whole("seed", seed, 0))
+    slopes, spread = [], []
+    for place in random.random((PLACES, len(which.names))):
+        covariance = measurement.covariance + model.covariance(place)
+        # Bands are chosen one by one, as if their errors were independent.
+        spread.append(np.sqrt(np.diag(covariance)))
+        slopes.append(model.with_slopes(place)[1])
+    k = np.array(slopes) / np.array(spread)[:, :, np.newaxis]
+    chosen, bits, left = _greedy(k, which.prior_variance, most)
+    units = [parameter_about(name)[0] for name in which.names]
+    variables = {
+        "band": ("step", np.array(names)[chosen], {"long_name": "band"}),
+        "information_bits": (
+            "step", bits.mean(axis=1), {"long_name": "information, mean", "units": "1"},
+        ),
+        "information_bits_stderr": (
+            "step", bits.std(axis=1, ddof=1) / np.sqrt(PLACES),
+            {"long_name": "standard error of the mean over the ranges", "units": "1"},
+        ),
+        "spread": (
+            ("step", "parameter"), left,
+            {"long_name": "standard deviation left, as a part of that before", "units": "1"},
+        ),
+    }  # fmt: skip
+    axes = {
+        "step": ("step", np.arange(1, most + 1), {"long_name": "number of bands", "units": "1"}),
+        "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
+        "parameter_label": ("parameter", units, {"long_name": "parameter in words"}),
+    }
+    facts = {"title": "Bands that tell most", "seed": seed, **provenance("best bands")}
+    return xr.Dataset(variables, axes, attributes(facts))
+
+
+def _measurement(bands: Any, noise: Any) -> tuple[Measurement, list[str]]:
+    """Return what would be measured, and what its bands are called."""
+    if not isinstance(bands, str | Mapping):
+        w = np.asarray(bands, dtype=float)
+        found = Measurement.of((w, np.full(w.shape, 0.5)), noise)
+        return found, [f"{one:g} nm" for one in found.wavelength_nm]
+    some = bands_of(bands)
+    return Measurement.of(np.full(len(some), 0.5), noise, bands), list(some)
+
+
+def _greedy(
+    k: np.ndarray, variance: np.ndarray, most: int
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Return the bands, information by step and place, and the spread left by step and parameter.
+
+    Parameters
+    ----------
+    k : float, shape (places, bands, parameters)
+        Slopes in units of noise.
+    variance : float, shape (parameters,)
+        Known before.
+    """
+    after = np.tile(np.diag(variance), (len(k), 1, 1))
+    total = np.zeros(len(k))
+    chosen: list[int] = []
+    bits, left = [], []
+    for _ in range(most):
+        # One more measurement: ln(1 + kᵀ S k)/2 (matrix determinant lemma), then S by its update.
+        gain = np.log2(1.0 + np.einsum("pbi,pij,pbj->pb", k, after, k)) / 2.0
+        mean = gain.mean(axis=0)
+        mean[chosen] = -np.inf
+        best = int(mean.argmax())
+        chosen.append(best)
+        row = np.einsum("pij,pj->pi", after, k[:, best])
+        scale = 1.0 + np.einsum("pi,pi->p", k[:, best], row)
+        after = after - row[:, :, np.newaxis] * row[:, np.newaxis] / scale[:, None, None]
+        total = total + gain[:, best]
+        bits.append(total)
+        left.append(np.sqrt(np.diagonal(after, axis1=1, axis2=2) / variance).mean(axis=0))
+    return chosen, np.array(bits), np.array(left)

@@ -120,7 +120,7 @@ def noisy(random: np.random.Generator, spectrum: np.ndarray) -> tuple[np.ndarray
     return spectrum + noise * random.standard_normal(spectrum.size), noise
 
 
-def snows(known: splits.Table, many: int, waters: int = 10) -> None:
+def snows(known: splits.Table, many: int, waters: int = 3) -> None:
     """Retrieve synthetic snow: size, water and soot, under three angles."""
     random = np.random.default_rng(20)
     names, found, truths = [SIZE, WATER, SOOT], [], []

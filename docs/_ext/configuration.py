@@ -19,7 +19,7 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 from splits.experiments.sections import ESTIMATORS, FIGURES, ONLY_FOR, QUANTITIES, REQUIRED
-from splits.experiments.studies import FILES, PRODUCTS, ROLES
+from splits.experiments.study_kinds import FILES, PRODUCTS, ROLES
 
 LOG = logging.getLogger(__name__)
 WORDS = {float: "a number", int: "a whole number", str: "text"}

@@ -82,17 +82,7 @@ class Table:
         for name in at:
             if name not in self.axes:
                 raise unknown_key(name, self.axes)
-        part = self.dataset[self._variables()]
-        weights = []
-        for name in self.axes[:-1]:
-            values = self.dataset[name].values
-            if name not in at and values.size > 1:
-                raise refuse(name, None, "given", "an axis of the table")
-            found = _weights(name, values, at.get(name, values[0]))
-            # Only the nodes that count are read from a table that lies in its file.
-            needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
-            weights.append(found.among(needed))
-            part = part.isel({name: needed})
+        part, weights = self._near(at)
         parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
                  for q in self.quantities]  # fmt: skip
         for found in weights:
@@ -102,6 +92,47 @@ class Table:
         if not np.array_equal(wanted, wavelengths):
             parts = [_spectra(read, wavelengths, wanted) for read in parts]
         return self._named(parts, wanted, at)
+
+    def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
+        """Return what interpolation along each axis misses, with its sign along the spectrum.
+
+        One that is off is off in one way at all wavelengths, but whether up or down is not known.
+
+        Parameters
+        ----------
+        quantity : str
+        **at
+            As for `interp`, without a wavelength.
+
+        Returns
+        -------
+        float, shape (axes, wavelengths)
+        """
+        part, weights = self._near(at)
+        values = part[quantity].values.astype(float)
+        found: list[list[np.ndarray]] = []
+        for w in weights:
+            found = [[np.tensordot(w.share, row[w.nodes], 1) for row in rows] for rows in found]
+            found.append([np.tensordot(row, values, 1) for row in w.others])
+            values = np.tensordot(w.share, values[w.nodes], 1)
+        # Of the nodes that were left out, that which the others miss by most.
+        none = np.zeros_like(values)
+        largest = [max(rows, key=lambda r: float((r**2).sum()), default=none) for rows in found]
+        return np.array(largest).reshape(-1, values.size)
+
+    def _near(self, at: dict[str, Any]) -> tuple[xr.Dataset, list[Weights]]:
+        """Return the part of the table around a place, and how values there are drawn from it."""
+        part, weights = self.dataset[self._variables()], []
+        for name in self.axes[:-1]:
+            values = self.dataset[name].values
+            if name not in at and values.size > 1:
+                raise refuse(name, None, "given", "an axis of the table")
+            found = _weights(name, values, at.get(name, values[0]))
+            # Only the nodes that count are read from a table that lies in its file.
+            needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
+            weights.append(found.among(needed))
+            part = part.isel({name: needed})
+        return part, weights
 
     def to_csv(self, path: str | Path) -> None:
         """Write it as CSV, see `splits.lookup.formats.write_csv`."""

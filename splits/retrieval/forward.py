@@ -46,24 +46,26 @@ class Operator(NamedTuple):
     Attributes
     ----------
     matrix : float, shape (n, wavelengths)
-    bands : bool
-        Whether it takes means over bands.
+    missed : float, shape (n, wavelengths)
+        What reading between wavelengths misses.
     """
 
     matrix: np.ndarray
-    bands: bool
+    missed: np.ndarray
 
     @classmethod
     def of(cls, measurement: Measurement, wavelengths: np.ndarray) -> Operator:
         """Return it, or refuse wavelengths outside of the table."""
         if measurement.bands:
             rows = [band_weights(n, band, wavelengths) for n, band in measurement.bands.items()]
-            return cls(np.stack(rows), True)
-        matrix = np.zeros((measurement.values.size, wavelengths.size))
-        for row, one in zip(matrix, measurement.wavelength_nm, strict=True):
+            return cls(np.stack(rows), np.zeros((len(rows), wavelengths.size)))
+        matrix, missed = np.zeros((2, measurement.values.size, wavelengths.size))
+        for row, off, one in zip(matrix, missed, measurement.wavelength_nm, strict=True):
             w = weights_at("wavelength", wavelengths, float(one))
             row[w.nodes] = w.share
-        return cls(matrix, False)
+            if len(w.others):
+                off[:] = max(w.others, key=lambda r: float((r**2).sum()))
+        return cls(matrix, missed)
 
 
 class OfTable:
@@ -137,17 +139,21 @@ class OfTable:
     def covariance(self, place: np.ndarray) -> np.ndarray:
         """Return the covariance of what the table is off by, shape (n, n).
 
-        Errors of cells and of interpolation are alike at some wavelengths and not at others: half
-        of the variance is taken for common to all.
+        Errors of cells are alike at some wavelengths and not at others: half of their variance is
+        taken for common to all.  What interpolation along an axis misses has a spectrum of its own,
+        which may look like that of a parameter, so it is taken for one error at all wavelengths.
         """
         natural = self.free.at(place)
         where = {name: float(natural[self.free.names.index(name)]) for name in self.axes}
         given = {name: value for name, value in self.at.items() if name in self.table.axes}
-        read_there = self.table.interp(**given, **where)
-        stderr = read_there[f"{self.quantity}_stderr"].values
-        own = np.abs(self.operator.matrix) @ stderr * float(self._scale(place))
-        found: np.ndarray = 0.5 * (np.diag(own**2) + np.outer(own, own))
-        return found
+        there, q = self.table.interp(**given, **where), self.quantity
+        missed = there[f"{q}_interpolation_error"].values
+        cells = np.sqrt(np.maximum(there[f"{q}_stderr"].values ** 2 - missed**2, 0.0))
+        own = np.abs(self.operator.matrix) @ cells
+        along = self.table.interpolation_errors(q, **given, **where) @ self.operator.matrix.T
+        between = self.operator.missed @ there[q].values
+        found: np.ndarray = 0.5 * (np.diag(own**2) + np.outer(own, own)) + along.T @ along
+        return float(self._scale(place)) ** 2 * (found + np.diag(between**2))
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the coordinates of all cells in the ranges, and what would be measured there."""

@@ -12,6 +12,7 @@ import pytest
 import splits
 from splits.experiments import load_settings
 from splits.experiments.model import Experiment
+from splits.experiments.retrieve_section import Noise, RetrieveSection
 from splits.experiments.sections import FigureSection, FitSection, Instrument
 from splits.experiments.settings import Accuracy, Settings
 from splits.experiments.studies import SensitivityPair, Study
@@ -46,7 +47,18 @@ def test_every_public_name_is_documented():
 
 @pytest.mark.parametrize(
     "model",
-    [Experiment, Instrument, FitSection, FigureSection, Settings, Accuracy, Study, SensitivityPair],
+    [
+        Experiment,
+        Instrument,
+        FitSection,
+        RetrieveSection,
+        Noise,
+        FigureSection,
+        Settings,
+        Accuracy,
+        Study,
+        SensitivityPair,
+    ],
 )
 def test_every_key_of_a_model_has_a_meaning(model):
     page = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")

@@ -51,13 +51,26 @@ class Noise(Section):
         return together | ({"independent": self.absolute} if self.absolute else {})
 
 
+class PriorFrom(Section):
+    """A sample that is retrieved first, with some parameters known.
+
+    What it tells of the others is what is known of them before all other samples are retrieved.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    sample: str
+    at: dict[str, float | str]
+
+
 class RetrieveSection(Section):
     """Measured spectra from which parameters are to be retrieved with the experiment's table.
 
     `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
     sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
     incidence.  `free`, `at` and `prior` are as for `splits.retrieve`; `left_out_nm` are intervals
-    that do not count, such as those where water vapour lets no light through.
+    that do not count, such as those where water vapour lets no light through.  `known` are values
+    by parameter and sample that were found otherwise, to be drawn beside.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -69,6 +82,8 @@ class RetrieveSection(Section):
     at: dict[str, float | str] = Field(default_factory=dict)
     prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
     left_out_nm: tuple[tuple[float, float], ...] = ()
+    prior_from: PriorFrom | None = None
+    known: dict[str, dict[str, float]] = Field(default_factory=dict)
 
     @field_validator("measured")
     @classmethod
@@ -102,6 +117,11 @@ class RetrieveSection(Section):
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
             raise refuse("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
         names = [one_of("retrieve.samples", s, known) for s in self.samples] or known
+        if self.prior_from is not None:
+            one_of("retrieve.prior_from.sample", self.prior_from.sample, names)
+        for values in self.known.values():
+            for sample in values:
+                one_of("retrieve.known", sample, names)
         return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
 
     def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -36,19 +37,47 @@ def run_retrieve(
     found = {}
     with under("retrieve"):
         spectra = section.spectra(measured, table.dataset.wavelength.values)
-    for name, spectrum in spectra.items():
-        with under(f"retrieve ({name})"):
-            found[name] = retrieve(
-                spectrum, table, section.free, section.noise.of(spectrum.to_numpy()),
-                at=section.where(name, table.axes), prior=section.prior or None, seed=seed,
-            )  # fmt: skip
+    prior, first = dict(section.prior), section.prior_from
+    if first is not None:
+        found[first.sample] = _one(section, table, spectra, first.sample, prior, seed, first.at)
+        told = found[first.sample]
+        prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
+    for name in spectra:
+        if name not in found:
+            found[name] = _one(section, table, spectra, name, prior, seed, {})
         for line in repr(found[name]).splitlines():
             say(f"{name}: {line}")
     return found
 
 
-def retrieved_table(found: dict[str, Retrieved]) -> pd.DataFrame:
-    """Return a line for every parameter of every sample."""
+def _one(
+    section: RetrieveSection,
+    table: Table,
+    spectra: Mapping[str, pd.Series],
+    name: str,
+    prior: Mapping[str, Any],
+    seed: int,
+    known: Mapping[str, Any],
+) -> Retrieved:
+    """Return what one sample tells, of which some of what is free elsewhere may be known."""
+    free: Any = section.free
+    if isinstance(free, Mapping):
+        free = {n: pair for n, pair in free.items() if n not in known}
+    else:
+        free = [n for n in free if n not in known]
+    spectrum = spectra[name]
+    with under(f"retrieve ({name})"):
+        return retrieve(
+            spectrum, table, free, section.noise.of(spectrum.to_numpy()),
+            at={**section.where(name, table.axes), **known},
+            prior={n: pair for n, pair in prior.items() if n in free} or None, seed=seed,
+        )  # fmt: skip
+
+
+def retrieved_table(
+    found: Mapping[str, Retrieved], known: Mapping[str, Mapping[str, float]]
+) -> pd.DataFrame:
+    """Return a line for every parameter of every sample; `known` has values found otherwise."""
     rows = []
     for sample, one in found.items():
         ds = one.dataset
@@ -64,6 +93,7 @@ def retrieved_table(found: dict[str, Retrieved]) -> pd.DataFrame:
                     "unit": str(own.parameter_unit.item()),
                     "median": middle,
                     "standard deviation": float(own.value_stderr),
+                    "known": known.get(name, {}).get(sample, np.nan),
                     "16 %": below,
                     "84 %": above,
                     "2.5 %": low,
@@ -79,13 +109,15 @@ def retrieved_table(found: dict[str, Retrieved]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def together(found: dict[str, Retrieved], experiment: str) -> xr.Dataset:
+def together(found: Mapping[str, Retrieved], experiment: str) -> xr.Dataset:
     """Return all samples as one dataset, which `splits.figures.retrievals` draws.
 
     Of samples that were measured at other wavelengths, those that all have.
     """
-    sets = [one.dataset for one in found.values()]
-    names = list(found)
+    # Of one that came first, with some of the others' parameters known, fewer were free.
+    most = max(one.dataset.sizes["parameter"] for one in found.values())
+    full = {n: one for n, one in found.items() if one.dataset.sizes["parameter"] == most}
+    sets, names = [one.dataset for one in full.values()], list(full)
     joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
     for key in ("chi2", "chi2_expected", "errors_enlarged_by", "degrees_of_freedom"):
         row = np.array([one.attrs[key] for one in sets])

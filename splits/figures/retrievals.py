@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -34,32 +36,68 @@ SHORT = {
     "hematite_ratio": "hematite",
 }
 """What corners and kernels, which have little room, call parameters."""
+ROWS = 4
+"""Samples shown in rows of their own, evenly among all."""
 _ROW_INCHES = 3.3
 
 
-def retrievals(dataset: xr.Dataset) -> Figure:
-    """Draw a row for every sample.
+def retrievals(
+    dataset: xr.Dataset, known: Mapping[str, Mapping[str, float]] | None = None
+) -> Figure:
+    """Draw a row for some samples, and what was found of all against what is known.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         As `splits.experiments.run_retrieve.together` returns it.
+    known : mapping, optional
+        Values by parameter and sample that were found otherwise.
     """
-    samples = dataset.sample.values
+    every = dataset.sample.values
+    some = np.unique(np.linspace(0, len(every) - 1, min(len(every), ROWS)).round().astype(int))
+    samples = every[some]
+    rows = len(samples) + bool(known)
     with style():
-        figure = Drawing(TWO_COLUMNS, _ROW_INCHES * len(samples))
-        grid = figure.add_gridspec(len(samples), 3, width_ratios=[1.3, 1.6, 0.6])
+        figure = Drawing(TWO_COLUMNS, _ROW_INCHES * rows)
+        grid = figure.add_gridspec(rows, 3, width_ratios=[1.3, 1.6, 0.6])
         tops = []
         for row, sample in enumerate(samples):
             part = dataset.sel(sample=sample)
             tops.append(_spectrum(figure, grid[row, 0], part, value_label(sample, "sample")))
             _corner(figure, grid[row, 1], part)
             _kernel(figure.add_subplot(grid[row, 2]), part)
+        if known:
+            below = grid[rows - 1, :].subgridspec(1, max(2, len(known)))
+            for column, (name, values) in enumerate(known.items()):
+                tops.append(_against(figure.add_subplot(below[column]), dataset, name, values))
         note = (
             "Bands: two standard errors, of the measurement (grey) and of the table (blue). Dots: "
             "draws from what the spectrum allows; lines: 16, 50 and 84 %."
         )
         return finished(figure, tops, note)
+
+
+def _against(axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float]) -> Axes:
+    """Draw what was found of a parameter against what is known of it."""
+    samples = [s for s in known if s in dataset.sample.values]
+    x = np.array([known[s] for s in samples])
+    part = dataset.quantiles.sel(sample=samples, parameter=name).transpose("quantile", "sample")
+    widest, low, y, high, most = part.values
+    (blue,) = colours(1)
+    for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
+        axes.vlines(x, *ends, color=blue, lw=width)
+    axes.plot(x, y, "o", color=blue, ms=3)
+    top = 1.08 * max(float(most.max()), float(x.max()))
+    axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
+    slope = float((x * y).sum() / (x * x).sum())
+    scatter = float(np.sqrt(np.mean((y - slope * x) ** 2)))
+    axes.set_title(f"{parameter_label(name)}: slope {slope:.2f}, scatter {scatter:.2g}")
+    axes.set_xlabel(f"{parameter_label(name)}, known")
+    axes.set_ylabel(f"{parameter_label(name)}, retrieved")
+    axes.set_xlim(0.0, top)
+    axes.set_ylim(0.0, top)
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
 
 
 def _open(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

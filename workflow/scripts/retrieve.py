@@ -12,13 +12,14 @@ from splits.figures.style import save_figure
 from splits.progress_log import progress_log
 
 with progress_log(snakemake.log[0]) as say:
+    section = RetrieveSection.model_validate(snakemake.params.retrieve)
     found = run_retrieve(
-        RetrieveSection.model_validate(snakemake.params.retrieve),
+        section,
         splits.open_table(snakemake.input.table),
         read_measured(snakemake.input.measured[0]),
         snakemake.params.seed,
         say,
     )
-    write_table(retrieved_table(found), snakemake.output.table)
-    figure = retrievals(together(found, snakemake.wildcards.experiment))
+    write_table(retrieved_table(found, section.known), snakemake.output.table)
+    figure = retrievals(together(found, snakemake.wildcards.experiment), section.known)
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -1,0 +1,139 @@
+"""The section `retrieve`: what it refuses, what it makes of samples, and the figure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from formula_tables import W, snowlike, spectrum
+from pydantic import ValidationError
+
+from splits.checks import Refusal
+from splits.experiments.model import Experiment
+from splits.experiments.retrieve_section import Noise, RetrieveSection
+from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
+from splits.figures.retrievals import retrievals
+from splits.figures.style import save_figure
+
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+SECTION = {
+    "measured": "some.csv",
+    "free": [SIZE, DIRT],
+    "noise": {"relative": 0.01, "absolute": 0.002, "correlation_nm": 50},
+}
+TABLE = {
+    "name": "some",
+    "medium": {"kind": "natural_snow"},
+    "instrument": {"kind": "table", "wavelength_nm": [500, 900]},
+    "grid": {SIZE: [50, 100], DIRT: [0, 100]},
+    "retrieve": SECTION,
+}
+
+
+def measured():
+    """Return a table of two samples, the first of which is hardly dirty."""
+    return pd.DataFrame(
+        {
+            "wavelength_nm": [400.0, *W],
+            "clean@30": [0.5, *spectrum(150.0, 1.0)],
+            "dirty@60": [0.5, *spectrum(600.0, 400.0)],
+        }
+    )
+
+
+def test_samples_are_retrieved_where_the_table_reaches():
+    section = RetrieveSection.model_validate(SECTION)
+    found = run_retrieve(section, snowlike(), measured())
+    assert list(found) == ["clean@30", "dirty@60"]
+    for name, size in (("clean@30", 150.0), ("dirty@60", 600.0)):
+        assert found[name].dataset.sizes["wavelength"] == W.size
+        assert abs(found[name].values[SIZE] - size) < 4.0 * found[name].stderr[SIZE]
+
+
+def test_what_is_left_out_does_not_count():
+    section = RetrieveSection.model_validate({**SECTION, "left_out_nm": [[650, 850]]})
+    found = run_retrieve(section, snowlike(), measured())["dirty@60"].dataset
+    assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
+
+
+def test_the_first_sample_tells_what_is_known_of_others():
+    table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
+    table["wetter@30"] = [0.5, *spectrum(150.0, 400.0)]
+    given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {DIRT: 1.0}}}
+    found = run_retrieve(RetrieveSection.model_validate(given), snowlike(), pd.DataFrame(table))
+    assert list(found["clean@30"].values) == [SIZE]
+    plain = run_retrieve(RetrieveSection.model_validate(SECTION), snowlike(), pd.DataFrame(table))
+    assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
+    assert list(together(found, "some").sample.values) == ["wetter@30"]
+
+
+def test_tables_and_figures_show_all_samples(tmp_path):
+    found = run_retrieve(RetrieveSection.model_validate(SECTION), snowlike(), measured())
+    known = {SIZE: {"clean@30": 150.0, "dirty@60": 600.0}}
+    table = retrieved_table(found, known)
+    assert len(table) == 4
+    sizes = table[table.parameter == SIZE]
+    assert sizes.known.tolist() == [150.0, 600.0]
+    assert (sizes["2.5 %"] < sizes["median"]).all() and (sizes["median"] < sizes["97.5 %"]).all()
+    assert sizes["told by the spectrum"].tolist() == ["yes", "yes"]
+    for path in save_figure(retrievals(together(found, "some"), known), tmp_path / "figure"):
+        assert path.stat().st_size > 10_000
+
+
+WRONG = {
+    "no noise": ({"noise": {}}, "noise.absolute"),
+    "negative noise": ({"noise": {"relative": -0.1}}, "noise.relative"),
+    "interval": ({"left_out_nm": [[900, 800]]}, "low < high"),
+    "folder": ({"measured": "../some.csv"}, "without folders"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_sections_that_make_no_sense_are_refused(name):
+    other, message = WRONG[name]
+    with pytest.raises((ValidationError, Refusal), match=message):
+        RetrieveSection.model_validate(SECTION | other)
+
+
+OF_EXPERIMENTS = {
+    "no table": ({"instrument": {"kind": "spectrophotometer"}}, "table with a section retrieve"),
+    "no such axis": ({"retrieve": {**SECTION, "free": ["depth_m"]}}, "retrieve.free"),
+    "prior of what is not there": (
+        {"retrieve": {**SECTION, "prior": {"depth_m": [1, 1]}}},
+        "retrieve.prior",
+    ),
+    "transmittance only": (
+        {"instrument": {**TABLE["instrument"], "quantities": ["transmittance"]}},
+        "with reflectance",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OF_EXPERIMENTS)
+def test_experiments_that_cannot_retrieve_are_refused(name):
+    other, message = OF_EXPERIMENTS[name]
+    with pytest.raises((ValidationError, Refusal), match=message):
+        Experiment.model_validate(TABLE | other)
+
+
+def test_samples_that_are_not_there_are_refused():
+    section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
+    with pytest.raises(Refusal, match=r"retrieve\.samples"):
+        section.spectra(measured(), W)
+    with pytest.raises(Refusal, match="column wavelength_nm"):
+        RetrieveSection.model_validate(SECTION).spectra(measured().drop(columns="wavelength_nm"), W)
+    with pytest.raises(Refusal, match="as the table has them"):
+        RetrieveSection.model_validate(SECTION).spectra(measured(), 1100.0 + W)
+
+
+def test_an_angle_that_is_none_is_refused():
+    with pytest.raises(Refusal, match="an angle after @"):
+        RetrieveSection.model_validate(SECTION).where("snow@noon", ["incidence_deg"])
+
+
+def test_noise_is_added_in_quadrature_unless_it_goes_together():
+    values = np.array([0.5, 0.1])
+    plain = Noise(absolute=0.003, relative=0.01).of(values)
+    np.testing.assert_allclose(plain, np.hypot(0.003, 0.01 * values))
+    both = Noise(absolute=0.003, relative=0.01, correlation_nm=100).of(values)
+    assert both["independent"] == 0.003

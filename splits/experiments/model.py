@@ -144,6 +144,10 @@ class Experiment(Simulation):
             return
         if instrument.kind != "table":
             raise refuse("instrument.kind", instrument.kind, "table with a section retrieve")
+        if self.figure.model_fields_set:
+            given = sorted(self.figure.model_fields_set)
+            hint = "the figure is of what was retrieved"
+            raise refuse("figure", given, "left out with a section retrieve", hint)
         if "reflectance" not in (instrument.quantities or ("reflectance",)):
             raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
         for key in ("free", "at", "prior"):

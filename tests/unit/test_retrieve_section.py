@@ -102,6 +102,7 @@ OF_EXPERIMENTS = {
         {"retrieve": {**SECTION, "prior": {"depth_m": [1, 1]}}},
         "retrieve.prior",
     ),
+    "a figure of its own": ({"figure": {"kind": "summary"}}, "of what was retrieved"),
     "transmittance only": (
         {"instrument": {**TABLE["instrument"], "quantities": ["transmittance"]}},
         "with reflectance",

@@ -86,7 +86,6 @@ def products(name):
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")
     if name in RETRIEVED:
-        made += [f"{RESULTS}/figures/{name}_retrieved{suffix}" for suffix in FIGURE]
         made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
     return data([name]) + made
 

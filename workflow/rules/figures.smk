@@ -16,7 +16,7 @@ rule figure:
     benchmark:
         f"{RESULTS}/benchmarks/figure/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(DRAWN) or "none",
+        experiment="|".join(set(DRAWN) - set(RETRIEVED)) or "none",
     conda:
         "../../environment.yml"
     threads: 1

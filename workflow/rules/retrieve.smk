@@ -11,13 +11,13 @@ rule retrieve:
         ),
         figure=[
             report(
-                f"{RESULTS}/figures/{{experiment}}_retrieved.png",
+                f"{RESULTS}/figures/{{experiment}}.png",
                 caption="../report/retrieved.rst",
                 category="Retrievals",
                 labels={"experiment": "{experiment}"},
             ),
-            f"{RESULTS}/figures/{{experiment}}_retrieved.svg",
-            f"{RESULTS}/figures/{{experiment}}_retrieved.pdf",
+            f"{RESULTS}/figures/{{experiment}}.svg",
+            f"{RESULTS}/figures/{{experiment}}.pdf",
         ],
     log:
         f"{RESULTS}/logs/retrieve/{{experiment}}.log",

@@ -179,6 +179,8 @@ def _label(name: str, long_name: str) -> str:
 
 
 _LABELS = {
+    "depth_m": "depth",
+    "ground": "albedo of the ground",
     "hematite_ratio": "hematite in iron oxide",
     "iron_oxide": "iron oxide by mass",
     "liquid_water_content": "liquid water by volume",

@@ -12,7 +12,7 @@ from splits.experiments import Settings
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-CONDA_NAMES = {"matplotlib": "matplotlib-base"}
+CONDA_NAMES = {"dask": "dask-core", "matplotlib": "matplotlib-base"}
 LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8")
 
 

@@ -1,0 +1,53 @@
+"""Draws of a retrieval against those of another sampler, where the posterior is bent."""
+
+from __future__ import annotations
+
+import emcee
+import numpy as np
+from chi2 import NEEDS_JIT
+from formula_tables import W, snowlike, spectrum
+
+import splits
+from splits.retrieval.coordinates import Free
+from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.measurement import Measurement
+
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+AT = {"incidence_deg": 30.0}
+WALKERS, STEPS, FIRST = 32, 3000, 500
+
+
+@NEEDS_JIT
+def test_quantiles_are_those_of_an_ensemble_of_walkers():
+    """Level, size and dirt go together where only the visible and 5 % of noise are at hand."""
+    w, table = W[:4], snowlike()
+    measured, names = spectrum(300.0, 20.0, w), [SIZE, DIRT, "level"]
+    ranges = {SIZE: (40.0, 2000.0), DIRT: (0.0, 1600.0), "level": (0.8, 1.2)}
+    found = splits.retrieve((w, measured), table, ranges, 0.05, at=AT)
+    measurement = Measurement.of((w, measured), 0.05)
+    model = OfTable(table, measurement, Free.of(ranges, None, ranges_of(table)), AT)
+    best = model.free.coordinates(found.dataset.value.values)
+    covariance = measurement.covariance + model.covariance(best)
+    lower = np.linalg.cholesky(covariance)
+
+    def probable(places):
+        inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
+        off = model.values(np.clip(places, 0.0, 1.0)) - measured
+        height = -0.5 * (np.linalg.solve(lower, off.T) ** 2).sum(axis=0)
+        return np.where(inside, height, -np.inf)
+
+    sampler = emcee.EnsembleSampler(WALKERS, len(names), probable, vectorize=True)
+    sampler._random.seed(1)
+    start = np.random.default_rng(1).random((WALKERS, len(names)))
+    sampler.run_mcmc(start, STEPS)
+    chain = sampler.get_chain(discard=FIRST)
+    time = sampler.get_autocorr_time(discard=FIRST, tol=0)
+    places = model.free.coordinates(found.dataset.draws.values)
+    for i in range(len(names)):
+        for share in (0.16, 0.5, 0.84):
+            other = np.quantile(chain[:, :, i], share)
+            here = float((places[:, i] <= other).mean())
+            many = 1.0 / (
+                1.0 / found.dataset.attrs["effective_draws"] + time[i] / (WALKERS * (STEPS - FIRST))
+            )
+            assert abs(here - share) < 4.0 * np.sqrt(share * (1.0 - share) / many), names[i]

@@ -1,0 +1,102 @@
+"""Derivatives of spectra against differences of runs with random numbers of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.instruments.differences import _rules, _weights
+from splits.media.parameters import names_of, unit_of, value_of, with_value
+
+W = [450.0, 850.0, 1250.0]
+THIN = splits.Snow.natural(
+    optical_radius_um=150, depth_m=0.01, density_kg_m3=200, ground=0.3,
+    impurities_ng_g={"black_carbon": 200},
+)  # fmt: skip
+DEEP = splits.Snow.natural(optical_radius_um=150, impurities_ng_g={"black_carbon": 200})
+SAND = splits.Sand(hematite_ratio=0.3, saturation=0.3)
+LAYER = splits.Layer(optical_thickness=2)
+CASES = {
+    "ground": (THIN, "ground", 0.1, "paths"),
+    "size below ground": (THIN, "optical_radius_um", 20.0, "differences"),
+    "density": (THIN, "density_kg_m3", 25.0, "differences"),
+    "shape": (THIN, "sphericity", 0.05, "differences"),
+    "size of deep snow": (DEEP, "optical_radius_um", 30.0, "paths"),
+    "area of deep snow": (DEEP, "specific_surface_area_m2_kg", 4.0, "paths"),
+    "iron oxide": (SAND, "iron_oxide", 0.002, "differences"),
+    "optical thickness": (LAYER, "optical_thickness", 0.3, "differences"),
+    "asymmetry": (LAYER, "asymmetry", 0.03, "differences"),
+}
+
+
+def places(medium):
+    """Return the wavelengths of a medium; a layer has no colour."""
+    return W[:1] if medium.kind == "layer" else W
+
+
+def central(medium, name, step, error):
+    """Return a five-point difference of independent runs, and its error."""
+    value, square = 0.0, 0.0
+    for seed, (place, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items(), start=100):
+        other = with_value(medium, name, value_of(medium, name) + place * step)
+        run = splits.spectrophotometer(other, places(medium), 30, error, seed)
+        share = weight / (12.0 * step)
+        value = value + share * run.reflectance.values
+        square = square + (share * run.reflectance_stderr.values) ** 2
+    return value, np.sqrt(square)
+
+
+@NEEDS_JIT
+def test_derivatives_are_those_of_independent_runs():
+    z = []
+    for medium, name, step, method in CASES.values():
+        found = splits.spectrophotometer(medium, places(medium), 30, 0.004, jacobian=[name])
+        assert found.parameter_method.values.tolist() == [method]
+        value, error = central(medium, name, step, 0.004)
+        own, own_error = (found[f"reflectance_jacobian{end}"].values[0] for end in ("", "_stderr"))
+        z.append((own - value) / np.hypot(own_error, error))
+    # Wavelengths of a case share their rays: of each case one counts, the darkest.
+    judge_z(np.array([row[-1] for row in z]), bound_added=True)
+
+
+@NEEDS_JIT
+def test_derivatives_stand_in_the_order_asked_for():
+    asked = ["density_kg_m3", "ground", "incidence_deg"]
+    found = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=asked)
+    assert found.parameter.values.tolist() == asked
+    assert found.parameter_method.values.tolist() == ["differences", "paths", "differences"]
+    assert found.parameter_unit.values.tolist() == ["m3 kg-1", "1", "degree-1"]
+    for i, name in enumerate(asked):
+        alone = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=[name])
+        assert float(alone.reflectance_jacobian[0, 0]) == float(found.reflectance_jacobian[i, 0])
+    assert found.attrs["rays_of_differences"] > 0
+
+
+@pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (-1.5, -0.5, 1.5, 2.5), (0, 1, 3, 4)])
+def test_rules_are_exact_for_cubics(offsets):
+    fine, coarse = _rules(tuple(map(float, offsets)), 0.1)
+    x = 0.1 * np.array(offsets)
+    for power in range(4):
+        exact = 1.0 if power == 1 else 0.0
+        assert fine @ x**power == pytest.approx(exact, abs=1e-9)
+        if power < 3:
+            assert coarse @ x**power == pytest.approx(exact, abs=1e-9)
+
+
+def test_weights_of_the_five_point_rule():
+    weights = _weights(np.array([-2.0, -1.0, 1.0, 2.0]))
+    np.testing.assert_allclose(weights, np.array([1, -8, 8, -1]) / 12.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "medium", [THIN, SAND, LAYER, splits.Stack([splits.Snow(depth_m=0.01), splits.Snow()])]
+)
+def test_every_parameter_can_be_moved(medium):
+    for name in names_of(medium):
+        before = value_of(medium, name)
+        step = -1e-3 if name in ("max_polarization",) else 1e-3
+        after = with_value(medium, name, before + step)
+        assert value_of(after, name) - before == pytest.approx(step, abs=1e-9)
+        assert isinstance(unit_of(name), str)

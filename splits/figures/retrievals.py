@@ -38,6 +38,8 @@ SHORT = {
 """What corners and kernels, which have little room, call parameters."""
 ROWS = 4
 """Samples shown in rows of their own, evenly among all."""
+FEWEST = 3
+"""Samples from which on a slope is told."""
 _ROW_INCHES = 3.3
 
 
@@ -89,9 +91,12 @@ def _against(axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, flo
     axes.plot(x, y, "o", color=blue, ms=3)
     top = 1.08 * max(float(most.max()), float(x.max()))
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    slope = float((x * y).sum() / (x * x).sum())
-    scatter = float(np.sqrt(np.mean((y - slope * x) ** 2)))
-    axes.set_title(f"{parameter_label(name)}: slope {slope:.2f}, scatter {scatter:.2g}")
+    if len(samples) >= FEWEST:
+        slope = float((x * y).sum() / (x * x).sum())
+        scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
+        axes.set_title(f"slope {slope:.2f}, scatter {scatter:.2g}")
+    else:
+        axes.set_title("against what is known")
     axes.set_xlabel(f"{parameter_label(name)}, known")
     axes.set_ylabel(f"{parameter_label(name)}, retrieved")
     axes.set_xlim(0.0, top)
@@ -195,8 +200,9 @@ def _kernel(axes: Axes, part: xr.Dataset) -> None:
     kernel = part.averaging_kernel.values
     axes.imshow(kernel, cmap="RdBu", vmin=-1.5, vmax=1.5)
     for i, j in np.ndindex(kernel.shape):
-        axes.text(j, i, f"{kernel[i, j]:.2f}".replace("-0.00", "0.00"), ha="center", va="center",
-                  fontsize=SMALLEST)  # fmt: skip
+        told = f"{kernel[i, j]:.2f}".replace("-0.00", "0.00").replace("-", "−")
+        colour = "white" if abs(kernel[i, j]) > 1.05 else "black"
+        axes.text(j, i, told, ha="center", va="center", fontsize=SMALLEST, color=colour)
     axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=SMALLEST)
     axes.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     axes.tick_params(length=0)

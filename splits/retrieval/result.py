@@ -117,7 +117,8 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
     names = list(free.names)
     natural = free.at(draws.places)
     spread = draws.places.std(axis=0)
-    determined = spread < UNTOLD * np.sqrt(free.prior_variance)
+    before = np.sqrt(free.prior_variance)
+    determined = spread < UNTOLD * before
     noise = np.sqrt(np.diag(measurement.covariance))
     over, pair = ("parameter",), ("parameter", "other_parameter")
     with np.errstate(invalid="ignore"):
@@ -130,8 +131,8 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
                    "1 where the measurement halves what was not known before"),
         **quantity("quantiles", ("quantile", "parameter"),
                    np.quantile(natural, QUANTILES, axis=0), None, "quantiles"),
-        **quantity("averaging_kernel", pair, told.averaging_kernel, None,
-                   "averaging kernel of coordinates"),
+        **quantity("averaging_kernel", pair, told.averaging_kernel * before / before[:, np.newaxis],
+                   None, "averaging kernel, in units of what was not known before"),
         **quantity("correlation", pair, related, None, "correlation of coordinates"),
         **quantity("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
         **quantity("measured", "wavelength", measurement.values, noise, "measured"),

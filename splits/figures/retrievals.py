@@ -25,7 +25,7 @@ from splits.figures.style import (
 MANY_NM = 2.0
 """Gaps in the wavelengths so many times the usual step are left open."""
 BINS = 30
-SHOWN = 800
+SHOWN = 400
 """Draws shown as dots."""
 SHORT = {
     "optical_radius_um": "radius (µm)",
@@ -36,8 +36,8 @@ SHORT = {
     "hematite_ratio": "hematite",
 }
 """What corners and kernels, which have little room, call parameters."""
-ROWS = 4
-"""Samples shown in rows of their own, evenly among all."""
+ROWS = 3
+"""Rows at most: samples, evenly among all, and what is known of them."""
 FEWEST = 3
 """Samples from which on a slope is told."""
 _ROW_INCHES = 3.3
@@ -56,7 +56,8 @@ def retrievals(
         Values by parameter and sample that were found otherwise.
     """
     every = dataset.sample.values
-    some = np.unique(np.linspace(0, len(every) - 1, min(len(every), ROWS)).round().astype(int))
+    most = min(len(every), ROWS - bool(known))
+    some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
     samples = every[some]
     rows = len(samples) + bool(known)
     with style():

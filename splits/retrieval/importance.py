@@ -7,7 +7,7 @@ the total one the share that would be left if all others were known.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -73,9 +73,6 @@ def sobol_indices(
     Saltelli et al. (2010), Computer Physics Communications 181, 259-270; Sobol' (2001),
     Mathematics and Computers in Simulation 55, 271-280.
     """
-    from scipy.stats import sobol_indices as indices
-    from scipy.stats import uniform
-
     if not isinstance(table, Table):
         raise refuse("table", type(table).__name__, "a Table", "splits.open_table(…)")
     one_of("quantity", quantity, table.quantities)
@@ -88,37 +85,18 @@ def sobol_indices(
     w = table.dataset.wavelength.values
     plain = Measurement.of((w, np.full(w.size, 0.5)), 0.01)
     model = OfTable(table, plain, which, at or {}, quantity)
-    varying = model.cells.std(axis=0) > LEAST_SD
-
-    def look(places: np.ndarray) -> np.ndarray:
-        found: np.ndarray = model.values(np.ascontiguousarray(places.T))[:, varying].T
-        return found
-
-    runs = [
-        indices(func=look, n=points, dists=[uniform()] * len(which.names),
-                rng=np.random.default_rng([seed, number]))
-        for number in range(REPEATS)
-    ]  # fmt: skip
-    first, total = (
-        np.stack([np.reshape(getattr(run, name), (-1, len(which.names))).T for run in runs])
-        for name in ("first_order", "total_order")
-    )
-    spread = look(np.random.default_rng(seed).random((len(which.names), 4 * points))).std(axis=1)
+    shares = _shares(model, points, seed)
     variables: dict[str, Any] = {}
     for name, label, rows in (
-        ("first_order", "first-order Sobol index", first),
-        ("total", "total Sobol index", total),
-        ("first_order_sum", "sum of first-order Sobol indices", first.sum(axis=1)),
+        ("first_order", "first-order Sobol index", shares.first),
+        ("total", "total Sobol index", shares.total),
+        ("first_order_sum", "sum of first-order Sobol indices", shares.first.sum(axis=1)),
     ):
         dims = ("parameter", "wavelength") if rows.ndim == 3 else ("wavelength",)
-        value, error = np.zeros((2, *rows.shape[1:-1], w.size))
-        value[..., varying] = rows.mean(axis=0)
-        error[..., varying] = rows.std(axis=0, ddof=1) / np.sqrt(REPEATS)
-        variables |= with_error(name, dims, value, error, label)
-    deviation = np.zeros(w.size)
-    deviation[varying] = spread
+        error = rows.std(axis=0, ddof=1) / np.sqrt(REPEATS)
+        variables |= with_error(name, dims, rows.mean(axis=0), error, label)
     long_name = f"standard deviation of {quantity}"
-    variables |= with_error("standard_deviation", "wavelength", deviation, None, long_name)
+    variables |= with_error("standard_deviation", "wavelength", shares.spread, None, long_name)
     axes = {
         "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
         "low": ("parameter", which.low, {"long_name": "low end of its range"}),
@@ -127,3 +105,43 @@ def sobol_indices(
     }
     facts = {"title": "Sobol indices", "points": points, "repeats": REPEATS, "seed": seed}
     return xr.Dataset(variables, axes, attributes({**facts, **provenance("Sobol indices")}))
+
+
+class _Shares(NamedTuple):
+    """Independent estimates of shares of the variance, and its root.
+
+    Attributes
+    ----------
+    first, total : float, shape (REPEATS, parameters, wavelengths)
+    spread : float, shape (wavelengths,)
+    """
+
+    first: np.ndarray
+    total: np.ndarray
+    spread: np.ndarray
+
+
+def _shares(model: OfTable, points: int, seed: int) -> _Shares:
+    """Return the shares of the variance, 0 where nothing varies."""
+    from scipy.stats import sobol_indices as indices
+    from scipy.stats import uniform
+
+    many, count = len(model.free.names), model.cells.shape[1]
+    varying = model.cells.std(axis=0) > LEAST_SD
+    first, total = np.zeros((2, REPEATS, many, count))
+    spread = np.zeros(count)
+    if not varying.any():
+        return _Shares(first, total, spread)
+
+    def look(places: np.ndarray) -> np.ndarray:
+        found: np.ndarray = model.values(np.ascontiguousarray(places.T))[:, varying].T
+        return found
+
+    for number in range(REPEATS):
+        random = np.random.default_rng([seed, number])
+        found = indices(func=look, n=points, dists=[uniform()] * many, rng=random)
+        first[number][:, varying] = np.reshape(found.first_order, (-1, many)).T
+        total[number][:, varying] = np.reshape(found.total_order, (-1, many)).T
+    places = np.random.default_rng(seed).random((many, 4 * points))
+    spread[varying] = look(places).std(axis=1)
+    return _Shares(first, total, spread)

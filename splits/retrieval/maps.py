@@ -77,8 +77,9 @@ def retrieve_map(
     """Retrieve parameters in every pixel of an image.
 
     Each pixel's most probable values by Gauss and Newton's method in the table, from the nearest of
-    its cells, and errors from the curvature there: what `splits.retrieve` does for one spectrum, to
-    which draws are left.
+    its cells, and errors from the curvature there.  `splits.retrieve` does more for one spectrum:
+    draws, several starts, and the table's error where the result is; a map takes that in the middle
+    of the ranges.
 
     Parameters
     ----------
@@ -120,6 +121,8 @@ def retrieve_map(
     work = _Work(which, model, _reduced(model, covariance), covariance, check_threads(threads))
     dims = [d for d in image.dims if d != "wavelength"]
     stacked = image.transpose(*dims, "wavelength")
+    if stacked.chunks is not None:
+        stacked = stacked.chunk({"wavelength": -1})
     many = 2 * len(which.names) + 2
     found = xr.apply_ufunc(
         work.block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[["what"]],

@@ -72,7 +72,7 @@ def test_ends_of_ranges_and_what_is_not_told_are_flagged(table, image):
 
 def test_blocks_and_threads_do_not_matter(table, image):
     whole = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT, threads=1)
-    lazy = image.copy(data=dask.array.from_array(image.values, chunks=(1, 2, W.size)))
+    lazy = image.copy(data=dask.array.from_array(image.values, chunks=(1, 2, 4)))
     blocks = splits.retrieve_map(lazy, table, [SIZE, DIRT], 0.01, at=AT, threads=2)
     assert isinstance(blocks[SIZE].data, dask.array.Array)
     xr.testing.assert_equal(blocks.compute(), whole)

@@ -58,7 +58,7 @@ def table(path: Path, make: Callable[..., Any], grid: dict[str, Any], w: np.ndar
     """Return a table that a file keeps."""
     if not path.exists():
         begun = time.process_time()
-        found = splits.table(make, grid, w, incidence, max_stderr=error)
+        found = splits.table(make, grid, w, incidence, max_stderr=error, covariance=True)
         splits.save(found, path)
         print(f"{path.name}: {time.process_time() - begun:.0f} s of CPU", flush=True)
     return splits.open_table(path)
@@ -75,14 +75,19 @@ def drawn(random: np.random.Generator, ranges: dict[str, Any], count: int) -> di
     return found
 
 
-def simulated(media: list[Any], w: np.ndarray, incidence: float, seed: int) -> np.ndarray:
-    """Return spectra of media, those that share paths from one ensemble."""
+def simulated(
+    path: Path, media: list[Any], w: np.ndarray, incidence: float, seed: int
+) -> np.ndarray:
+    """Return spectra of media, those that share paths from one ensemble; a file keeps them."""
+    if path.exists():
+        return np.load(path)
     run = Run.checked(w, incidence, 0.001, seed, 20_000_000, None, "auto")
     found = np.empty((len(media), w.size))
     for members in families(media, w):
         spectra = spectra_of(members.family, run)
         for place, which in zip(members.places, members.which, strict=True):
             found[place] = spectra[which].reflectance.values
+    np.save(path, found)
     return found
 
 
@@ -120,7 +125,7 @@ def noisy(random: np.random.Generator, spectrum: np.ndarray) -> tuple[np.ndarray
     return spectrum + noise * random.standard_normal(spectrum.size), noise
 
 
-def snows(known: splits.Table, many: int, waters: int = 3) -> None:
+def snows(folder: Path, known: splits.Table, many: int, waters: int = 3) -> None:
     """Retrieve synthetic snow: size, water and soot, under three angles."""
     random = np.random.default_rng(20)
     names, found, truths = [SIZE, WATER, SOOT], [], []
@@ -129,7 +134,8 @@ def snows(known: splits.Table, many: int, waters: int = 3) -> None:
         truth = drawn(random, SNOW_TRUTH, each)
         truth[WATER][:] = truth[WATER][0]
         media = [snow(**{n: float(truth[n][i]) for n in names}) for i in range(each)]
-        for i, spectrum in enumerate(simulated(media, W_SNOW, float(angle), 1000 + number)):
+        path = folder / f"snow_{each}_{number}.npy"
+        for i, spectrum in enumerate(simulated(path, media, W_SNOW, float(angle), 1000 + number)):
             measured, noise = noisy(random, spectrum)
             at = {"incidence_deg": float(angle)}
             found.append(splits.retrieve((W_SNOW, measured), known, SNOW_TRUTH, noise, at=at))
@@ -137,14 +143,14 @@ def snows(known: splits.Table, many: int, waters: int = 3) -> None:
     judge("snow", names, found, np.array(truths))
 
 
-def sands(known: splits.Table, many: int) -> None:
+def sands(folder: Path, known: splits.Table, many: int) -> None:
     """Retrieve synthetic sand: iron oxide, hematite, water."""
     random = np.random.default_rng(21)
     names, found = list(SAND_TRUTH), []
     truth = drawn(random, SAND_TRUTH, many)
     for i in range(many):
         sand = splits.Sand(**{n: float(truth[n][i]) for n in names})
-        (spectrum,) = simulated([sand], W_SAND, 0.0, 2000 + i)
+        (spectrum,) = simulated(folder / f"sand_{many}_{i}.npy", [sand], W_SAND, 0.0, 2000 + i)
         measured, noise = noisy(random, spectrum)
         found.append(splits.retrieve((W_SAND, measured), known, SAND_TRUTH, noise))
     judge("sand", names, found, np.stack([truth[n] for n in names], axis=1))
@@ -183,12 +189,13 @@ def main() -> None:
     parser.add_argument("--pixels", type=int, default=500)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    of_snow = table(given.folder / "snow.nc", snow, SNOW_GRID, W_SNOW, 0.002)
-    maps(of_snow, given.pixels)
     if given.snows:
-        snows(of_snow, given.snows)
+        of_snow = table(given.folder / "snow.nc", snow, SNOW_GRID, W_SNOW, 0.002)
+        maps(of_snow, given.pixels)
+        snows(given.folder, of_snow, given.snows)
     if given.sands:
-        sands(table(given.folder / "sand.nc", splits.Sand, SAND_GRID, W_SAND, 0.002), given.sands)
+        of_sand = table(given.folder / "sand.nc", splits.Sand, SAND_GRID, W_SAND, 0.002)
+        sands(given.folder, of_sand, given.sands)
 
 
 if __name__ == "__main__":

@@ -120,9 +120,39 @@ class Table:
         largest = [max(rows, key=lambda r: float((r**2).sum()), default=none) for rows in found]
         return np.array(largest).reshape(-1, values.size)
 
-    def _near(self, at: dict[str, Any]) -> tuple[xr.Dataset, list[Weights]]:
+    def deviations(self, quantity: str, **at: Any) -> np.ndarray:
+        """Return how far groups of rays take a value off, of a table that keeps its covariance.
+
+        Parameters
+        ----------
+        quantity : str
+        **at
+            As for `interp`, without a wavelength.
+
+        Returns
+        -------
+        float, shape (groups, wavelengths)
+            Sums over groups of products are covariances.
+
+        Raises
+        ------
+        ValueError
+            For a table without them.
+        """
+        name = f"{quantity}_groups"
+        if name not in self.dataset:
+            raise refuse("table", quantity, "a table made with covariance=True")
+        part, weights = self._near(at, [name])
+        values = part[name].transpose(*self.axes[:-1], "group", "wavelength").values.astype(float)
+        for w in weights:
+            values = np.tensordot(w.share, values[w.nodes], 1)
+        return values
+
+    def _near(
+        self, at: dict[str, Any], names: list[str] | None = None
+    ) -> tuple[xr.Dataset, list[Weights]]:
         """Return the part of the table around a place, and how values there are drawn from it."""
-        part, weights = self.dataset[self._variables()], []
+        part, weights = self.dataset[names or self._variables()], []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
             if name not in at and values.size > 1:

@@ -18,6 +18,8 @@ from splits.retrieval.cubics import read, read_all
 from splits.retrieval.descents import Grid
 from splits.retrieval.measurement import Measurement
 
+ALIKE_NM = 400.0
+"""Over which errors of cells are taken to be alike."""
 LEVELS = (0.2, 5.0)
 """Widest range of the factor of a measurement."""
 
@@ -139,9 +141,10 @@ class OfTable:
     def covariance(self, place: np.ndarray) -> np.ndarray:
         """Return the covariance of what the table is off by, shape (n, n).
 
-        Errors of cells are alike at some wavelengths and not at others: half of their variance is
-        taken for common to all.  What interpolation along an axis misses has a spectrum of its own,
-        which may look like that of a parameter, so it is taken for one error at all wavelengths.
+        Errors of cells are alike at wavelengths that share rays: as the table says, where it keeps
+        that, else over `ALIKE_NM`.  What interpolation along an axis misses has a spectrum of its
+        own, which may look like that of a parameter, so it is taken for one error at all
+        wavelengths.
         """
         natural = self.free.at(place)
         where = {name: float(natural[self.free.names.index(name)]) for name in self.axes}
@@ -152,8 +155,19 @@ class OfTable:
         own = np.abs(self.operator.matrix) @ cells
         along = self.table.interpolation_errors(q, **given, **where) @ self.operator.matrix.T
         between = self.operator.missed @ there[q].values
-        found: np.ndarray = 0.5 * (np.diag(own**2) + np.outer(own, own)) + along.T @ along
-        return float(self._scale(place)) ** 2 * (found + np.diag(between**2))
+        found = self._of_cells(own, {**given, **where}) + along.T @ along + np.diag(between**2)
+        return float(self._scale(place)) ** 2 * found
+
+    def _of_cells(self, own: np.ndarray, at: dict[str, Any]) -> np.ndarray:
+        """Return the covariance of the errors of cells, whose standard errors are known."""
+        if f"{self.quantity}_groups" not in self.table.dataset:
+            w = self.measurement.wavelength_nm
+            alike = np.exp(-np.abs(w[:, np.newaxis] - w) / ALIKE_NM)
+            return alike * own[:, np.newaxis] * own
+        groups = self.table.deviations(self.quantity, **at) @ self.operator.matrix.T
+        found: np.ndarray = groups.T @ groups
+        # The standard errors hold what stands for interpolation between refractive indices, too.
+        return found + np.diag(np.maximum(own**2 - np.diag(found), 0.0))
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the coordinates of all cells in the ranges, and what would be measured there."""

@@ -116,6 +116,24 @@ def test_errors_cover_the_truth(table):
     assert np.mean(misfits) == pytest.approx(W.size - 2, abs=4.0 * np.sqrt(2.0 * 9 / many))
 
 
+def test_a_table_that_keeps_its_covariance_says_what_is_alike():
+    """One error at all wavelengths, of the shape of dirt, does not average away."""
+    plain = snowlike(stderr=0.004)
+    shape = np.linspace(2.0, 0.5, W.size) * 0.004 / np.sqrt(32.0)
+    dims = ("group", *plain.dataset.reflectance.dims)
+    size = tuple(plain.dataset.reflectance.shape)
+    signs = np.where(np.arange(32) % 2, 1.0, -1.0).reshape(-1, *[1] * len(size))
+    groups = (signs * np.broadcast_to(shape, size)).astype(np.float32)
+    both = plain.dataset.assign(reflectance_groups=(dims, groups))
+    model = model_of(splits.Table(both), [SIZE, DIRT], noise=0.001)
+    # In the middle of a cell, where weights of nodes are not all the same.
+    found = model.covariance(np.array([0.4, 0.3]))
+    alike = 32.0 * np.outer(shape, shape)
+    off = ~np.eye(W.size, dtype=bool)
+    np.testing.assert_allclose(found[off], alike[off], rtol=0.02, atol=1e-7)
+    assert (np.diag(found) >= 0.99 * np.maximum(np.diag(alike), 0.25 * 0.004**2)).all()
+
+
 def test_what_is_not_told_is_said(table):
     found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
                             at={DIRT: 50.0})  # fmt: skip

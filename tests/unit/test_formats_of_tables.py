@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from splits.checks import Refusal
-from splits.lookup.formats import _weights
+from splits.lookup.formats import band_weights
 from splits.lookup.reading import Table
 from splits.skies.bands import Band
 
@@ -172,7 +172,7 @@ def test_bands_are_means_by_their_response():
         response = np.interp(inside, band.wavelength_nm, band.response)
         mean = np.trapezoid(np.interp(inside, w, spectrum) * response, inside)
         mean /= np.trapezoid(response, inside)
-        assert _weights("a", band, w) @ spectrum == pytest.approx(mean, abs=1e-7)
+        assert band_weights("a", band, w) @ spectrum == pytest.approx(mean, abs=1e-7)
 
 
 def test_the_node_that_is_asked_for_is_held(table):

@@ -42,16 +42,18 @@ def test_everything_can_be_planned(shipped):
     experiments = load_experiments(
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
     )
+    read = [one for one in experiments.values() if one.retrieve]
     drawn = [one for one in experiments.values() if one.figure.kind != "none"]
     tables = [one for one in experiments.values() if one.instrument.kind == "table"]
     for rule, count in (
-        ("simulate", len(experiments) - len(tables)), ("figure", len(drawn)),
+        ("simulate", len(experiments) - len(tables)), ("figure", len(drawn) - len(read)),
+        ("retrieve", len(read)),
         ("table", len(tables)), ("table_part", sum(map(parts_of, tables))), ("explorer", 1),
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "surface_area", "readings_together",
+        "layer_trends", "surface_area", "readings_together", "which_wavelength_tells_what",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()

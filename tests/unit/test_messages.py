@@ -60,7 +60,7 @@ WRONG_TYPES = {
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
     "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, title, caption, "
-        "figure",
+        "figure, retrieve",
 }  # fmt: skip
 
 

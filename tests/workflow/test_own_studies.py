@@ -41,3 +41,44 @@ def test_a_study_that_lacks_experiments_says_so_when_it_is_asked_for(project):
     (line,) = [line for line in run.text.splitlines() if "is left out" in line]
     assert line.startswith("study layer_trends is left out: no such experiment: layer_fig02_lens")
     assert "Traceback" not in run.text
+
+
+TABLE = """\
+medium: {kind: natural_snow}
+instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}, blocks: 1}
+grid: {optical_radius_um: [50, 100, 200, 400], impurities_ng_g.black_carbon: [0, 100, 500]}
+retrieve:
+  measured: snow_albedo_letcher2022.csv
+  samples: [albedo_340mm]
+  free: [optical_radius_um, impurities_ng_g.black_carbon, level]
+  noise: {relative: 0.02}
+"""
+INDICES = """
+  telling:
+    kind: sobol
+    experiments: {my snow: grains}
+"""
+
+
+def test_a_retrieval_and_indices_of_ones_own(project):
+    project.put("grains", TABLE)
+    with open(project.folder / "config" / "config.yaml", "a", encoding="utf-8") as file:
+        file.write(INDICES)
+    run = project.snakemake("--cores", 1)
+    assert run.code == 0, run.text
+    made = [path for path in project.results("results/tiny") if not path.startswith("blocks")]
+    assert made == [
+        "data/grains.nc",
+        "figures/grains.pdf", "figures/grains.png", "figures/grains.svg",
+        "figures/telling.pdf", "figures/telling.png", "figures/telling.svg",
+        "tables/grains_retrieved.csv", "tables/telling.csv",
+    ]  # fmt: skip
+    tables = project.folder / "results" / "tiny" / "tables"
+    retrieved = pd.read_csv(tables / "grains_retrieved.csv")
+    assert list(retrieved["sample"].unique()) == ["albedo_340mm"]
+    assert set(pd.read_csv(tables / "telling.csv").table) == {"my snow"}
+    # What is asked of the measurement does not touch the table.
+    changed = TABLE.replace("relative: 0.02", "relative: 0.05")
+    project.put("grains", changed)
+    again = project.snakemake("--cores", 1, "--dry-run")
+    assert "retrieve" in again.text and "table_part" not in again.text

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import one_of, refuse
+from splits.checks import one_of, refuse, under
 from splits.experiments.coordinates import coordinate_values
 from splits.experiments.grids import label_at
 from splits.experiments.retrieve_section import RetrieveSection
@@ -16,10 +16,12 @@ from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.scenes import ground_of
+from splits.lookup.axes import INCIDENCE
 from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
-from splits.retrieval.coordinates import LEVEL
+from splits.retrieval.coordinates import LEVEL, Free
+from splits.retrieval.forward import ranges_of_axes
 
 RULES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
@@ -150,10 +152,20 @@ class Experiment(Simulation):
             raise refuse("figure", given, "left out with a section retrieve", hint)
         if "reflectance" not in (instrument.quantities or ("reflectance",)):
             raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
-        for key in ("free", "at", "prior"):
+        for key in ("free", "at", "prior", "known"):
             allowed = self.grid if key == "at" else [*self.grid, LEVEL]
             for name in getattr(section, key):
                 one_of(f"retrieve.{key}", name, allowed)
+        with under("retrieve"):
+            Free.of(section.free, section.prior or None, ranges_of_axes(self.axes()))
+        named = {*section.free, *section.at, INCIDENCE}
+        for name in [n for n, values in self.grid.items() if len(values) > 1]:
+            if name not in named:
+                raise refuse(f"retrieve.at.{name}", None, "given", "or make it free")
+        for name in section.known:
+            one_of("retrieve.known", name, list(section.free))
+        for name in section.prior_from.at if section.prior_from else ():
+            one_of("retrieve.prior_from.at", name, [*self.grid, LEVEL])
 
     def _check_swatches(self) -> None:
         """Refuse colours of spectra that are not of daylight, or of too many parameters."""

@@ -86,7 +86,8 @@ def difference(
             refusal = points
         else:
             for x, scene in points.scenes.items():
-                known.setdefault(x, measure(*scene))
+                if x not in known:
+                    known[x] = measure(*scene)
             slopes = _slopes(points.offsets, step, [known[x] for x in points.scenes])
             if best is None or (slopes.stderr**2).sum() < (best.stderr**2).sum():
                 best = slopes
@@ -137,10 +138,12 @@ def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) 
     fine, coarse = _rules(offsets, step)
     mean, plain = (np.tensordot(rule, means, 1) for rule in (fine, coarse))
     noise = (np.tensordot(fine - coarse, groups, 1) ** 2).sum(axis=0)
-    # What the plainer rule is off by, beyond noise; this one's relative error is about its square.
+    # What the plainer rule is off by, beyond noise, goes as the step squared.  What this one is off
+    # by goes as its fourth power, or the third where the places are not even on both sides.
     off = np.sqrt(np.maximum((plain - mean) ** 2 - noise, 0.0))
     size = np.abs(mean)
-    rule = np.divide(off**2, size, out=np.zeros_like(off), where=size > 0.0)
+    part = np.divide(off, size, out=np.ones_like(off), where=size > 0.0)
+    rule = off * (part if sum(offsets) == 0.0 else np.sqrt(part))
     bias = np.clip(8.0 * np.max([one.bias[:2] for one in found], axis=0), 0.0, 1.0)
     missed = np.hypot(np.minimum(rule, off), bias * size)
     return Slopes(mean[:, None], np.tensordot(fine, groups, 1)[:, :, None], missed[:, None])

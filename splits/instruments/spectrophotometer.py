@@ -59,7 +59,7 @@ def spectrophotometer(
         ``depth_m`` or ``optical_radius_um``, distributions such as ``facetness``, amounts that are
         there or might be (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
         (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords stay.  Those that leave
-        the paths as they are cost next to nothing, each of the others some four runs more
+        the paths as they are cost next to nothing, each of the others four to a dozen runs more
         (`splits.instruments.differences`); ``parameter_method`` tells which is which.
     max_rays : int
         The run stops once this many are traced (the first round is traced in any case);

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import number, one_of, refuse, unknown_key
+from splits.checksum import LOCK
 from splits.dataset import attributes, load, opened
 from splits.lookup.axes import INCIDENCE
 from splits.lookup.formats import for_spires, write_csv
@@ -162,7 +163,9 @@ class Table:
             needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
             weights.append(found.among(needed))
             part = part.isel({name: needed})
-        return part, weights
+        # The library underneath bears one reader at a time.
+        with LOCK:
+            return part.load(), weights
 
     def to_csv(self, path: str | Path) -> None:
         """Write it as CSV, see `splits.lookup.formats.write_csv`."""

@@ -99,7 +99,10 @@ class Free(NamedTuple):
         # Where the range cuts one side off, the other one tells.
         cut = [ends[0] > mean - sd, ends[1] < mean + sd]
         sides = [d for d, off in zip((middle - below, above - middle), cut, strict=True) if not off]
-        return middle, float(np.mean(sides)) if sides else float("inf")
+        if not sides:
+            allowed = f"a standard deviation that fits into the range {low:g} to {high:g}"
+            raise refuse(key, pair, allowed, "leave it out: it says less than the range does")
+        return middle, float(np.mean(sides))
 
     def coordinates(self, values: np.ndarray) -> np.ndarray:
         """Return coordinates of values, shape (..., parameters)."""

@@ -9,8 +9,10 @@ import numpy as np
 from splits.retrieval.cubics import read
 from splits.transport.compiling.jit import entry
 
-STEPS = 30
+STEPS = 60
 """Steps of a descent at most."""
+INNER = 0.1
+"""Distance from the ends of ranges at which a second descent begins."""
 NEAR = 1e-4
 """Step of the coordinates at which one ends."""
 
@@ -121,6 +123,10 @@ def step_of(place, gradient, curvature, damping, target):
     """Set the target of a damped step within the ranges; coordinates held at an end stay."""
     axes = len(place)
     held = np.zeros(axes, dtype=np.bool_)
+    # Of all together: where a root begins, light has no slope, and nothing of its own to be damped.
+    least = 0.0
+    for a in range(axes):
+        least += damping * curvature[a, a] / axes
     for _ in range(axes):
         matrix = np.empty((axes, axes))
         right = np.empty(axes)
@@ -132,7 +138,7 @@ def step_of(place, gradient, curvature, damping, target):
         for a in range(axes):
             for b in range(axes):
                 matrix[a, b] = 0.0 if held[a] or held[b] else curvature[a, b]
-            matrix[a, a] = 1.0 if held[a] else curvature[a, a] * (1.0 + damping) + 1e-12
+            matrix[a, a] = 1.0 if held[a] else curvature[a, a] + least + 1e-12
         move = np.linalg.solve(matrix, right)
         blocked = False
         for a in range(axes):
@@ -149,7 +155,13 @@ def step_of(place, gradient, curvature, damping, target):
 
 @entry
 def descend(grid, y, mean, precision, place, curvature):
-    """Move a place to where the sum of squares is least near it; return that, set the curvature."""
+    """Move a place to where the sum of squares is least near it; set the curvature there.
+
+    Returns
+    -------
+    float, bool
+        The sum of squares, and whether the place has come to rest.
+    """
     axes, columns = len(place), len(y)
     values, slopes = np.empty(columns), np.empty((columns, axes))
     gradient, target = np.empty(axes), np.empty(axes)
@@ -160,7 +172,7 @@ def descend(grid, y, mean, precision, place, curvature):
         step_of(place, gradient, curvature, damping, target)
         moved = np.abs(target - place).max()
         if moved < NEAR:
-            break
+            return cost, True
         found = around(grid, y, mean, precision, target, values, slopes, other_gradient, other)
         if found <= cost:
             cost = found
@@ -170,7 +182,7 @@ def descend(grid, y, mean, precision, place, curvature):
             damping = max(0.1 * damping, 1e-9)
         else:
             damping = min(10.0 * damping, 1e6)
-    return cost
+    return cost, False
 
 
 @entry
@@ -186,14 +198,24 @@ def descend_each(grid, y, mean, precision, variance, places, variances, misfits)
     variance : float64[axes]
         Of what was known before.
     places, variances : float64[measurements, axes]
-    misfits : float64[measurements]
+    misfits : float64[measurements, 2]
+        And whether places have come to rest, 1 or 0.
     """
     axes = len(mean)
-    curvature = np.empty((axes, axes))
+    curvature, other_curvature = np.empty((axes, axes)), np.empty((axes, axes))
+    other = np.empty(axes)
     for row in range(len(y)):
         place = places[row]
         nearest(grid.cells, grid.nodes, grid.counts, y[row], mean, precision, place)
-        cost = descend(grid, y[row], mean, precision, place, curvature)
+        # Ends of ranges may be places of no slope: a second descent begins away from them.
+        for a in range(axes):
+            other[a] = min(max(place[a], INNER), 1.0 - INNER)
+        cost, rests = descend(grid, y[row], mean, precision, place, curvature)
+        second, other_rests = descend(grid, y[row], mean, precision, other, other_curvature)
+        if second < cost:
+            cost, rests = second, other_rests
+            place[:] = other
+            curvature[:] = other_curvature
         for a in range(axes):
             cost -= precision[a] * (place[a] - mean[a]) ** 2
             # The range counts as knowledge where there is no prior.
@@ -201,4 +223,5 @@ def descend_each(grid, y, mean, precision, variance, places, variances, misfits)
         inverse = np.linalg.inv(curvature)
         for a in range(axes):
             variances[row, a] = inverse[a, a]
-        misfits[row] = cost
+        misfits[row, 0] = cost
+        misfits[row, 1] = 1.0 if rests else 0.0

@@ -66,7 +66,9 @@ class Told(NamedTuple):
     information_bits: float
 
 
-def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimum:
+def optimum(
+    model: Model, measurement: Measurement, start: np.ndarray, excess: float = 1.0
+) -> Optimum:
     """Return the most probable place that a descent from a start ends at.
 
     Parameters
@@ -75,6 +77,8 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
     measurement : Measurement
     start : float, shape (parameters,)
         Coordinates.
+    excess : float
+        By so much all variances are enlarged.
     """
     from scipy.optimize import least_squares
 
@@ -83,7 +87,7 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
     pull = np.diag(1.0 / free.prior_sd)[known]
     place = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(ROUNDS):
-        covariance = measurement.covariance + model.covariance(place)
+        covariance = excess * (measurement.covariance + model.covariance(place))
         lower = np.linalg.cholesky(covariance)
 
         def residuals(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
@@ -101,7 +105,7 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
         place = np.clip(found.x, 1e-9, 1.0 - 1e-9)
         if moved < 1e-3:
             break
-    covariance = measurement.covariance + model.covariance(place)
+    covariance = excess * (measurement.covariance + model.covariance(place))
     values, along = model.with_slopes(place)
     off = values - measurement.values
     chi2 = float(off @ np.linalg.solve(covariance, off))
@@ -110,7 +114,11 @@ def optimum(model: Model, measurement: Measurement, start: np.ndarray) -> Optimu
 
 
 def optima(
-    model: Model, measurement: Measurement, places: np.ndarray, values: np.ndarray
+    model: Model,
+    measurement: Measurement,
+    places: np.ndarray,
+    values: np.ndarray,
+    excess: float = 1.0,
 ) -> list[Optimum]:
     """Return the different ends of several descents that explain a measurement, best first.
 
@@ -120,6 +128,8 @@ def optima(
         Where descents may start, far and wide.
     values : float, shape (many, n)
         What would be measured there.
+    excess : float
+        By so much all variances are enlarged.
     """
     spread = np.sqrt(np.diag(measurement.covariance))
     misfit = (((values - measurement.values) / spread) ** 2).sum(axis=1)
@@ -130,7 +140,7 @@ def optima(
             starts.append(places[row])
         if len(starts) == STARTS:
             break
-    ends = sorted((optimum(model, measurement, start) for start in starts), key=lambda e: e.cost)
+    ends = sorted((optimum(model, measurement, s, excess) for s in starts), key=lambda e: e.cost)
     found = ends[:1]
     for end in ends[1:]:
         different = all(np.abs(end.place - one.place).max() > APART for one in found)

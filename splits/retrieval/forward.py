@@ -8,8 +8,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import xarray as xr
 
-from splits.checks import number, refuse, unknown_key
-from splits.lookup.axes import INCIDENCE
+from splits.checks import number, one_of, refuse, unknown_key
+from splits.checksum import LOCK
+from splits.lookup.axes import INCIDENCE, Axes
 from splits.lookup.formats import band_weights
 from splits.lookup.interpolation import spaced, weights_at
 from splits.lookup.reading import Table
@@ -97,6 +98,8 @@ class OfTable:
         self.measurement = measurement
         self.operator = Operator.of(measurement, table.dataset.wavelength.values)
         self.axes = [name for name in free.names if name != LEVEL]
+        if not self.axes:
+            raise refuse("free", list(free.names), "at least one axis of the table")
         self._level = free.names.index(LEVEL) if LEVEL in free.names else None
         self._rows = [free.names.index(name) for name in self.axes]
         values, nodes = _slice(table, quantity, self.axes, self.at)
@@ -189,12 +192,18 @@ class OfTable:
 
 def ranges_of(table: Table) -> dict[str, Widest]:
     """Return the ranges of all axes of a table that may be free, and that of a level."""
+    names = table.axes[:-1]
+    rows = tuple(tuple(table.dataset[name].values.tolist()) for name in names)
+    return ranges_of_axes(Axes(tuple(names), rows))
+
+
+def ranges_of_axes(axes: Axes) -> dict[str, Widest]:
+    """Return what `ranges_of` returns of a table over these axes."""
     found = {}
-    for name in table.axes[:-1]:
-        values = table.dataset[name].values
-        if values.dtype.kind == "f" and values.size > 1:
-            kind, _ = spaced(name, values)
-            found[name] = Widest(float(values[0]), float(values[-1]), kind)
+    for name, row in zip(*axes, strict=True):
+        if len(row) > 1 and not isinstance(row[0], str):
+            kind, _ = spaced(name, np.array(row, dtype=float))
+            found[name] = Widest(float(row[0]), float(row[-1]), kind)
     return found | {LEVEL: Widest(*LEVELS, "itself")}
 
 
@@ -218,16 +227,21 @@ def _slice(
     table: Table, quantity: str, axes: list[str], at: Mapping[str, Any]
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return values over some axes and wavelength, others held, and how nodes are spaced."""
-    part = table.dataset[quantity]
+    part, shares = table.dataset[quantity], {}
     for name in table.axes[:-1]:
         if name in axes:
             continue
         nodes = table.dataset[name].values
         given = at.get(name, nodes[0])
         if nodes.dtype.kind != "f":
-            part = part.sel({name: str(given)})
+            part = part.sel({name: one_of(f"at.{name}", str(given), nodes.tolist())})
             continue
         w = weights_at(name, nodes, number(name, given))
-        part = part.isel({name: w.nodes}).dot(xr.DataArray(w.share, dims=name), name)
+        part, shares[name] = part.isel({name: w.nodes}), w.share
+    # The library underneath bears one reader at a time.
+    with LOCK:
+        part = part.load()
+    for name, share in shares.items():
+        part = part.dot(xr.DataArray(share, dims=name), name)
     values = part.transpose(*axes, "wavelength").values.astype(float)
     return values, [table.dataset[name].values for name in axes]

@@ -26,7 +26,10 @@ LOST = 0.01
 """Part of the noise variance of a component below which what it tells is left out."""
 FLAGS = {
     "gap": 1, "out_of_range": 2, "poor_fit": 4, "at_low_end": 8, "at_high_end": 16, "untold": 32,
+    "not_at_rest": 64,
 }  # fmt: skip
+PLACES = 32
+"""Places in the ranges over which the mean of the table's error is taken."""
 PIXELS = 4096
 """Of a piece of work."""
 IMPROBABLE = 1e-3
@@ -78,8 +81,8 @@ def retrieve_map(
 
     Each pixel's most probable values by Gauss and Newton's method in the table, from the nearest of
     its cells, and errors from the curvature there.  `splits.retrieve` does more for one spectrum:
-    draws, several starts, and the table's error where the result is; a map takes that in the middle
-    of the ranges.
+    draws, several starts, and the table's error where the result is; a map takes the mean of that
+    over the ranges.
 
     Parameters
     ----------
@@ -109,6 +112,8 @@ def retrieve_map(
     """
     if not isinstance(image, xr.DataArray) or "wavelength" not in image.coords:
         raise refuse("image", type(image).__name__, "a DataArray over wavelength and others")
+    if not image.size:
+        raise refuse("image", "no pixel", "at least one")
     one_of("quantity", "reflectance", table.quantities)
     which = Free.of(free, prior, ranges_of(table))
     if LEVEL in which.names:
@@ -116,8 +121,9 @@ def retrieve_map(
     w = image.wavelength.values
     measurement = Measurement.of((w, np.full(w.size, 0.5)), noise)
     model = OfTable(table, measurement, which, at or {})
-    # What the table is off by, in the middle of the ranges.
-    covariance = measurement.covariance + model.covariance(np.full(len(which.names), 0.5))
+    random = np.random.default_rng(1)
+    own = [model.covariance(place) for place in random.random((PLACES, len(which.names)))]
+    covariance = measurement.covariance + np.mean(own, axis=0)
     work = _Work(which, model, _reduced(model, covariance), covariance, check_threads(threads))
     dims = [d for d in image.dims if d != "wavelength"]
     stacked = image.transpose(*dims, "wavelength")
@@ -161,16 +167,19 @@ class _Work(NamedTuple):
         table = self.model.grid(cells)
         mean, precision = free.prior_mean, free.precision
         places, variances = np.empty((2, len(y), count))
-        misfit = np.empty(len(y))
+        misfit = np.empty((len(y), 2))
         known = (mean, precision, free.prior_variance)
         descend_each(table, y, *known, places, variances, misfit)
         natural = free.at(places)
         near = [np.clip(places + s * np.sqrt(variances), 0.0, 1.0) for s in (-1.0, 1.0)]
         stderr = 0.5 * np.abs(free.at(near[1]) - free.at(near[0]))
-        chi2 = misfit + rest
+        chi2 = misfit[:, 0] + rest
         flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * odd
         flags = flags + FLAGS["poor_fit"] * (fine & (chi2 > self.limit()))
-        flags = flags + FLAGS["at_low_end"] * (fine & (places < 1e-6).any(axis=1))
+        flags = flags + FLAGS["not_at_rest"] * (fine & (misfit[:, 1] == 0.0))
+        # An amount of 0 is no end that was set too high.
+        ends = (places < 1e-6) & (free.low != 0.0)
+        flags = flags + FLAGS["at_low_end"] * (fine & ends.any(axis=1))
         flags = flags + FLAGS["at_high_end"] * (fine & (places > 1.0 - 1e-6).any(axis=1))
         untold = np.sqrt(variances) > 0.5 * np.sqrt(free.prior_variance)
         flags = flags + FLAGS["untold"] * (fine & untold.any(axis=1))

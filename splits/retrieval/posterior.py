@@ -84,6 +84,7 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
     parts = [_Part.of(end.place, 1.5 * told(end, model).covariance) for end in ends]
     constant = _student(len(ends[0].place))
     lower = np.linalg.cholesky(ends[0].covariance)
+    best = (0.0, np.zeros(0), np.zeros(0), parts)
     for _ in range(ROUNDS):
         places = _drawn(parts, random)
         inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
@@ -94,9 +95,14 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         effective = float(1.0 / (weight**2).sum())
+        if effective > best[0]:
+            best = (effective, places, weight, parts)
         if effective >= ENOUGH:
             break
-        parts = _anew(places, weight, parts)
+        # A round that was worse than one before tells less where to draw.
+        _, known, weights, drawn = best
+        parts = _anew(known, weights, drawn)
+    effective, places, weight, _ = best
     return Draws(places[_systematic(weight, random)], effective)
 
 

@@ -102,6 +102,8 @@ class Found(NamedTuple):
         By so much variances were enlarged, as the misfit asks for.
     tension : float, shape (parameters,)
         How far priors are from what the measurement says without them, in standard errors.
+    off : float, shape (n,)
+        Standard errors of the table at the best end.
     """
 
     ends: Sequence[Optimum]
@@ -109,11 +111,12 @@ class Found(NamedTuple):
     draws: Draws
     excess: float
     tension: np.ndarray
+    off: np.ndarray
 
 
 def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
     """Return what was found as a dataset."""
-    (best, *_), told, draws, excess, _ = found
+    (best, *_), told, draws, excess, _, off = found
     names = list(free.names)
     natural = free.at(draws.places)
     spread = draws.places.std(axis=0)
@@ -136,12 +139,11 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
         **quantity("correlation", pair, related, None, "correlation of coordinates"),
         **quantity("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
         **quantity("measured", "wavelength", measurement.values, noise, "measured"),
-        **quantity("fitted", "wavelength", best.values, np.sqrt(np.maximum(
-            np.diag(best.covariance) - noise**2, 0.0)), "of the most probable value"),
+        **quantity("fitted", "wavelength", best.values, off, "of the most probable value"),
     }  # fmt: skip
     facts: dict[str, Any] = {
         "title": "Retrieval",
-        "chi2": best.chi2,
+        "chi2": excess * best.chi2,
         "chi2_expected": len(best.values) - told.degrees_of_freedom,
         "errors_enlarged_by": float(np.sqrt(excess)),
         "degrees_of_freedom": told.degrees_of_freedom,
@@ -175,7 +177,7 @@ def excess_of(best: Optimum, told: Told) -> float:
 
 def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
     """Return what is to be known of the numbers."""
-    ends, _, draws, excess, tension = result
+    ends, _, draws, excess, tension, _ = result
     best, found = ends[0], []
     if excess > 1.0:
         found.append(

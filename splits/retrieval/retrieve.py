@@ -54,7 +54,8 @@ def retrieve(
     at : mapping
         Values of the other axes, such as ``incidence_deg``.
     prior : mapping
-        (mean, standard deviation) of what was known before, by name.  Without one all of a range
+        (mean, standard deviation) of what was known before, by name: normal in the coordinate of
+        the parameter, between the two values a standard deviation off.  Without one all of a range
         is as probable, in the coordinate in which light changes evenly: the logarithm of a size,
         the root of an amount.
     bands : mapping or str
@@ -105,27 +106,27 @@ def retrieve(
     measurement = Measurement.of(measured, noise, bands)
     which = Free.of(free, prior, ranges_of(table))
     model = OfTable(table, measurement, which, at or {}, quantity)
-    ends = optima(model, measurement, *model.nodes())
-    excess = excess_of(ends[0], told(ends[0], model))
-    ends = [_enlarged(end, excess) for end in ends]
+    nodes = model.nodes()
+    ends = optima(model, measurement, *nodes)
+    # A prior that contradicts the measurement is no fault of the model.
+    alone = _without_priors(model, measurement, ends[0])
+    excess = excess_of(alone, told(alone, model))
+    if excess > 1.0:
+        ends = optima(model, measurement, *nodes, excess)
+    spread = np.diag(told(alone._replace(covariance=excess * alone.covariance), model).covariance)
+    tension = np.abs(alone.place - which.prior_mean) / np.sqrt(which.prior_sd**2 + spread)
     draws = draws_of(model, measurement, ends, seed)
-    found = Found(ends, told(ends[0], model), draws, excess, _tension(model, measurement, ends[0]))
+    off = np.sqrt(np.diag(model.covariance(ends[0].place)))
+    found = Found(ends, told(ends[0], model), draws, excess, tension, off)
     return result_of(which, measurement, found)
 
 
-def _tension(model: OfTable, measurement: Measurement, end: Optimum) -> np.ndarray:
-    """Return how far priors are from what the measurement says without them, in their errors."""
+def _without_priors(model: OfTable, measurement: Measurement, end: Optimum) -> Optimum:
+    """Return the optimum that the measurement has by itself, near that with priors."""
     free = model.free
     if not np.isfinite(free.prior_sd).any():
-        return np.zeros(len(free.names))
+        return end
     model.free = free._replace(prior_sd=np.full(len(free.names), np.inf))
     alone = optimum(model, measurement, end.place)
-    own = np.diag(told(alone, model).covariance)
     model.free = free
-    tension: np.ndarray = np.abs(alone.place - free.prior_mean) / np.sqrt(free.prior_sd**2 + own)
-    return tension
-
-
-def _enlarged(end: Optimum, excess: float) -> Optimum:
-    """Return an optimum whose errors are enlarged."""
-    return end._replace(covariance=excess * np.asarray(end.covariance))
+    return alone

@@ -7,7 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.instruments.differences import _rules, _weights
+from splits.instruments.differences import _rules, _weights, difference
+from splits.instruments.estimators import Estimate
+from splits.instruments.shared_paths import Slopes
 from splits.media.parameters import names_of, unit_of, value_of, with_value
 
 W = [450.0, 850.0, 1250.0]
@@ -100,3 +102,28 @@ def test_every_parameter_can_be_moved(medium):
         after = with_value(medium, name, before + step)
         assert value_of(after, name) - before == pytest.approx(step, abs=1e-9)
         assert isinstance(unit_of(name), str)
+
+
+LAWS = {
+    "falling": (lambda s: 0.5 * np.exp(-5.0 * s), -2.5),
+    "steep": (lambda s: 0.5 * np.exp(-10.0 * s), -5.0),
+    "root": (lambda s: 0.8 * np.exp(-1.5 * np.sqrt(0.02 + s)), -3.431),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("noise", [1e-3, 1e-5])
+def test_one_sided_differences_say_how_far_they_are_off(law, noise):
+    """Where a range begins, without noise in the means: what is left is the rule's own."""
+    make, slope = LAWS[law]
+    snow = splits.Snow(saturation=0.0)
+
+    def measure(medium, _incidence):
+        mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
+        groups = np.full((32, 2, 1), noise / np.sqrt(32.0))
+        none = np.zeros((2, 0, 1))
+        return Estimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "lanes",
+                        Slopes(none, np.zeros((32, *none.shape)), none))  # fmt: skip
+
+    found = difference(measure, snow, 0.0, "saturation").slopes
+    assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3

@@ -206,6 +206,11 @@ WRONG = {
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),
+    "a level only": (
+        {"free": ["level"], "at": {**AT, SIZE: 100.0, DIRT: 10.0}},
+        "at least one axis",
+    ),
+    "a vague prior": ({"prior": {SIZE: (500.0, 5000.0)}}, "fits into the range"),
     "nothing free": ({"free": []}, "names of parameters"),
     "contradictory": ({"free": {SIZE: (300.0, 200.0), DIRT: (0.0, 10.0)}}, "low < high"),
     "beyond the table": ({"free": {SIZE: (10.0, 200.0), DIRT: (0.0, 10.0)}}, "40 <= low"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, snowlike, spectrum
+from formula_tables import W, snowlike, spectrum, table_of
 
 import splits
 from splits.checks import Refusal
@@ -93,7 +93,43 @@ def test_errors_of_pixels(table):
         assert abs(one.mean()) < 0.15
 
 
+@NEEDS_JIT
+def test_maps_end_where_retrievals_do_where_amounts_begin_with_none():
+    """On axes that are roots light has no slope at 0, where many descents begin."""
+
+    def wet(size, dirt, water):
+        return spectrum(size, dirt) * np.exp(-2.0 * water * ((W - 500.0) / 1000.0) ** 2)
+
+    table = table_of(
+        wet,
+        {
+            SIZE: np.geomspace(40.0, 2000.0, 9), DIRT: np.linspace(0.0, 40.0, 6) ** 2,
+            "water": np.linspace(0.0, 0.55, 5) ** 2,
+        },
+    )  # fmt: skip
+    random = np.random.default_rng(8)
+    free = [SIZE, DIRT, "water"]
+    values = np.array([
+        wet(np.exp(a), b**2, c**2) + 0.005 * random.standard_normal(W.size)
+        for a, b, c in zip(np.log(50.0) + 3.4 * random.random(60), 38.0 * random.random(60),
+                           0.5 * random.random(60), strict=True)
+    ])  # fmt: skip
+    image = xr.DataArray(values, {"wavelength": W}, ("x", "wavelength"))
+    found = splits.retrieve_map(image, table, free, 0.005)
+    worse = 0
+    for x in range(image.sizes["x"]):
+        alone = splits.retrieve(image[x], table, free, 0.005).dataset.attrs
+        worse += float(found.chi2[x]) > alone["chi2"] + 4.0
+    assert worse <= 1
+    # Where nothing tells a parameter a descent may creep for long, which is flagged.
+    assert ((found.flags.values & FLAGS["not_at_rest"]) > 0).mean() < 0.05
+
+
 WRONG = {
+    "no pixel": (
+        {"image": xr.DataArray(np.zeros((0, W.size)), {"wavelength": W}, ("x", "wavelength"))},
+        "no pixel",
+    ),
     "no image": ({"image": np.zeros((2, 2, W.size))}, "a DataArray over wavelength"),
     "level": ({"free": [SIZE, "level"]}, "left out of maps"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),

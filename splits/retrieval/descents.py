@@ -93,8 +93,9 @@ def nearest(cells, nodes, counts, y, mean, precision, place):
 
 
 @entry
-def around(grid, y, mean, precision, place, values, slopes, gradient, curvature):
+def around(grid, y, prior, place, values, slopes, gradient, curvature):
     """Return the sum of squares at a place; set half its gradient and half its curvature."""
+    mean, precision = prior
     read(grid.cells, grid.nodes, grid.counts, place, values, slopes)
     axes = len(place)
     cost = 0.0
@@ -165,7 +166,7 @@ def descend(grid, y, mean, precision, place, curvature):
     axes, columns = len(place), len(y)
     values, slopes = np.empty(columns), np.empty((columns, axes))
     gradient, target = np.empty(axes), np.empty(axes)
-    cost = around(grid, y, mean, precision, place, values, slopes, gradient, curvature)
+    cost = around(grid, y, (mean, precision), place, values, slopes, gradient, curvature)
     damping = 1e-3
     other_gradient, other = np.empty(axes), np.empty((axes, axes))
     for _ in range(STEPS):
@@ -173,7 +174,7 @@ def descend(grid, y, mean, precision, place, curvature):
         moved = np.abs(target - place).max()
         if moved < NEAR:
             return cost, True
-        found = around(grid, y, mean, precision, target, values, slopes, other_gradient, other)
+        found = around(grid, y, (mean, precision), target, values, slopes, other_gradient, other)
         if found <= cost:
             cost = found
             place[:] = target

@@ -1,9 +1,10 @@
 """Derivatives of spectra: against differences of long runs, and what each way to them costs.
 
-    python benchmarks/derivatives.py [--max-stderr 0.002] [--media "natural snow" sand]
+    python benchmarks/derivatives.py [--max-stderr 0.002] [--seeds 1] [--media "natural snow" sand]
 
-1. Every parameter of four media at six wavelengths, against five-point differences of runs with
-   random numbers of their own to half the error.
+1. Every parameter of five media at six wavelengths, against five-point differences of runs with
+   random numbers of their own to half the error, for each of so many seeds.  Wavelengths share
+   rays, so rms z of one parameter scatters; that of all is what counts.
 2. What those that leave the paths as they are cost beside the spectrum alone.
 3. Of the others: variance times seconds of one core, in units of that of independent runs at their
    best step, for runs that share random numbers, and, where attenuation is all that changes, for
@@ -55,7 +56,8 @@ MEDIA: dict[str, Any] = {
     }),
     "two layers": (
         splits.Stack([
-            splits.Snow.natural(optical_radius_um=80, depth_m=0.005),
+            splits.Snow.natural(optical_radius_um=80, depth_m=0.005,
+                                impurities_ng_g={"black_carbon": 100}),
             splits.Snow.natural(optical_radius_um=400, depth_m=0.05,
                                 impurities_ng_g={"black_carbon": 200}),
         ], ground=0.3),
@@ -103,23 +105,27 @@ def long_difference(medium: Any, name: str, step: float, error: float, seed: int
     return value, np.sqrt(square)
 
 
-def compare(chosen: list[str], error: float) -> None:
+def compare(chosen: list[str], error: float, seeds: int) -> None:
     """Hold all derivatives against differences of long runs."""
     every = []
     for label in chosen:
         medium, steps = MEDIA[label]
         for number, (name, step) in enumerate(steps.items()):
-            found, _ = measured(medium, error, 1, jacobian=[name])
-            value, stderr = long_difference(medium, name, step, 0.5 * error, 100 + 10 * number)
-            own, own_error = found.reflectance_jacobian[0], found.reflectance_jacobian_stderr[0]
-            z = ((own - value) / np.hypot(own_error, stderr)).values
-            every.append(z)
+            some = []
+            for seed in range(1, seeds + 1):
+                found, _ = measured(medium, error, seed, jacobian=[name])
+                first = 1000 * seed + 10 * number
+                value, stderr = long_difference(medium, name, step, 0.5 * error, first)
+                own = found.reflectance_jacobian.values[0]
+                own_error = found.reflectance_jacobian_stderr.values[0]
+                some.append((own - value) / np.hypot(own_error, stderr))
+            every.append(np.concatenate(some))
             print(
                 f"{label:13} {name:32} {found.parameter_method.values[0]:12} rms z "
-                f"{np.sqrt((z**2).mean()):.2f}, at {wavelengths(medium)[0]:g} nm "
-                f"{float(own[0]):.4g} ± {float(own_error[0]):.2g}, long runs {value[0]:.4g} ± "
-                f"{stderr[0]:.2g}", flush=True,
-            )  # fmt: skip
+                f"{np.sqrt((every[-1] ** 2).mean()):.2f}, at {wavelengths(medium)[0]:g} nm "
+                f"{own[0]:.4g} ± {own_error[0]:.2g}, long runs {value[0]:.4g} ± {stderr[0]:.2g}",
+                flush=True,
+            )
     z = np.concatenate(every)
     bound = statistics.NormalDist().inv_cdf(0.5 + 0.5 * 0.99 ** (1.0 / z.size))
     print(f"{z.size} derivatives: rms z {np.sqrt((z**2).mean()):.3f}, largest {abs(z).max():.2f} "
@@ -148,9 +154,10 @@ class Scored(Ensemble):
         """Return sums and sums of squares over the rays of a batch, by wavelength."""
         lengths = exits[:, EXIT_LENGTH:]
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
-        weight[exits[:, EXIT_SIDE] != REFLECTED - 1] = 0.0
         score = exits[:, EXIT_ORDER] - self.attenuation * lengths[:, 0]
-        both = weight * score[:, None]
+        # Rows of rays that ended inside hold nothing.
+        out = exits[:, EXIT_SIDE] == REFLECTED - 1
+        both = np.where(out[:, None], weight * score[:, None], 0.0)
         return np.stack([both.sum(axis=0), (both**2).sum(axis=0)]), len(exits)
 
     def add(self, level: Any, tallies: Any) -> None:
@@ -188,6 +195,30 @@ def ways(chosen: list[str], error: float) -> None:
             _, stderr = long_difference(medium, name, step, error, 100)
             other = stderr**2 * 4.0 * alone
             print(f"{label:13} {name:28} common random numbers {np.median(own / other):.2f}")
+    attenuation(error)
+    similarity(error)
+
+
+def similarity(error: float) -> None:
+    """Print what similarity costs: r ∂R/∂r is a sum over paths less D ∂R/∂D, D the depth."""
+    medium, steps = MEDIA["natural snow"]
+    size, depth = "optical_radius_um", "depth_m"
+    ratio = value_of(medium, depth) / value_of(medium, size)
+    _, alone = measured(medium, error, 1)
+    found, seconds = measured(medium, error, 1, jacobian=[size])
+    of_depth, seconds_depth = measured(medium, error, 1, jacobian=[depth])
+    own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
+    other = (ratio * of_depth.reflectance_jacobian_stderr.values[0]) ** 2 * (seconds_depth - alone)
+    _, stderr = long_difference(medium, size, steps[size], error, 100)
+    independent = stderr**2 * 4.0 * alone
+    print(
+        f"natural snow, size: common random numbers {np.median(own / independent):.2f}, similarity "
+        f"at least {np.median(other / independent):.2f} (its depth alone)"
+    )
+
+
+def attenuation(error: float) -> None:
+    """Print what likelihood ratios cost, where attenuation is all that changes."""
     for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
         soot = {"black_carbon": 100}
         medium = splits.Snow.natural(optical_radius_um=150, depth_m=depth, density_kg_m3=200,
@@ -215,11 +246,12 @@ def main() -> None:
     """Print all three."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--max-stderr", type=float, default=0.002)
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--media", nargs="+", default=list(MEDIA), choices=list(MEDIA))
     given = parser.parse_args()
     for label in given.media:
         measured(MEDIA[label][0], 0.05, 1)
-    compare(given.media, given.max_stderr)
+    compare(given.media, given.max_stderr, given.seeds)
     cost_of_free(given.max_stderr)
     ways(given.media, given.max_stderr)
 

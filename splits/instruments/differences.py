@@ -23,12 +23,14 @@ STEP = 0.25
 """First step, as a part of the value: noise falls with the step, until the rule is off by more."""
 LEAST_STEP = {INCIDENCE: 4.0, **dict.fromkeys(
     ("facetness", "sphericity", "roundness", "saturation", "liquid_water_content", "asymmetry",
-     "single_scattering_albedo", "ground", "bottom_albedo", "hematite_ratio"), 0.04,
-)}  # fmt: skip
+     "ground", "bottom_albedo", "hematite_ratio"), 0.04,
+), "single_scattering_albedo": 0.004}  # fmt: skip
 """Least first steps, of what has a scale of its own."""
+FROM_ONE = ("single_scattering_albedo",)
+"""What counts from 1: near 1 reflectance goes as the root of what is absorbed, 1 − ω."""
 AT_ZERO = 0.01
 """First step of any other where the value is 0."""
-HALVINGS = 4
+HALVINGS = 10
 OFFSETS = tuple(
     tuple(place + shift for place in (-2.0, -1.0, 1.0, 2.0))
     for shift in (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
@@ -59,7 +61,9 @@ def difference(
 ) -> Differences:
     """Return derivatives to a parameter.
 
-    The step is halved until the rule is off by less than noise is.
+    The step is halved until the rule is off by less than noise is.  Where a range ends, what a rule
+    says of itself is not enough, as reflectance may bend there within any step: how far the value
+    still moves with the step counts, too.
 
     Parameters
     ----------
@@ -77,9 +81,11 @@ def difference(
     at_beam = parameter == INCIDENCE
     value = float(incidence) if at_beam else value_of(medium, parameter)
     own = parameter.rpartition(".")[2]
-    step = max(STEP * abs(value), LEAST_STEP.get(own, 0.0 if value else AT_ZERO))
+    size = 1.0 - value if own in FROM_ONE else abs(value)
+    step = max(STEP * size, LEAST_STEP.get(own, 0.0 if size else AT_ZERO))
     known: dict[float, Estimate] = {}
     best: Slopes | None = None
+    before: Slopes | None = None
     for _ in range(HALVINGS + 1):
         points = _points(medium, incidence, parameter, value, step)
         if isinstance(points, ValueError):
@@ -89,9 +95,15 @@ def difference(
                 if x not in known:
                     known[x] = measure(*scene)
             slopes = _slopes(points.offsets, step, [known[x] for x in points.scenes])
-            if best is None or (slopes.stderr**2).sum() < (best.stderr**2).sum():
+            one_sided = sum(points.offsets) != 0.0
+            settled = not one_sided
+            if one_sided and before is not None:
+                slopes = _moved_by(slopes, before)
+                settled = True
+            if best is None or one_sided or (slopes.stderr**2).sum() < (best.stderr**2).sum():
                 best = slopes
-            if (slopes.missed**2).sum() < 0.5 * (slopes.stderr**2).sum():
+            before = slopes
+            if settled and (slopes.missed**2).sum() < 0.5 * (slopes.stderr**2).sum():
                 break
         step *= 0.5
     if best is None:
@@ -147,6 +159,13 @@ def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) 
     bias = np.clip(8.0 * np.max([one.bias[:2] for one in found], axis=0), 0.0, 1.0)
     missed = np.hypot(np.minimum(rule, off), bias * size)
     return Slopes(mean[:, None], np.tensordot(fine, groups, 1)[:, :, None], missed[:, None])
+
+
+def _moved_by(slopes: Slopes, before: Slopes) -> Slopes:
+    """Return derivatives that may be off by half of what they moved, beyond noise, with the step."""
+    noise = ((slopes.groups - before.groups) ** 2).sum(axis=0)
+    moved = np.sqrt(np.maximum((slopes.mean - before.mean) ** 2 - noise, 0.0))
+    return slopes._replace(missed=np.maximum(slopes.missed, 0.5 * moved))
 
 
 def _rules(offsets: tuple[float, ...], step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,7 @@ CAPTIONS = {
     "agreement": {"figure": "letcher"},
     "readings": {"figure": "readings_together"},
     "sobol": {"figure": "sobol"},
+    "anisotropy": {"figure": "anisotropy"},
     "surface_area": {"figure": "surface_area", "law_figure": "surface_area_law"},
 }
 """Files of workflow/report/ that describe the figures of studies, by kind and product."""
@@ -33,6 +34,7 @@ TITLES = {
     "sensitivity": "Mean sensitivity indices",
     "letcher": "Measured albedo and three kinds of grains",
     "readings_together": "All combinations of readings",
+    "anisotropy": "Where wet sand sends light, and measured directions",
     "sobol": "Which wavelength tells what",
     "surface_area": "Surface area of measured snow",
     "surface_area_law": "Reflectance at 1310 nm and surface area",

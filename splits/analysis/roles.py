@@ -84,6 +84,9 @@ ANGULAR = {
 """Roles of the trends of BRDFs; a grid's finest or least faceted grains stand as the papers have
 them, grain sizes from coarse to fine and facetness from low to high."""
 
+ANISOTROPY = {"directions": _directions("readings", "saturation")}
+"""Role of directions held against measured ones: models of wet sand, and samples."""
+
 LAYER = {
     "lens": Role(instrument="lens"),
     "volume": _directions("medium", labels={"medium": ("surface only", "surface and volume")}),

@@ -158,14 +158,17 @@ class Experiment(Simulation):
                 one_of(f"retrieve.{key}", name, allowed)
         with under("retrieve"):
             Free.of(section.free, section.prior or None, ranges_of_axes(self.axes()))
-        named = {*section.free, *section.at, INCIDENCE}
+        named = {*section.free, *section.at, section.models, INCIDENCE}
         for name in [n for n, values in self.grid.items() if len(values) > 1]:
             if name not in named:
                 raise refuse(f"retrieve.at.{name}", None, "given", "or make it free")
         for name in section.known:
             one_of("retrieve.known", name, list(section.free))
-        for name in section.prior_from.at if section.prior_from else ():
+        for name in [n for first in section.prior_from for n in first.at]:
             one_of("retrieve.prior_from.at", name, [*self.grid, LEVEL])
+        if section.models is not None:
+            texts = [n for n, row in zip(*self.axes(), strict=True) if isinstance(row[0], str)]
+            one_of("retrieve.models", section.models, texts)
 
     def _check_swatches(self) -> None:
         """Refuse colours of spectra that are not of daylight, or of too many parameters."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -54,13 +54,15 @@ class Noise(Section):
 class PriorFrom(Section):
     """A sample that is retrieved first, with some parameters known.
 
-    What it tells of the others is what is known of them before all other samples are retrieved.
+    What it tells of the others is what is known of them before other samples are retrieved: all, or
+    those whose names begin with `of`.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
 
     sample: str
     at: dict[str, float | str]
+    of: str = ""
 
 
 class RetrieveSection(Section):
@@ -70,7 +72,9 @@ class RetrieveSection(Section):
     sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
     incidence.  `free`, `at` and `prior` are as for `splits.retrieve`; `left_out_nm` are intervals
     that do not count, such as those where water vapour lets no light through.  `known` are values
-    by parameter and sample that were found otherwise, to be drawn beside.
+    by parameter and sample that were found otherwise, to be drawn beside.  `models` is an axis of
+    texts, whose light is compared: every sample is read with each of them.  `beside` is a published
+    law of snow, with which they are read, too.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -82,13 +86,20 @@ class RetrieveSection(Section):
     at: dict[str, float | str] = Field(default_factory=dict)
     prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
     left_out_nm: tuple[tuple[float, float], ...] = ()
-    prior_from: PriorFrom | None = None
+    models: str | None = None
+    beside: Literal["kokhanovsky_zege_2004"] | None = None
+    prior_from: tuple[PriorFrom, ...] = ()
     known: dict[str, dict[str, float]] = Field(default_factory=dict)
 
     @field_validator("measured")
     @classmethod
     def _file(cls, value: str) -> str:
         return check_file("retrieve.measured", value)
+
+    @field_validator("prior_from", mode="before")
+    @classmethod
+    def _row(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, dict) else value
 
     @model_validator(mode="after")
     def _intervals(self) -> RetrieveSection:
@@ -117,8 +128,8 @@ class RetrieveSection(Section):
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
             raise refuse("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
         names = [one_of("retrieve.samples", s, known) for s in self.samples] or known
-        if self.prior_from is not None:
-            one_of("retrieve.prior_from.sample", self.prior_from.sample, names)
+        for first in self.prior_from:
+            one_of("retrieve.prior_from.sample", first.sample, names)
         for values in self.known.values():
             for sample in values:
                 one_of("retrieve.known", sample, names)

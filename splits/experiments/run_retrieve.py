@@ -3,21 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.analysis.law_tables import law_table
 from splits.checks import under
 from splits.dataset import attributes, provenance
 from splits.experiments.retrieve_section import RetrieveSection
 from splits.lookup.reading import Table
 from splits.names import parameter_about
+from splits.retrieval.coordinates import LEVEL
 from splits.retrieval.result import Retrieved
 from splits.retrieval.retrieve import retrieve
 
 Say = Callable[[str], None]
+ALONE, OURS = "", "splits"
+"""Names of the model where there is but one, and beside a law."""
+
+
+class Reading(NamedTuple):
+    """What a sample tells, read with one model.
+
+    Attributes
+    ----------
+    model, sample : str
+    told : Retrieved
+    misfit : float
+        χ² that is left where what is known of the sample otherwise is so, NaN where nothing is.
+        Compared between models it says which knows better how light changes with that.
+    alone : bool
+        It was retrieved first, with some of the others' parameters known.
+    """
+
+    model: str
+    sample: str
+    told: Retrieved
+    misfit: float
+    alone: bool
 
 
 def run_retrieve(
@@ -26,74 +51,106 @@ def run_retrieve(
     measured: pd.DataFrame,
     seed: int = 1,
     say: Say = lambda line: None,
-) -> dict[str, Retrieved]:
-    """Return what every sample tells, by its name.
+) -> list[Reading]:
+    """Return what every sample tells, with every model.
 
     Raises
     ------
     ValueError
         Names the section's key.
     """
-    found = {}
     with under("retrieve"):
         spectra = section.spectra(measured, table.dataset.wavelength.values)
-    prior, first = dict(section.prior), section.prior_from
-    if first is not None:
-        found[first.sample] = _one(section, table, spectra, first.sample, prior, seed, first.at)
-        told = found[first.sample]
-        prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
-    for name in spectra:
-        if name not in found:
-            found[name] = _one(section, table, spectra, name, prior, seed, {})
-        for line in repr(found[name]).splitlines():
-            say(f"{name}: {line}")
+    axis, law = section.models, section.beside
+    alone = OURS if law else ALONE
+    names = [str(v) for v in table.dataset[axis].values] if axis else [alone]
+    found = []
+    for model in names:
+        at = {axis: model} if axis else {}
+        found += _Task(section, table, spectra, model, at, seed).readings(say)
+    if law:
+        theirs = law_table(table, law, axis)
+        found += _Task(section, theirs, spectra, law, {}, seed).readings(say)
     return found
 
 
-def _one(
-    section: RetrieveSection,
-    table: Table,
-    spectra: Mapping[str, pd.Series],
-    name: str,
-    prior: Mapping[str, Any],
-    seed: int,
-    known: Mapping[str, Any],
-) -> Retrieved:
-    """Return what one sample tells, of which some of what is free elsewhere may be known."""
-    free: Any = section.free
-    if isinstance(free, Mapping):
-        free = {n: pair for n, pair in free.items() if n not in known}
-    else:
-        free = [n for n in free if n not in known]
-    spectrum = spectra[name]
-    with under(f"retrieve ({name})"):
-        return retrieve(
-            spectrum, table, free, section.noise.of(spectrum.to_numpy()),
-            at={**section.where(name, table.axes), **known},
-            prior={n: pair for n, pair in prior.items() if n in free} or None, seed=seed,
-        )  # fmt: skip
+class _Task(NamedTuple):
+    """Spectra to be read in a table with one model, at the nodes that say so."""
+
+    section: RetrieveSection
+    table: Table
+    spectra: Mapping[str, pd.Series]
+    model: str
+    at: Mapping[str, Any]
+    seed: int
+
+    def readings(self, say: Say) -> list[Reading]:
+        """Return what all samples tell, and say it."""
+        firsts = {one.sample: one for one in self.section.prior_from}
+        early = {n: self._one(n, self.section.prior, one.at) for n, one in firsts.items()}
+        found = []
+        for name in self.spectra:
+            prior = self._prior(early, name)
+            told = early[name] if name in early else self._one(name, prior, {})
+            misfit = np.nan if name in early else self._misfit(name, prior)
+            found.append(Reading(self.model, name, told, misfit, name in early))
+            mark = f"{name} ({self.model})" if self.model else name
+            for line in repr(told).splitlines():
+                say(f"{mark}: {line}")
+        return found
+
+    def _one(self, name: str, prior: Mapping[str, Any], known: Mapping[str, Any]) -> Retrieved:
+        """Return what one sample tells, of which some of what is free elsewhere may be known."""
+        axes = self.table.axes
+        names = [n for n in self.section.free if n not in known and n in (*axes, LEVEL)]
+        given: Any = self.section.free
+        free = {n: given[n] for n in names} if isinstance(given, Mapping) else names
+        spectrum = self.spectra[name]
+        at = {**self.section.where(name, axes), **self.at, **known}
+        with under(f"retrieve ({name})"):
+            return retrieve(
+                spectrum, self.table, free, self.section.noise.of(spectrum.to_numpy()),
+                at={n: value for n, value in at.items() if n in (*axes, LEVEL)},
+                prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
+            )  # fmt: skip
+
+    def _misfit(self, name: str, prior: Mapping[str, Any]) -> float:
+        """Return the misfit left where what is known of a sample is so."""
+        known = {n: values[name] for n, values in self.section.known.items() if name in values}
+        others = [n for n in self.section.free if n not in known and n != LEVEL]
+        if not known or not others or LEVEL in known:
+            return np.nan
+        return float(self._one(name, prior, known).dataset.attrs["chi2"])
+
+    def _prior(self, early: Mapping[str, Retrieved], name: str) -> dict[str, Any]:
+        """Return what is known of a sample before, from those retrieved first, too."""
+        prior: dict[str, Any] = dict(self.section.prior)
+        for first in self.section.prior_from:
+            if name.startswith(first.of):
+                told = early[first.sample]
+                prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
+        return prior
 
 
-def retrieved_table(
-    found: Mapping[str, Retrieved], known: Mapping[str, Mapping[str, float]]
-) -> pd.DataFrame:
+def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     """Return a line for every parameter of every sample; `known` has values found otherwise."""
     rows = []
-    for sample, one in found.items():
-        ds = one.dataset
+    for one in found:
+        ds = one.told.dataset
         for name in map(str, ds.parameter.values):
             own = ds.sel(parameter=name)
             long_name, _ = parameter_about(name)
             low, below, middle, above, high = own.quantiles.values
             rows.append(
-                {
-                    "sample": sample,
+                ({"model": one.model} if one.model else {})
+                | {
+                    "sample": one.sample,
                     "parameter": name,
                     "in words": long_name,
                     "unit": str(own.parameter_unit.item()),
                     "median": middle,
                     "standard deviation": float(own.value_stderr),
-                    "known": known.get(name, {}).get(sample, np.nan),
+                    "known": known.get(name, {}).get(one.sample, np.nan),
                     "16 %": below,
                     "84 %": above,
                     "2.5 %": low,
@@ -101,6 +158,7 @@ def retrieved_table(
                     "told by the spectrum": "yes" if own.determined else "no",
                     "averaging kernel": float(own.averaging_kernel.sel(other_parameter=name)),
                     "chi2": ds.attrs["chi2"],
+                    "chi2 where known": one.misfit,
                     "chi2 expected": ds.attrs["chi2_expected"],
                     "errors enlarged by": ds.attrs["errors_enlarged_by"],
                     "to be known": ds.attrs["warnings"],
@@ -109,22 +167,36 @@ def retrieved_table(
     return pd.DataFrame(rows)
 
 
-def together(found: Mapping[str, Retrieved], experiment: str) -> xr.Dataset:
+def together(found: list[Reading], experiment: str) -> xr.Dataset:
     """Return all samples as one dataset, which `splits.figures.retrievals` draws.
 
-    Of samples that were measured at other wavelengths, those that all have.
+    Over models and samples.  Of samples that were measured at other wavelengths, those that all
+    have; without those that were retrieved first.
     """
-    # Of one that came first, with some of the others' parameters known, fewer were free.
-    most = max(one.dataset.sizes["parameter"] for one in found.values())
-    full = {n: one for n, one in found.items() if one.dataset.sizes["parameter"] == most}
-    sets, names = [one.dataset for one in full.values()], list(full)
-    joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
-    for key in ("chi2", "chi2_expected", "errors_enlarged_by", "degrees_of_freedom"):
-        row = np.array([one.attrs[key] for one in sets])
-        joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
+    full = [one for one in found if not one.alone]
+    models = list(dict.fromkeys(one.model for one in full))
+    joined = xr.concat(
+        [_of_model([one for one in full if one.model == model]) for model in models],
+        xr.IndexVariable("model", models), join="outer", combine_attrs="drop",
+    )  # fmt: skip
+    # In the order of the first model, which knows of all parameters.
+    order = full[0].told.dataset.parameter.values
+    joined = joined.sel(parameter=order, other_parameter=order)
     facts = {
         "title": f"Retrievals of {experiment}",
         "experiment": experiment,
         **provenance(f"retrievals of {experiment}"),
     }
     return joined.assign_attrs(attributes(facts))
+
+
+def _of_model(readings: list[Reading]) -> xr.Dataset:
+    """Return the samples of one model as one dataset."""
+    sets, names = [one.told.dataset for one in readings], [one.sample for one in readings]
+    joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
+    for key in ("chi2", "chi2_expected", "errors_enlarged_by", "degrees_of_freedom"):
+        row = np.array([one.attrs[key] for one in sets])
+        joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
+    misfits = np.array([one.misfit for one in readings])
+    about = {"long_name": "chi2 where what is known is so", "units": "1"}
+    return joined.assign(chi2_where_known=("sample", misfits, about))

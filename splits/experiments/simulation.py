@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -275,12 +275,14 @@ class Simulation(Section):
 
     def axes(self) -> Axes:
         """Return the grid as the axes of a table: increasing numbers, or texts."""
-        return Axes.of({p: list(values.values()) for p, values in self.grid.items()})
+        return Axes.of({p: list(_nodes(values)) for p, values in self.grid.items()})
 
     def medium_at(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid, without the incidence."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
-        return self._made(self.settings_at(base, values))
+        chosen = {p: self.grid[p][v] if _nodes(self.grid[p]) is self.grid[p] else v
+                  for p, v in values.items()}  # fmt: skip
+        return self._made(self.settings_at(base, chosen))
 
     def _made(self, settings: Mapping[str, Any]) -> Medium:
         kind = self.medium.get("kind", "snow")
@@ -297,6 +299,11 @@ class Simulation(Section):
     def configuration(self) -> str:
         """Return `simulation` as JSON for a dataset, users' tables by name and content."""
         return json.dumps(renamed(self.simulation(), by_content), sort_keys=True)
+
+
+def _nodes(values: Mapping[str, Any]) -> Iterable[Any]:
+    """Return what a table has along an axis: its values, or their labels where these say more."""
+    return values if any(isinstance(v, Mapping) for v in values.values()) else values.values()
 
 
 def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

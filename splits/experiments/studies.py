@@ -41,7 +41,7 @@ class Study(Section):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "readings", "surface_area", "sobol",
+        "layer_trends", "readings", "surface_area", "sobol", "anisotropy",
     ]  # fmt: skip
     experiments: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)

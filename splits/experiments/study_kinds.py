@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from splits.analysis.roles import ANGULAR, LAYER, SAND, SNOW, SURFACE_AREA, Role
+from splits.analysis.roles import ANGULAR, ANISOTROPY, LAYER, SAND, SNOW, SURFACE_AREA, Role
 
 FIGURE = (".png", ".svg", ".pdf")
 """What names of figures end in; the report shows the first."""
@@ -48,6 +48,11 @@ PRODUCTS: dict[str, dict[str, Product]] = {
         "figure": Product("figures", FIGURE, "{study}"),
     },
     "sobol": {"table": _table("{study}"), "figure": Product("figures", FIGURE, "{study}")},
+    "anisotropy": {
+        "table": _table("{study}"),
+        "misfits": _table("{study}_by_angle"),
+        "figure": Product("figures", FIGURE, "{study}"),
+    },
     "angular_trends": {"table": _table("{study}")},
     "layer_trends": {"table": _table("{study}")},
     "surface_area": {
@@ -61,7 +66,7 @@ PRODUCTS: dict[str, dict[str, Product]] = {
 
 ROLES: dict[str, Mapping[str, Role]] = {
     "agreement": SNOW, "sand_tables": SAND, "angular_trends": ANGULAR, "layer_trends": LAYER,
-    "surface_area": SURFACE_AREA,
+    "surface_area": SURFACE_AREA, "anisotropy": ANISOTROPY,
 }  # fmt: skip
 SOME = ("angular_trends", "layer_trends")
 """Kinds that make what they can of some of their roles."""
@@ -72,5 +77,6 @@ FILES = {
     "readings": {"published": "published"},
     "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
     "surface_area": {"spectra": "measured"},
+    "anisotropy": {"directions": "measured"},
 }
 """Tables of numbers that a kind of study reads, and their folders beside that of media."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -34,17 +35,22 @@ SHORT = {
     "saturation": "water",
     "iron_oxide": "iron oxide",
     "hematite_ratio": "hematite",
+    "magnetite": "magnetite",
 }
 """What corners and kernels, which have little room, call parameters."""
 ROWS = 3
 """Rows at most: samples, evenly among all, and what is known of them."""
 FEWEST = 3
 """Samples from which on a slope is told."""
+FITTING = 4
+"""Parameters of an averaging kernel whose numbers fit at the usual size."""
 _ROW_INCHES = 3.3
 
 
 def retrievals(
-    dataset: xr.Dataset, known: Mapping[str, Mapping[str, float]] | None = None
+    dataset: xr.Dataset,
+    known: Mapping[str, Mapping[str, float]] | None = None,
+    groups: Sequence[str] = ("",),
 ) -> Figure:
     """Draw a row for some samples, and what was found of all against what is known.
 
@@ -54,6 +60,8 @@ def retrievals(
         As `splits.experiments.run_retrieve.together` returns it.
     known : mapping, optional
         Values by parameter and sample that were found otherwise.
+    groups : sequence of str
+        How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values
     most = min(len(every), ROWS - bool(known))
@@ -70,40 +78,72 @@ def retrievals(
             _corner(figure, grid[row, 1], part)
             _kernel(figure.add_subplot(grid[row, 2]), part)
         if known:
-            below = grid[rows - 1, :].subgridspec(1, max(2, len(known)))
-            for column, (name, values) in enumerate(known.items()):
-                tops.append(_against(figure.add_subplot(below[column]), dataset, name, values))
+            panels = [(name, group) for name in known for group in groups]
+            below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
+            for column, (name, group) in enumerate(panels):
+                axes = figure.add_subplot(below[column])
+                tops.append(_against(axes, dataset, name, known[name], group))
         note = (
-            "Bands: two standard errors, of the measurement (grey) and of the table (blue). Dots: "
-            "draws from what the spectrum allows; lines: 16, 50 and 84 %."
+            "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
+            "Dots: draws from what the spectrum allows"
         )
+        if dataset.sizes["model"] == 1:
+            note += "; lines: 16, 50 and 84 %."
+        else:
+            note += f". Averaging kernels: {value_label(str(dataset.model.values[0]), 'model')}."
         return finished(figure, tops, note)
 
 
-def _against(axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float]) -> Axes:
+def line_through_origin(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Return the slope of y = a x, its standard error, and the scatter of y about the line."""
+    slope = float((x * y).sum() / (x * x).sum())
+    scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
+    return slope, scatter / float(np.sqrt((x * x).sum())), scatter
+
+
+def _against(
+    axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float], group: str
+) -> Axes:
     """Draw what was found of a parameter against what is known of it."""
-    samples = [s for s in known if s in dataset.sample.values]
+    samples = [s for s in known if s in dataset.sample.values and s.startswith(group)]
     x = np.array([known[s] for s in samples])
-    part = dataset.quantiles.sel(sample=samples, parameter=name).transpose("quantile", "sample")
-    widest, low, y, high, most = part.values
-    (blue,) = colours(1)
-    for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
-        axes.vlines(x, *ends, color=blue, lw=width)
-    axes.plot(x, y, "o", color=blue, ms=3)
-    top = 1.08 * max(float(most.max()), float(x.max()))
+    top = float(x.max())
+    for model, colour in _models(dataset):
+        own = dataset.sel(model=model, sample=samples)
+        part = own.quantiles.sel(parameter=name).transpose("quantile", "sample")
+        widest, low, y, high, most = part.values
+        if not np.isfinite(y).all():
+            continue
+        for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
+            axes.vlines(x, *ends, color=colour, lw=width)
+        told = [value_label(model, "model")] if model else []
+        if len(samples) >= FEWEST:
+            slope, error, scatter = line_through_origin(x, y)
+            told.append(f"slope {slope:.2f} ± {error:.2f}, scatter {scatter:.2g}")
+            misfit = own.chi2_where_known.values
+            if model and np.isfinite(misfit).all():
+                told.append(f"χ² {misfit.sum():.0f} at what is known")
+        axes.plot(x, y, "o", color=colour, ms=3, label="\n".join(told) or None)
+        top = max(top, float(most.max()))
+    top *= 1.08
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    if len(samples) >= FEWEST:
-        slope = float((x * y).sum() / (x * x).sum())
-        scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
-        axes.set_title(f"slope {slope:.2f}, scatter {scatter:.2g}")
-    else:
-        axes.set_title("against what is known")
+    axes.set_title(group.strip() or "against what is known")
     axes.set_xlabel(f"{parameter_label(name)}, known")
     axes.set_ylabel(f"{parameter_label(name)}, retrieved")
     axes.set_xlim(0.0, top)
-    axes.set_ylim(0.0, top)
+    # Room for a legend above the points.
+    axes.set_ylim(0.0, top * (1.0 if dataset.sizes["model"] == 1 else 1.6))
+    if any(not handle.get_label().startswith("_") for handle in axes.get_lines()):
+        axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left")
     axes.spines[["top", "right"]].set_visible(False)
     return axes
+
+
+def _models(dataset: xr.Dataset) -> list[tuple[str, Any]]:
+    """Return the names of the models, with their colours."""
+    names = list(map(str, dataset.model.values))
+    return list(zip(names, colours(len(names), "medium") if len(names) > 1 else colours(1),
+                    strict=True))  # fmt: skip
 
 
 def _open(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
@@ -119,29 +159,39 @@ def _spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: str) 
     inner = place.subgridspec(2, 1, height_ratios=[2.0, 1.0])
     top = figure.add_subplot(inner[0])
     bottom = figure.add_subplot(inner[1], sharex=top)
-    (blue,) = colours(1)
-    x, measured, noise, fitted, error = _open(
-        part.wavelength.values, part.measured.values, part.measured_stderr.values,
-        part.fitted.values, part.fitted_stderr.values,
-    )  # fmt: skip
-    top.plot(x, measured, color="black", lw=1.0, label="measured")
-    top.plot(x, fitted, color=blue, lw=1.0, ls="--", label="table")
-    bottom.plot(x, fitted - measured, color=blue, lw=0.8)
-    for axes, middle in ((top, measured), (bottom, np.zeros_like(measured))):
-        axes.fill_between(x, middle - BAND * noise, middle + BAND * noise, color="0.8", lw=0)
-    bottom.fill_between(
-        x, fitted - measured - BAND * error, fitted - measured + BAND * error, color=blue,
-        alpha=0.25, lw=0,
-    )  # fmt: skip
+    highest = 0.0
+    for number, (model, colour) in enumerate(_models(part)):
+        own = part.sel(model=model)
+        x, measured, noise, fitted, error = _open(
+            own.wavelength.values, own.measured.values, own.measured_stderr.values,
+            own.fitted.values, own.fitted_stderr.values,
+        )  # fmt: skip
+        if number == 0:
+            top.plot(x, measured, color="black", lw=1.0, label="measured")
+            for axes, middle in ((top, measured), (bottom, np.zeros_like(measured))):
+                low, high = middle - BAND * noise, middle + BAND * noise
+                axes.fill_between(x, low, high, color="0.8", lw=0)
+        label = f"{value_label(model, 'model') if model else 'table'}, χ² {float(own.chi2):.0f}"
+        if part.sizes["model"] == 1:
+            label += f" of {float(own.chi2_expected):.0f}"
+        top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)
+        off = fitted - measured
+        bottom.plot(x, off, color=colour, lw=0.8)
+        bottom.fill_between(x, off - BAND * error, off + BAND * error, color=colour, alpha=0.25,
+                            lw=0)  # fmt: skip
+        highest = max(highest, float(np.nanmax([measured, fitted])))
     bottom.axhline(0.0, color="black", lw=0.6)
-    top.set_title(title)
+    expected = float(part.chi2_expected.isel(model=0))
+    top.set_title(title if part.sizes["model"] == 1 else f"{title} (χ² expected: {expected:.0f})")
     top.set_ylabel("reflectance")
-    top.set_ylim(0.0, 1.1 * float(np.nanmax([measured, fitted])))
+    # Room above for a legend of several lines.
+    several = part.sizes["model"] > 1
+    top.set_ylim(0.0, (1.35 + 0.13 * part.sizes["model"] if several else 1.1) * highest)
     top.tick_params(labelbottom=False)
     bottom.set_ylabel("difference")
     bottom.set_xlabel("wavelength (nm)")
-    misfit = f"χ² {float(part.chi2):.3g} of {float(part.chi2_expected):.3g}"
-    top.legend(title=misfit, frameon=False, fontsize=SMALLEST, title_fontsize=SMALLEST)
+    top.legend(frameon=False, fontsize=SMALLEST, loc="upper right" if several else "best",
+               handlelength=1.2, borderaxespad=0.0)  # fmt: skip
     for axes in (top, bottom):
         axes.spines[["top", "right"]].set_visible(False)
     return top
@@ -151,24 +201,29 @@ def _corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
     """Draw the draws: each parameter, and every two of them."""
     names = list(map(str, part.parameter.values))
     inner = place.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
-    (blue,) = colours(1)
-    draws = part.draws.transpose("draw", "parameter").values
-    some = draws[:: max(1, len(draws) // SHOWN)]
-    marks = part.quantiles.sel(quantile=[0.16, 0.5, 0.84]).transpose("quantile", "parameter").values
+    draws = part.draws.transpose("model", "draw", "parameter").values
+    some = draws[:, :: max(1, draws.shape[1] // SHOWN)]
+    shares = [0.16, 0.5, 0.84]
+    marks = part.quantiles.sel(quantile=shares).transpose("model", "quantile", "parameter").values
+    shades = [colour for _, colour in _models(part)]
+    # A law that does not know of a parameter has no draws of it.
+    low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
     for i in range(len(names)):
         for j in range(i + 1):
             axes = figure.add_subplot(inner[i, j])
+            for number, colour in enumerate(shades):
+                if i == j:
+                    own = draws[number, np.isfinite(draws[number, :, i]), i]
+                    axes.hist(own, bins=BINS, color=colour, alpha=0.6)
+                    for mark in marks[number, :, i] if len(shades) == 1 else ():
+                        axes.axvline(mark, color="black", lw=0.6)
+                else:
+                    axes.plot(some[number, :, j], some[number, :, i], ".", ms=1.0, color=colour,
+                              alpha=0.4, rasterized=True)  # fmt: skip
             if i == j:
-                axes.hist(draws[:, i], bins=BINS, color=blue, alpha=0.6)
-                for mark in marks[:, i]:
-                    axes.axvline(mark, color="black", lw=0.6)
                 axes.set_yticks([])
                 axes.spines[["top", "right", "left"]].set_visible(False)
-            else:
-                axes.plot(some[:, j], some[:, i], ".", ms=1.0, color=blue, alpha=0.4,
-                          rasterized=True)  # fmt: skip
-            low, high = np.quantile(draws[:, j], [0.002, 0.998])
-            axes.set_xlim(low, high)
+            axes.set_xlim(low[j], high[j])
             _label(axes, names, (i, j))
 
 
@@ -178,6 +233,7 @@ def _label(axes: Axes, names: list[str], place: tuple[int, int]) -> None:
     axes.locator_params(nbins=3, axis="x")
     if i != j:
         axes.locator_params(nbins=3, axis="y")
+        axes.ticklabel_format(axis="y", style="plain")
     axes.tick_params(labelsize=SMALLEST)
     if i == len(names) - 1:
         axes.set_xlabel(_short(names[j]), fontsize=SMALLEST)
@@ -197,13 +253,15 @@ def _short(name: str) -> str:
 
 def _kernel(axes: Axes, part: xr.Dataset) -> None:
     """Draw the averaging kernel as numbers on shades."""
+    part = part.isel(model=0)
     names = [_short(str(n)).partition("\n")[0] for n in part.parameter.values]
     kernel = part.averaging_kernel.values
     axes.imshow(kernel, cmap="RdBu", vmin=-1.5, vmax=1.5)
     for i, j in np.ndindex(kernel.shape):
         told = f"{kernel[i, j]:.2f}".replace("-0.00", "0.00").replace("-", "−")
         colour = "white" if abs(kernel[i, j]) > 1.05 else "black"
-        axes.text(j, i, told, ha="center", va="center", fontsize=SMALLEST, color=colour)
+        size = SMALLEST * min(1.0, FITTING / len(names))
+        axes.text(j, i, told, ha="center", va="center", fontsize=size, color=colour)
     axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=SMALLEST)
     axes.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     axes.tick_params(length=0)

@@ -62,6 +62,7 @@ WORDS = {
     "bottom_albedo": {"None": "no bottom"},
     "surface": {"None": "smooth"},
     "ground": {"None": "open"},
+    "model": {"kokhanovsky_zege_2004": "Kokhanovsky & Zege", "splits": "this model"},
     "polarized": {"0": "no", "1": "yes"},
     "opaque": {"0": "no", "1": "yes"},
     "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},

@@ -307,14 +307,14 @@ def _through_face(
     A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
     entering: by n², as reciprocity asks for.
     """
-    if not lowest.saturation or not lowest.readings.rules(False).boundary_fresnel:
+    if not lowest.wet_share or not lowest.readings.rules(False).boundary_fresnel:
         return sent
     index = indices.real
     n = index[:, WET_PORE] / index[:, DRY_PORE]
     outer = diffuse_reflectance(n)
     inner = 1.0 - (1.0 - outer) / n**2
     wet = optics.wet_share.values
-    out, back = 1.0 - wet * inner, 1.0 - float(lowest.saturation) * outer
+    out, back = 1.0 - wet * inner, 1.0 - float(lowest.wet_share) * outer
     # What the ground keeps, in units of what reaches the face from within, is to be 1 − sent.
     kept = 1.0 - sent
     albedo: np.ndarray = np.clip((out - kept) / (out - kept * (1.0 - back)), 0.0, 1.0)

@@ -162,7 +162,7 @@ def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) 
 
 
 def _moved_by(slopes: Slopes, before: Slopes) -> Slopes:
-    """Return derivatives that may be off by half of what they moved, beyond noise, with the step."""
+    """Return derivatives with half of what they moved, beyond noise, in what they may miss."""
     noise = ((slopes.groups - before.groups) ** 2).sum(axis=0)
     moved = np.sqrt(np.maximum((slopes.mean - before.mean) ** 2 - noise, 0.0))
     return slopes._replace(missed=np.maximum(slopes.missed, 0.5 * moved))

@@ -90,8 +90,8 @@ def optics_of(
         Of the medium at these wavelengths.
     """
     index, absorption = constants
-    wet = _wet_share(medium.saturation, index, plan.wet_pores)
-    at_nodes = _wet_share(medium.saturation, nodes.index, plan.wet_pores)
+    wet = _wet_share(medium.wet_share, index, plan.wet_pores)
+    at_nodes = _wet_share(medium.wet_share, nodes.index, plan.wet_pores)
     traced = _trace(scene, nodes, at_nodes, absorption, plan)
     values = _estimate(traced, nodes.bias, plan.moments + 1, plan.rays)
     pore = (1.0 - wet) * absorption[:, DRY_PORE] + wet * absorption[:, WET_PORE]

@@ -98,7 +98,7 @@ def _steps_of_grains(medium: GranularMedium, absorption: np.ndarray) -> Steps:
         core = absorption[:, types.material[kind, coats]]
         depths.append(chord * (core + 4.5 * film))
         of_all.append(shares[kind])
-    filled = [1.0 - medium.saturation - sum(medium.pores.values()), medium.saturation]
+    filled = [1.0 - medium.wet_share - sum(medium.pores.values()), medium.wet_share]
     for pore, share in enumerate([*filled, *medium.pores.values()]):
         if share > 0.0:
             depths.append(leg * absorption[:, pore])

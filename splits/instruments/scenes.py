@@ -100,7 +100,7 @@ def granular_scene(
     layers = Layers(
         face=face,
         attenuation=np.array([one.attenuation for one in grains]),
-        saturation=np.array([float(one.saturation) for one in media]),
+        saturation=np.array([float(one.wet_share) for one in media]),
         share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
         first=types[:-1],
         pore=materials[:-1],
@@ -120,7 +120,7 @@ def _others_of(media: Sequence[Part]) -> np.ndarray:
     most = max(len(row) for row in shares)
     return np.array(
         [
-            float(one.saturation) + np.cumsum([*row, *[0.0] * (most - len(row))])
+            float(one.wet_share) + np.cumsum([*row, *[0.0] * (most - len(row))])
             for one, row in zip(media, shares, strict=True)
         ]
     ).reshape(len(media), most)

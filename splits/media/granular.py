@@ -131,6 +131,11 @@ class GranularMedium(Described, Protocol):
         ...
 
     @property
+    def wet_share(self) -> float:
+        """Probability that a leg through pores runs in water."""
+        ...
+
+    @property
     def pores(self) -> Mapping[str, float]:
         """Shares of the pore space that other media fill, by name."""
         ...

@@ -45,7 +45,7 @@ class ParticleLayer:
 
     layer: Layer
     top: bool = False
-    saturation = 1.0
+    wet_share = 1.0
     largest_grain_m = 0.0
 
     def __post_init__(self) -> None:

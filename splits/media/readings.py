@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from splits.checks import known_keywords, listed, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
+from splits.media.wetness import WATER
 from splits.transport.grains.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -28,6 +29,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "sizes": ("separates", "single"),
     "excess_magnetite": EXCESS_MAGNETITE,
     "attenuation": ("solid", "printed"),
+    "water": WATER,
 }
 
 SETS: dict[str, dict[str, str]] = {
@@ -197,9 +199,15 @@ class SandReadings(TransportReadings):
     attenuation : {"solid", "printed"}
         Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
         as Eqs 22-24 print it, without.
+    water : {"whole_pores", "narrow_pores", "film"}
+        Every leg through pores is wet with the probability `saturation` (section 4.3.2); the
+        shortest legs are, whose volume is `saturation`, as capillary pressure has it; or water is
+        a film on all grains, which acts as a coating, up to a relative thickness of 0.05, and
+        beyond that fills whole pores.  See `splits.media.wetness`.
     """
 
     mixing: str = "maxwell_garnett"
     sizes: str = "separates"
     excess_magnetite: str = "first"
     attenuation: str = "solid"
+    water: str = "whole_pores"

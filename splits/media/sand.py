@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, numbers
+from splits.checks import in_range, known_keywords, numbers, refuse
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, ParticleType, coating_fraction, compose
 from splits.media.granular import Interface, mean_leg_m
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
-from splits.media.pores import Pores, other_pores
+from splits.media.pores import WATER, Pores, other_pores
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SoilSizes, soil_sizes
-from splits.transport.grains.scene import Grains, Types
+from splits.media.wetness import Wetness, wetness
+from splits.transport.grains.scene import WET_PORE, Grains, Types
 
 
 @known_keywords
@@ -45,7 +46,7 @@ class Sand:
     texture : (clay, silt, sand)
         Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
     saturation : float
-        Fraction of the pore space filled with water, 0 to 1.
+        Fraction of the pore space filled with water, 0 to 1; ``readings.water`` says which.
     pores : mapping, optional
         Fractions of the pore space filled with other media, by name: ``{"oil": 0.1}``.
         ``refractive_index`` has to know them.
@@ -137,6 +138,9 @@ class Sand:
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
         given = self.refractive_index
         put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
+        if self.pores and self.readings.water == "narrow_pores":
+            hint = "which pores these media fill is not known: leave readings.water out"
+            raise refuse("pores", dict(self.pores), "empty with readings.water narrow_pores", hint)
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
         _ = self.sizes, self.composition
@@ -186,19 +190,31 @@ class Sand:
         return 4.0 * self.attenuation_per_m / self.density_kg_m3
 
     @cached_property
+    def _wetness(self) -> Wetness:
+        """Where the water is."""
+        sphericity, reading = self.sphericity[2], self.readings.water
+        return wetness(self.saturation, self.porosity, sphericity, reading)
+
+    @property
+    def wet_share(self) -> float:
+        """Probability that a leg through pores runs in water."""
+        return self._wetness.share
+
+    @cached_property
     def _layers(self) -> list[tuple[str, ...]]:
         """Names of the materials of each particle type, from the outside in."""
-        return [_materials_of(t) for t in self.composition.types]
+        film = (WATER,) if self._wetness.film else ()
+        return [(*film, *_materials_of(t)) for t in self.composition.types]
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        minerals = dict.fromkeys(m for layers in self._layers for m in layers)
+        minerals = dict.fromkeys(m for layers in self._layers for m in layers if m != WATER)
         return (*self.fluids.names, *minerals)
 
     @cached_property
     def fluids(self) -> Pores:
-        """What fills the pores."""
-        return Pores.of(self.saturation, self.pores)
+        """What fills the pores, by the probability that legs run there."""
+        return Pores.of(self.wet_share, self.pores)
 
     def grains(self) -> Grains:
         """Return the table of particle types; sizes and shapes are those of all types."""
@@ -209,6 +225,8 @@ class Sand:
         for i, layers in enumerate(self._layers):
             material[i, : len(layers)] = [names.index(m) for m in layers]
             thickness[i, : len(layers) - 1] = self.relative_coating_thickness
+            if self._wetness.film:
+                thickness[i, 0] = self._wetness.film
         facetness = statistics.truncated_normal(
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
@@ -241,6 +259,8 @@ class Sand:
         mix = MIXING[self.readings.mixing]
         index = np.ones((wavelength_nm.size, len(self.materials())), dtype=complex)
         self.fluids.fill(index, self.refractive_index, wavelength_nm)
+        # A leg that is water for a part of its length absorbs by that part.
+        index[:, WET_PORE].imag *= self._wetness.filled
         known: dict[str, np.ndarray] = {}
 
         def pure(mineral: str) -> np.ndarray:
@@ -248,8 +268,10 @@ class Sand:
                 known[mineral] = self.refractive_index[mineral](wavelength_nm)
             return known[mineral]
 
-        for particle, layers in zip(self.composition.types, self._layers, strict=True):
-            for name in layers:
+        if self._wetness.film:
+            index[:, WET_PORE] = pure(WATER)
+        for particle in self.composition.types:
+            for name in _materials_of(particle):
                 row = self.materials().index(name)
                 matrix, _, oxide = name.partition(" with ")
                 index[:, row] = pure(matrix)

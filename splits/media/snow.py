@@ -244,6 +244,11 @@ class Snow:
         """Volume of water per volume of snow."""
         return self.saturation * self.porosity
 
+    @property
+    def wet_share(self) -> float:
+        """Probability that a leg through pores runs in water."""
+        return self.saturation
+
     def grains(self) -> Grains:
         """Return the table of particle types: one, of ice."""
         sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)

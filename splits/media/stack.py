@@ -156,7 +156,7 @@ class Stack:
         grains, neighbour = self.parts[one], self.parts[other]
         if isinstance(grains, ParticleLayer):
             return []
-        shares = Pores.of(grains.saturation, grains.pores).shares
+        shares = Pores.of(grains.wet_share, grains.pores).shares
         matrix = isinstance(neighbour, ParticleLayer)
         if not matrix and not grains.readings.rules().boundary_fresnel:
             return []

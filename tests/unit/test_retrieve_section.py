@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from formula_tables import W, snowlike, spectrum
 from pydantic import ValidationError
 
+import splits
 from splits.checks import Refusal
 from splits.experiments.model import Experiment
 from splits.experiments.retrieve_section import Noise, RetrieveSection
@@ -30,6 +32,11 @@ TABLE = {
 }
 
 
+def by_sample(readings):
+    """Return what samples tell by their names."""
+    return {one.sample: one.told for one in readings}
+
+
 def measured():
     """Return a table of two samples, the first of which is hardly dirty."""
     return pd.DataFrame(
@@ -43,7 +50,7 @@ def measured():
 
 def test_samples_are_retrieved_where_the_table_reaches():
     section = RetrieveSection.model_validate(SECTION)
-    found = run_retrieve(section, snowlike(), measured())
+    found = by_sample(run_retrieve(section, snowlike(), measured()))
     assert list(found) == ["clean@30", "dirty@60"]
     for name, size in (("clean@30", 150.0), ("dirty@60", 600.0)):
         assert found[name].dataset.sizes["wavelength"] == W.size
@@ -52,7 +59,7 @@ def test_samples_are_retrieved_where_the_table_reaches():
 
 def test_what_is_left_out_does_not_count():
     section = RetrieveSection.model_validate({**SECTION, "left_out_nm": [[650, 850]]})
-    found = run_retrieve(section, snowlike(), measured())["dirty@60"].dataset
+    found = by_sample(run_retrieve(section, snowlike(), measured()))["dirty@60"].dataset
     assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
 
 
@@ -60,11 +67,36 @@ def test_the_first_sample_tells_what_is_known_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *spectrum(150.0, 400.0)]
     given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {DIRT: 1.0}}}
-    found = run_retrieve(RetrieveSection.model_validate(given), snowlike(), pd.DataFrame(table))
+    readings = run_retrieve(RetrieveSection.model_validate(given), snowlike(), pd.DataFrame(table))
+    found = by_sample(readings)
     assert list(found["clean@30"].values) == [SIZE]
-    plain = run_retrieve(RetrieveSection.model_validate(SECTION), snowlike(), pd.DataFrame(table))
+    section = RetrieveSection.model_validate(SECTION)
+    plain = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
     assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
-    assert list(together(found, "some").sample.values) == ["wetter@30"]
+    assert list(together(readings, "some").sample.values) == ["wetter@30"]
+    given["prior_from"] |= {"of": "other"}
+    section = RetrieveSection.model_validate(given)
+    alone = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
+    assert alone["wetter@30"].stderr == plain["wetter@30"].stderr
+
+
+def test_every_sample_is_read_with_every_model():
+    """Of a model whose light is wrong the misfit is larger, and larger still at what is known."""
+    right = snowlike().dataset
+    wrong = right.assign(reflectance=right.reflectance * (1.0 - 1e-4 * right.wavelength))
+    both = xr.concat([right, wrong], xr.IndexVariable("readings", ["right", "wrong"]))
+    given = {**SECTION, "models": "readings", "known": {SIZE: {"dirty@60": 600.0}}}
+    found = run_retrieve(RetrieveSection.model_validate(given), splits.Table(both), measured())
+    assert [(one.model, one.sample) for one in found] == [
+        (model, sample) for model in ("right", "wrong") for sample in ("clean@30", "dirty@60")
+    ]  # fmt: skip
+    assert np.isnan(found[0].misfit)
+    for one in found[1::2]:
+        assert one.misfit >= one.told.dataset.attrs["chi2"] - 1e-6
+    assert found[3].misfit > 2.0 * found[1].misfit
+    joined = together(found, "some")
+    assert joined.sizes["model"] == 2 and joined.sizes["sample"] == 2
+    assert retrieved_table(found, given["known"]).model.unique().tolist() == ["right", "wrong"]
 
 
 def test_tables_and_figures_show_all_samples(tmp_path):

@@ -174,6 +174,29 @@ for NAME in of_kind("surface_area"):
             "../scripts/surface_area.py"
 
 
+for NAME in of_kind("anisotropy"):
+
+    rule:
+        name:
+            NAME
+        input:
+            **study_files(NAME),
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        message:
+            "Holding directions against measured ones"
+        script:
+            "../scripts/anisotropy.py"
+
+
 for NAME in of_kind("sobol"):
 
     rule:

@@ -52,6 +52,11 @@ REPORTS = {
         "table": ("sobol", "Sensitivity"),
         "figure": ("sobol", "Sensitivity"),
     },
+    "anisotropy": {
+        "table": ("anisotropy", "Sand"),
+        "misfits": ("anisotropy", "Sand"),
+        "figure": ("anisotropy", "Sand"),
+    },
     "sand_compositions": {"table": ("sand_compositions", "Sand")},
     "angular_trends": {"table": ("angular_trends", "Angles")},
     "layer_trends": {"table": ("layer_trends", "Layers")},

@@ -21,5 +21,7 @@ with progress_log(snakemake.log[0]) as say:
         say,
     )
     write_table(retrieved_table(found, section.known), snakemake.output.table)
-    figure = retrievals(together(found, snakemake.wildcards.experiment), section.known)
+    joined = together(found, snakemake.wildcards.experiment)
+    groups = [first.of for first in section.prior_from] or [""]
+    figure = retrievals(joined, section.known, groups)
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

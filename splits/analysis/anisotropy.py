@@ -1,0 +1,134 @@
+"""Modelled beside measured directions: anisotropy factors, and how far they are apart by angle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.checks import refuse
+
+FACTOR = "anisotropy_factor"
+COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", FACTOR)
+"""What a table of measured directions has, besides columns named like parameters of a grid."""
+EVERY = "all"
+"""In place of an angle: every direction."""
+
+
+def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+    """Return every measured anisotropy factor with the modelled one, for each model.
+
+    The anisotropy factor is reflectance seen from a direction over that seen from above, so the
+    level of light does not count.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        BRDF over ``polar`` and ``azimuth`` (degrees), ``wavelength`` (nm) and a grid.  Axes of it
+        that the table has no column for are models.
+    measured : pandas.DataFrame
+        With `COLUMNS` and one column for each other axis, whose values the grid has.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The table's columns, one for each model's axis, ``modelled`` and ``stderr``.
+
+    Raises
+    ------
+    ValueError
+        For a column that is missing, or directions that the dataset does not have.
+    """
+    for name in COLUMNS:
+        if name not in measured:
+            raise refuse("directions", list(measured.columns), f"a table with column {name}")
+    brdf, error = dataset.brdf, dataset.brdf_stderr
+    parameters = [c for c in measured.columns if c not in COLUMNS]
+    models = [str(d) for d in brdf.dims if d not in ("wavelength", "polar", "azimuth", *parameters)]
+    _check_reach(dataset, measured)
+    # Once around: directions lie between those of the dataset.
+    around = [xr.concat([v, v.isel(azimuth=[0]).assign_coords(azimuth=[360.0])], "azimuth")
+              for v in (brdf, error)]  # fmt: skip
+    place = {
+        name: xr.DataArray(measured[column].to_numpy(dtype=float), dims="row")
+        for name, column in (("polar", "polar_deg"), ("azimuth", "azimuth_deg"))
+    }
+    fixed = {
+        name: xr.DataArray(_labels(dataset[name].values, measured[name]), dims="row")
+        for name in parameters
+    } | {"wavelength": xr.DataArray(measured.wavelength_nm.to_numpy(dtype=float), dims="row")}
+    seen = [one.sel(fixed).interp(place) for one in around]
+    above = [one.sel(fixed).isel(polar=0).mean("azimuth") for one in around]
+    factor = seen[0] / above[0]
+    stderr = factor * np.hypot(seen[1] / seen[0], above[1] / above[0])
+    found = factor.to_dataset(name="modelled").assign(stderr=stderr).reset_coords(drop=True)
+    frame = found.to_dataframe().reset_index().sort_values([*models, "row"], ignore_index=True)
+    rows = measured.iloc[frame["row"].to_numpy()].reset_index(drop=True)
+    return pd.concat([frame[models], rows, frame[["modelled", "stderr"]]], axis=1)
+
+
+def by_angle(table: pd.DataFrame) -> pd.DataFrame:
+    """Return root-mean-square differences of anisotropy factors by the angle of view.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        As `beside_measured` returns it.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row for each model, point of the grid, wavelength and polar angle, and for `EVERY` one,
+        with ``rmse``, the mean difference ``bias``, ``directions``, and ``spread``: the standard
+        deviation of what was measured, which a model that knows of no directions would miss.
+    """
+    keys = [c for c in table if c not in ("azimuth_deg", FACTOR, "modelled", "stderr")]
+    whole = table.assign(polar_deg=EVERY)
+    rows = []
+    for values, part in [
+        pair for one in (table, whole) for pair in one.groupby(keys, sort=False, dropna=False)
+    ]:
+        off = (part.modelled - part[FACTOR]).to_numpy()
+        rows.append(
+            dict(zip(keys, values, strict=True))
+            | {
+                "rmse": float(np.sqrt((off**2).mean())),
+                "bias": float(off.mean()),
+                "spread": float(np.sqrt(((part[FACTOR] - 1.0) ** 2).mean())),
+                "model_stderr": float(np.sqrt((part.stderr**2).mean())),
+                "directions": len(part),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _check_reach(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
+    """Refuse directions beyond those of a dataset, and one that does not look from above."""
+    polar, azimuth = dataset.polar.values, dataset.azimuth.values
+    if polar[0] != 0.0 or azimuth[0] != 0.0:
+        raise refuse("polar_deg", [float(polar[0]), float(azimuth[0])], "from 0 on, azimuths too")
+    for name, last in (("polar_deg", polar[-1]), ("azimuth_deg", 360.0)):
+        if not measured[name].between(0.0, last).all():
+            raise refuse(f"directions.{name}", float(measured[name].max()), f"0 to {last:g}")
+    missing = set(measured.wavelength_nm.astype(float)) - set(dataset.wavelength.values)
+    if missing:
+        raise refuse("directions.wavelength_nm", sorted(missing), "those of the experiment")
+
+
+def _labels(labels: np.ndarray, given: pd.Series) -> np.ndarray:
+    """Return the labels of a grid that values have."""
+    known = {str(label): label for label in labels}
+    known |= {f"{float(k):g}": v for k, v in known.items() if _is_number(k)}
+    texts = [f"{v:g}" if not isinstance(v, str) else v for v in given]
+    for text in texts:
+        if text not in known:
+            raise refuse(f"directions.{given.name}", text, f"one of {', '.join(map(str, labels))}")
+    return np.array([known[text] for text in texts])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,95 @@
+"""Tables of a published law of snow's albedo, to be read beside those of this model."""
+
+from __future__ import annotations
+
+import numpy as np
+import snowoptics
+import xarray as xr
+
+from splits.checks import refuse
+from splits.lookup.axes import INCIDENCE
+from splits.lookup.reading import Table
+from splits.materials.impurities import impurities_of
+from splits.media.measured_inputs import AREA, RADIUS
+from splits.names import amount_of
+
+KOKHANOVSKY_ZEGE = "kokhanovsky_zege_2004"
+LAWS = (KOKHANOVSKY_ZEGE,)
+ICE_KG_M3 = 917.0
+"""Of the law's own scattering."""
+EXACT = 1e-6
+"""Standard error of a formula, as a table has to have one."""
+MASS = "impurities_ng_g"
+
+
+def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, models: str | None = None) -> Table:
+    """Return what a law says of the snow of a table, over the axes that it knows.
+
+    Kokhanovsky & Zege (2004, Appl. Opt. 43, 1589-1602, doi:10.1364/AO.43.001589) for deep snow, as
+    the package snowoptics has it with its shape of grains.  What impurities absorb is added to ice,
+    as that package does for soot: a share c of mass, of a mass absorption coefficient M, adds
+    2 c M/SSA to 1 − ω.
+
+    Parameters
+    ----------
+    table : Table
+        Its other axes, of which the law knows nothing (liquid water), have to hold 0.
+    law : {"kokhanovsky_zege_2004"}
+    models : str, optional
+        An axis of models, beside which the law stands.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    ValueError
+        For a table without sizes, or with an axis of which the law knows nothing and that has no 0.
+    """
+    given = table.dataset
+    axes = [a for a in table.axes if a != "wavelength"]
+    size = next((a for a in axes if a in (AREA, RADIUS)), None)
+    if size is None:
+        raise refuse("retrieve.beside", law, f"with {AREA} or {RADIUS} on the grid")
+    kept = [a for a in axes if a in (size, INCIDENCE) or (amount_of(a) or ("",))[0] == MASS]
+    for name in [a for a in axes if a not in (*kept, models)]:
+        if given[name].dtype.kind != "f" or float(given[name].values.min()) != 0.0:
+            raise refuse("retrieve.beside", law, f"left out where {name} is on the grid without 0")
+    w = given.wavelength.values
+    ice, absorbed = snowoptics.refice(1e-9 * w, "p2016")
+    shape = [given.sizes[a] for a in kept]
+    values = np.empty((*shape, w.size))
+    for place in np.ndindex(*shape):
+        at = {a: given[a].values[i] for a, i in zip(kept, place, strict=True)}
+        amounts = {str(amount_of(a)[1]): float(at[a]) for a in kept if amount_of(a)}  # type: ignore[index]
+        per_ice = sum((one.per_ice(w) for one in impurities_of(amounts, {})), np.zeros(w.size))
+        # In 1/m of ice, and as the imaginary part of an index, which the law takes.
+        more = per_ice * ICE_KG_M3 / snowoptics.default_B * (1e-9 * w) / (4.0 * np.pi)
+        area = at[size] if size == AREA else 3e6 / (ICE_KG_M3 * at[size])
+        beam = at.get(INCIDENCE, given.attrs.get(INCIDENCE, 0.0))
+        values[place] = _albedo(1e-9 * w, beam, float(area), (ice, absorbed + more))
+    dims = (*kept, "wavelength")
+    coordinates = {a: given[a] for a in dims}
+    about = given.reflectance.attrs
+    stderr = np.full(values.shape, EXACT)
+    return Table(
+        xr.Dataset(
+            {"reflectance": (dims, values, about), "reflectance_stderr": (dims, stderr, about)},
+            coordinates,
+            {"title": law, "axes_that_share_paths": "none"},
+        )
+    )
+
+
+def _albedo(
+    metres: np.ndarray, beam: object, area: float, index: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Return the albedo of deep snow under a beam (degrees), or under diffuse light."""
+    if beam == "diffuse":
+        found = snowoptics.albedo_diffuse_KZ04(metres, area, ni=index[1])
+    else:
+        found = snowoptics.albedo_direct_KZ04(
+            metres, np.radians(float(str(beam))), area, ni=index[1]
+        )
+    return np.asarray(found, dtype=float)

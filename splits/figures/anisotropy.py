@@ -1,0 +1,116 @@
+"""Anisotropy factors: the principal plane, and every measured direction beside the model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splits.analysis.anisotropy import EVERY, FACTOR
+from splits.analysis.directions import principal_plane
+from splits.figures.notes import finished
+from splits.figures.style import (
+    BAND,
+    SMALLEST,
+    TWO_COLUMNS,
+    colours,
+    parameter_label,
+    style,
+    subplots,
+    value_label,
+)
+
+MODEL, SAMPLE = "readings", "saturation"
+"""Axes of the dataset: of models, and of samples."""
+STEEPEST_DEG = 65.0
+"""Up to which the principal plane is drawn."""
+MARKS = "os^D"
+_HEIGHT = 5.2
+
+
+def anisotropy(
+    dataset: xr.Dataset, table: pd.DataFrame, misfits: pd.DataFrame, wavelength_nm: float
+) -> Figure:
+    """Draw a column for every measured sample: the principal plane, and all directions below.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        BRDF, see `splits.analysis.anisotropy.beside_measured`.
+    table, misfits : pandas.DataFrame
+        As `beside_measured` and `by_angle` return them.
+    wavelength_nm : float
+        Of the principal plane.
+    """
+    axis, sample = MODEL, SAMPLE
+    samples, models = list(dict.fromkeys(table[sample])), list(map(str, dataset[axis].values))
+    shades = dict(zip(models, colours(len(models), "medium"), strict=True))
+    with style():
+        figure, panels = subplots(
+            2, len(samples), width=TWO_COLUMNS, height=_HEIGHT, sharey="row", squeeze=False,
+            gridspec_kw={"height_ratios": [1.0, 1.1]},
+        )  # fmt: skip
+        for column, value in enumerate(samples):
+            top, bottom = panels[:, column]
+            own = table[table[sample] == value]
+            label = next(x for x in dataset[sample].values if float(x) == float(value))
+            _plane(top, dataset.sel({sample: label}), own[own.wavelength_nm == wavelength_nm],
+                   axis, shades)  # fmt: skip
+            top.set_title(f"{parameter_label(sample)} {value:g}, {wavelength_nm:g} nm")
+            _all(bottom, own, misfits[misfits[sample] == value], axis, shades)
+        panels[0, 0].set_ylabel("anisotropy factor")
+        panels[1, 0].set_ylabel("anisotropy factor, modelled")
+        note = (
+            "Above: principal plane, forward to the right; bands are two standard errors of the "
+            "model. Below: every direction and wavelength; marks tell the angle of view."
+        )
+        return finished(figure, panels[0], note)
+
+
+def _plane(
+    axes: Axes, dataset: xr.Dataset, own: pd.DataFrame, axis: str, shades: dict[str, Any]
+) -> None:
+    """Draw the principal plane of every model, and what was measured in it."""
+    for model, colour in shades.items():
+        part = dataset.sel({axis: model}).sel(wavelength=float(own.wavelength_nm.iloc[0]))
+        plane = principal_plane(part[["brdf", "brdf_stderr"]])
+        plane = plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST_DEG)
+        above = float(plane.brdf.sel(angle=0.0, method="nearest"))
+        x, y = plane.angle.values, plane.brdf.values / above
+        error = BAND * plane.brdf_stderr.values / above
+        axes.plot(x, y, color=colour, lw=1.2, label=value_label(model, axis))
+        axes.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
+    first = own[own[axis] == next(iter(shades))]
+    inside = first[first.azimuth_deg.isin([0.0, 180.0])]
+    x = np.where(inside.azimuth_deg == 0.0, 1.0, -1.0) * inside.polar_deg
+    axes.plot(x, inside[FACTOR], "o", color="black", ms=4, label="measured", zorder=3)
+    axes.set_xlabel("viewing angle, forward positive (°)")
+    axes.legend(frameon=False, fontsize=SMALLEST)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _all(
+    axes: Axes, own: pd.DataFrame, misfits: pd.DataFrame, axis: str, shades: dict[str, Any]
+) -> None:
+    """Draw every direction and wavelength of a sample, modelled over measured."""
+    angles = sorted(own.polar_deg.unique())
+    for model, colour in shades.items():
+        every = misfits[(misfits[axis] == model) & (misfits.polar_deg == EVERY)]
+        rmse = float(np.sqrt(np.average(every.rmse**2, weights=every.directions)))
+        for mark, angle in zip(MARKS, angles, strict=False):
+            part = own[(own[axis] == model) & (own.polar_deg == angle)]
+            label = f"{value_label(model, axis)}: RMSE {rmse:.3f}" if mark == MARKS[0] else None
+            axes.plot(part[FACTOR], part.modelled, mark, color=colour, ms=2.2, alpha=0.6,
+                      label=label)  # fmt: skip
+    low, high = min(own[FACTOR].min(), own.modelled.min()), max(own[FACTOR].max(),
+                                                                own.modelled.max())  # fmt: skip
+    axes.plot([low, high], [low, high], color="black", lw=0.6)
+    for mark, angle in zip(MARKS, angles, strict=False):
+        axes.plot([], [], mark, color="0.4", ms=2.5, label=f"seen from {angle:g}°")
+    axes.set_xlabel("anisotropy factor, measured")
+    axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left")
+    axes.spines[["top", "right"]].set_visible(False)

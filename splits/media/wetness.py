@@ -1,0 +1,98 @@
+"""Where the water of a wet sand is: in whole pores, in the narrowest ones, or on the grains.
+
+SPLITS section 4.3.2 draws for every leg whether it runs in water, with the probability that a
+volume of pores is wet.  In a real sand capillary pressure drains wide pores first (Haines 1930, J.
+Agric. Sci. 20, 97-116, doi:10.1017/S002185960008864X): the first water lies where grains touch, and
+wets far more of their surface than of the pores' volume.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from scipy.special import lambertw
+
+from splits.media.grain_statistics import surface_to_volume
+
+WATER = ("whole_pores", "narrow_pores", "film")
+"""Readings: of legs drawn by volume, of the shortest legs, on the grains."""
+THICKEST = 0.05
+"""Relative thickness up to which a film counts as a flat slab."""
+LITTLE = 1e-6
+"""Saturation up to which a series says which legs are wet."""
+
+
+class Wetness(NamedTuple):
+    """Where water is.
+
+    Attributes
+    ----------
+    share : float
+        Probability that a leg through pores begins and ends in water.
+    filled : float
+        Part of such a leg's length, on average of all legs' lengths, that is water.
+    film : float
+        Thickness of a film on every grain per major axis.
+    """
+
+    share: float
+    filled: float
+    film: float
+
+
+def wetness(saturation: float, porosity: float, sphericity: float, reading: str) -> Wetness:
+    """Return where the water of a sand is.
+
+    Parameters
+    ----------
+    saturation : float
+        Volume of water per volume of pores, 0 to 1.
+    porosity : float
+    sphericity : float
+        Mean sphericity of the grains.
+    reading : {"whole_pores", "narrow_pores", "film"}
+        Of legs drawn by volume; of all legs shorter than some length; on the grains up to
+        `THICKEST`, and the rest in whole pores.
+    """
+    if reading == "narrow_pores" and saturation > 0.0:
+        share = narrowest(saturation)
+        return Wetness(share, saturation / share, 0.0)
+    if reading == "film":
+        # Thin: its volume is surface times thickness.
+        per_thickness = float(surface_to_volume(sphericity)) * (1.0 - porosity) / porosity
+        film = min(saturation / per_thickness, THICKEST)
+        return Wetness(max(saturation - film * per_thickness, 0.0), 1.0, film)
+    return Wetness(saturation, 1.0, 0.0)
+
+
+def narrowest(saturation: float) -> float:
+    """Return the share of legs that are wet where water fills the shortest ones.
+
+    Legs are exponential.  Of those shorter than x mean legs, the share of all is f = 1 − e⁻ˣ, and
+    that of the length, which is the saturation, S = 1 − (1 + x) e⁻ˣ.
+
+    Parameters
+    ----------
+    saturation : float
+        0 to 1.
+
+    Returns
+    -------
+    float
+        √(2 S) where S is small, 1 at 1.
+
+    Examples
+    --------
+    >>> [round(narrowest(s), 3) for s in (0.0, 0.1, 0.5, 1.0)]
+    [0.0, 0.412, 0.813, 1.0]
+    """
+    if saturation >= 1.0:
+        return 1.0
+    if saturation < LITTLE:
+        # The branches meet at 0, where the function below loses half of its digits.
+        x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
+    else:
+        # (1 + x) e^−(1 + x) = (1 − S)/e: the lower branch of Lambert's function.
+        x = -1.0 - float(lambertw((saturation - 1.0) / math.e, -1).real)
+    return -math.expm1(-x)

@@ -1,0 +1,90 @@
+"""Where the water of a sand is: which legs are wet, how much of them is water, films."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splits import Sand
+from splits.media.grain_statistics import surface_to_volume
+from splits.media.wetness import LITTLE, THICKEST, narrowest, wetness
+
+W = np.array([700.0, 1450.0])
+
+
+@pytest.mark.parametrize("saturation", [0.01, 0.1, 0.4, 0.9])
+def test_the_shortest_legs_fill_first(saturation):
+    """Exponential legs, sorted: the first ones that together are as long as the saturation asks."""
+    many = 1_000_000
+    legs = np.sort(-np.log((np.arange(many) + 0.5) / many))
+    share = np.searchsorted(legs.cumsum() / legs.sum(), saturation) / many
+    assert narrowest(saturation) == pytest.approx(share, abs=2e-5)
+
+
+def test_narrow_pores_at_the_ends_of_the_range():
+    assert (narrowest(0.0), narrowest(1.0)) == (0.0, 1.0)
+    assert narrowest(LITTLE * 0.999999) == pytest.approx(narrowest(LITTLE), rel=1e-5)
+    assert narrowest(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
+    rising = [narrowest(s) for s in np.linspace(0.0, 1.0, 201)]
+    assert (np.diff(rising) > 0.0).all()
+
+
+@pytest.mark.parametrize("saturation", [0.05, 0.3, 0.8])
+def test_every_reading_holds_the_same_water(saturation):
+    porosity, sphericity = 0.4, 0.8
+    surface = float(surface_to_volume(sphericity))
+    for reading in ("whole_pores", "narrow_pores", "film"):
+        water = wetness(saturation, porosity, sphericity, reading)
+        on_grains = water.film * surface * (1.0 - porosity) / porosity
+        assert water.share * water.filled + on_grains == pytest.approx(saturation, rel=1e-9)
+        assert water.film <= THICKEST
+
+
+def test_films_are_the_outermost_coating():
+    sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), readings={"water": "film"})
+    grains, names = sand.grains(), sand.materials()
+    assert names[1] == "water" and names.count("water") == 1
+    rows = zip(grains.types.material, grains.types.shells, strict=True)
+    layers = [tuple(names[m] for m in row[:n]) for row, n in rows]
+    assert layers == [
+        ("water", "quartz with goethite"),
+        ("water", "kaolinite with goethite", "quartz"),
+    ]
+    thickness = grains.types.thickness
+    assert (thickness[:, 0] == sand._wetness.film).all()
+    assert thickness[1, 1] == sand.relative_coating_thickness
+    water = Sand(saturation=1.0).indices(W)[:, 1]
+    np.testing.assert_array_equal(sand.indices(W)[:, 1], water)
+    assert sand.wet_share == 0.0
+
+
+def test_what_a_film_cannot_hold_fills_pores():
+    sand = Sand(saturation=0.9, readings={"water": "film"})
+    assert sand._wetness.film == THICKEST and 0.3 < sand.wet_share < 0.9
+
+
+def test_wet_legs_absorb_by_the_part_that_is_water():
+    whole, narrow = (
+        Sand(saturation=0.1, readings={"water": reading})
+        for reading in ("whole_pores", "narrow_pores")
+    )
+    ratio = narrow.indices(W)[:, 1].imag / whole.indices(W)[:, 1].imag
+    np.testing.assert_allclose(ratio * narrow.wet_share, whole.wet_share, rtol=1e-12)
+    np.testing.assert_array_equal(narrow.indices(W).real, whole.indices(W).real)
+
+
+def test_dry_and_full_sands_do_not_ask_where_water_is():
+    for saturation in (0.0, 1.0):
+        sands = [
+            Sand(saturation=saturation, readings={"water": reading})
+            for reading in ("whole_pores", "narrow_pores")
+        ]
+        np.testing.assert_array_equal(sands[0].indices(W), sands[1].indices(W))
+        assert sands[0].wet_share == sands[1].wet_share == saturation
+
+
+def test_other_media_in_narrow_pores_are_refused():
+    given = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
+    with pytest.raises(ValueError, match=r"pores = .*empty with readings\.water narrow_pores"):
+        Sand(saturation=0.1, readings={"water": "narrow_pores"}, **given)
+    assert Sand(saturation=0.1, readings={"water": "film"}, **given).pores == {"oil": 0.1}

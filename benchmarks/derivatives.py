@@ -36,6 +36,9 @@ SNOW = splits.Snow.natural(
     optical_radius_um=150, depth_m=0.02, density_kg_m3=200, ground=0.2, facetness=(0.2,) * 3 + (0,),
     impurities_ng_g={"black_carbon": 100}, liquid_water_content=0.03,
 )  # fmt: skip
+SAND = splits.Sand(
+    hematite_ratio=0.3, magnetite=0.02, saturation=0.3, texture=(0, 0.1, 0.9)
+)  # fmt: skip
 MEDIA: dict[str, Any] = {
     "natural snow": (SNOW, {
         SOOT: 50, "ground": 0.1, "optical_radius_um": 15, "specific_surface_area_m2_kg": 2,
@@ -46,9 +49,10 @@ MEDIA: dict[str, Any] = {
         splits.Snow.natural(optical_radius_um=150, impurities_ng_g={"black_carbon": 100}),
         {SOOT: 50, "optical_radius_um": 30, "specific_surface_area_m2_kg": 4},
     ),
-    "sand": (splits.Sand(hematite_ratio=0.3, magnetite=0.02, saturation=0.3), {
+    "sand": (SAND, {
         "iron_oxide": 0.002, "hematite_ratio": 0.1, "magnetite": 0.005, "saturation": 0.1,
-        "porosity": 0.05, "sphericity": 0.02, INCIDENCE: 5,
+        "porosity": 0.05, "sphericity": 0.02, "partition.coated": 0.08, "texture.silt": 0.02,
+        INCIDENCE: 5,
     }),
     "layer": (splits.Layer(optical_thickness=3), {
         "optical_thickness": 0.5, "single_scattering_albedo": 0.004, "asymmetry": 0.04,

@@ -26,7 +26,8 @@ FITTING = (
 )
 """Files behind a fit besides."""
 RETRIEVING = (
-    "experiments/retrieve_section.py", "experiments/run_retrieve.py", "lookup/interpolation.py",
+    "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
+    "lookup/interpolation.py", "materials/impurities.csv", "materials/impurities.py",
     "lookup/reading.py", "retrieval/coordinates.py", "retrieval/cubics.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
     "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py",

@@ -26,6 +26,7 @@ CAPTIONS = {
     "agreement": {"figure": "letcher"},
     "readings": {"figure": "readings_together"},
     "sobol": {"figure": "sobol"},
+    "bands": {"figure": "bands"},
     "anisotropy": {"figure": "anisotropy"},
     "surface_area": {"figure": "surface_area", "law_figure": "surface_area_law"},
 }
@@ -35,6 +36,7 @@ TITLES = {
     "letcher": "Measured albedo and three kinds of grains",
     "readings_together": "All combinations of readings",
     "anisotropy": "Where wet sand sends light, and measured directions",
+    "bands": "Bands that tell most",
     "sobol": "Which wavelength tells what",
     "surface_area": "Surface area of measured snow",
     "surface_area_law": "Reflectance at 1310 nm and surface area",

@@ -39,9 +39,9 @@ def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame
     ValueError
         For a column that is missing, or directions that the dataset does not have.
     """
-    for name in COLUMNS:
-        if name not in measured:
-            raise refuse("directions", list(measured.columns), f"a table with column {name}")
+    if "brdf" not in dataset:
+        raise refuse("dataset", dataset.attrs.get("title", "a dataset"), "with a BRDF")
+    _check_table(dataset, measured)
     brdf, error = dataset.brdf, dataset.brdf_stderr
     parameters = [c for c in measured.columns if c not in COLUMNS]
     models = [str(d) for d in brdf.dims if d not in ("wavelength", "polar", "azimuth", *parameters)]
@@ -79,8 +79,8 @@ def by_angle(table: pd.DataFrame) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row for each model, point of the grid, wavelength and polar angle, and for `EVERY` one,
-        with ``rmse``, the mean difference ``bias``, ``directions``, and ``spread``: the standard
-        deviation of what was measured, which a model that knows of no directions would miss.
+        with ``rmse``, the mean difference ``bias``, ``directions``, and ``spread``: the root
+        mean square of what was measured less 1, which a model without directions would miss.
     """
     keys = [c for c in table if c not in ("azimuth_deg", FACTOR, "modelled", "stderr")]
     whole = table.assign(polar_deg=EVERY)
@@ -100,6 +100,26 @@ def by_angle(table: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def _check_table(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
+    """Refuse a table without the columns it must have, with others, empty or with gaps."""
+    for name in COLUMNS:
+        if name not in measured:
+            raise refuse("directions", list(measured.columns), f"a table with column {name}")
+        values = pd.to_numeric(measured[name], errors="coerce").to_numpy(dtype=float)
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            given = measured[name].iloc[int(wrong[0])]
+            raise refuse(f"directions.{name}", given, "numbers without gaps")
+    if not len(measured):
+        raise refuse("directions", "no rows", "a table of measured directions")
+    for name in measured.columns:
+        if name not in COLUMNS and name not in dataset.brdf.dims:
+            allowed = (
+                f"left out, or an axis of the experiment: {', '.join(map(str, dataset.brdf.dims))}"
+            )
+            raise refuse("directions (column)", name, allowed)
 
 
 def _check_reach(dataset: xr.Dataset, measured: pd.DataFrame) -> None:

@@ -15,6 +15,7 @@ import xarray as xr
 
 from splits.analysis.angular_trends import LAMBERTIAN
 from splits.analysis.directions import principal_plane
+from splits.analysis.quoted_retrievals import RETRIEVALS
 from splits.analysis.quoted_times import TIMES
 from splits.analysis.quoting import Number, Value, Where, cell, count, extreme, point, size
 from splits.checks import refuse
@@ -285,6 +286,7 @@ NUMBERS = {
     **_sand(),
     **_angles_and_layers(),
     **TIMES,
+    **RETRIEVALS,
     "draws": Number(CODE, lambda _: (MAX_REJECTIONS, None, ""), "power"),
 }
 """All numbers that documents may quote, by key."""

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from splits.checks import one_of, refuse, under
+from splits.checks import one_of, refuse
+from splits.experiments.check_retrieve import check_retrieve
 from splits.experiments.coordinates import coordinate_values
 from splits.experiments.grids import label_at
 from splits.experiments.retrieve_section import RetrieveSection
@@ -16,12 +17,9 @@ from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.scenes import ground_of
-from splits.lookup.axes import INCIDENCE
 from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
 from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
-from splits.retrieval.coordinates import LEVEL, Free
-from splits.retrieval.forward import ranges_of_axes
 
 RULES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
@@ -73,7 +71,7 @@ class Experiment(Simulation):
             label_at(dimension, self.grid[dimension], given)
         self._check_points()
         self._check_swatches()
-        self._check_retrieve()
+        check_retrieve(self)
         for _, medium, _ in self.points():
             self._check_quantity(medium)
         return self
@@ -138,37 +136,6 @@ class Experiment(Simulation):
                 "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
                 f"kind {kind}", "it shows one point of the grid; the dataset holds all",
             )  # fmt: skip
-
-    def _check_retrieve(self) -> None:
-        """Refuse retrievals from what is no table, or does not have what is to be found."""
-        section, instrument = self.retrieve, self.instrument
-        if section is None:
-            return
-        if instrument.kind != "table":
-            raise refuse("instrument.kind", instrument.kind, "table with a section retrieve")
-        if self.figure.model_fields_set:
-            given = sorted(self.figure.model_fields_set)
-            hint = "the figure is of what was retrieved"
-            raise refuse("figure", given, "left out with a section retrieve", hint)
-        if "reflectance" not in (instrument.quantities or ("reflectance",)):
-            raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
-        for key in ("free", "at", "prior", "known"):
-            allowed = self.grid if key == "at" else [*self.grid, LEVEL]
-            for name in getattr(section, key):
-                one_of(f"retrieve.{key}", name, allowed)
-        with under("retrieve"):
-            Free.of(section.free, section.prior or None, ranges_of_axes(self.axes()))
-        named = {*section.free, *section.at, section.models, INCIDENCE}
-        for name in [n for n, values in self.grid.items() if len(values) > 1]:
-            if name not in named:
-                raise refuse(f"retrieve.at.{name}", None, "given", "or make it free")
-        for name in section.known:
-            one_of("retrieve.known", name, list(section.free))
-        for name in [n for first in section.prior_from for n in first.at]:
-            one_of("retrieve.prior_from.at", name, [*self.grid, LEVEL])
-        if section.models is not None:
-            texts = [n for n, row in zip(*self.axes(), strict=True) if isinstance(row[0], str)]
-            one_of("retrieve.models", section.models, texts)
 
     def _check_swatches(self) -> None:
         """Refuse colours of spectra that are not of daylight, or of too many parameters."""

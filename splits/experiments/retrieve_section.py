@@ -128,8 +128,17 @@ class RetrieveSection(Section):
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
             raise refuse("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
         names = [one_of("retrieve.samples", s, known) for s in self.samples] or known
+        early = [one_of("retrieve.prior_from.sample", f.sample, names) for f in self.prior_from]
+        later = [name for name in names if name not in early]
+        if len(set(early)) < len(early):
+            raise refuse("retrieve.prior_from.sample", early, "different samples")
+        if not later:
+            hint = "all samples are retrieved first"
+            raise refuse("retrieve.samples", names, "some besides those of prior_from", hint)
         for first in self.prior_from:
-            one_of("retrieve.prior_from.sample", first.sample, names)
+            if not any(name.startswith(first.of) for name in later):
+                allowed = f"how the name of another sample begins: {', '.join(later)}"
+                raise refuse("retrieve.prior_from.of", first.of, allowed)
         for values in self.known.values():
             for sample in values:
                 one_of("retrieve.known", sample, names)

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.law_tables import law_table
 from splits.checks import under
 from splits.dataset import attributes, provenance
 from splits.experiments.retrieve_section import RetrieveSection
@@ -69,6 +68,9 @@ def run_retrieve(
         at = {axis: model} if axis else {}
         found += _Task(section, table, spectra, model, at, seed).readings(say)
     if law:
+        # A package that nothing else of retrievals needs.
+        from splits.analysis.law_tables import law_table
+
         theirs = law_table(table, law, axis)
         found += _Task(section, theirs, spectra, law, {}, seed).readings(say)
     return found

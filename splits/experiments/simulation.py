@@ -303,7 +303,8 @@ class Simulation(Section):
 
 def _nodes(values: Mapping[str, Any]) -> Iterable[Any]:
     """Return what a table has along an axis: its values, or their labels where these say more."""
-    return values if any(isinstance(v, Mapping) for v in values.values()) else values.values()
+    more = any(isinstance(v, Mapping | list | tuple) for v in values.values())
+    return values if more else values.values()
 
 
 def _places(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

@@ -11,14 +11,16 @@ import numpy as np
 from pydantic import Field
 
 from splits.analysis.roles import SENSITIVITY_DEPTHS, Role
-from splits.checks import one_of, refuse, suggestion, unknown_key
+from splits.checks import in_range, one_of, refuse, suggestion, unknown_key
 from splits.experiments.model import RULES, Experiment
 from splits.experiments.rank_readings import BOUNDARIES, FATES
 from splits.experiments.sections import Section
 from splits.experiments.simulation import NAME
 from splits.experiments.study_kinds import FILES, OF_TABLES, PRODUCTS, ROLES, SOME
 from splits.experiments.yaml_files import ConfigError
+from splits.instruments.arguments import check_whole
 from splits.media.readings import CHOICES, Readings
+from splits.skies.bands import SENSORS
 
 
 class SensitivityPair(Section):
@@ -41,7 +43,8 @@ class Study(Section):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "readings", "surface_area", "sobol", "anisotropy",
+        "layer_trends", "readings", "surface_area", "sobol", "bands",
+        "anisotropy",
     ]  # fmt: skip
     experiments: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
@@ -50,6 +53,10 @@ class Study(Section):
     text: dict[str, str] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
     products: dict[str, str] = Field(default_factory=dict)
+    bands: str | None = None
+    noise: float = 0.01
+    most: int = 5
+    at: dict[str, float | str] = Field(default_factory=dict)
 
     def needed(self) -> list[str]:
         """Return the names of the experiments that it is made of, each once."""
@@ -159,6 +166,7 @@ def _check_keys(study: Study) -> None:
         allowed = "the name of a study" if study.sensitivity is None else "left out"
         raise refuse("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
     _check_readings(study)
+    _check_bands(study)
     wanted = FILES.get(study.kind, {}) if study.kind != "sensitivity" else {}
     for key in wanted:
         if key not in study.files:
@@ -184,6 +192,19 @@ def _check_readings(study: Study) -> None:
         if key not in study.readings:
             raise unknown_key(f"text.{key}", study.readings)
         one_of(f"text.{key}", choice, study.readings[key])
+
+
+def _check_bands(study: Study) -> None:
+    """Refuse a choice of bands that cannot be, and its keys for another kind of study."""
+    given = [key for key in ("bands", "noise", "most", "at") if key in study.model_fields_set]
+    if study.kind != "bands":
+        for key in given:
+            raise refuse(key, getattr(study, key), "left out but for kind = 'bands'")
+        return
+    if study.bands is not None:
+        one_of("bands", study.bands, SENSORS)
+    in_range("noise", study.noise, 0.0, 1.0, open_low=True)
+    check_whole("most", study.most, 1)
 
 
 def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None:

@@ -48,6 +48,7 @@ PRODUCTS: dict[str, dict[str, Product]] = {
         "figure": Product("figures", FIGURE, "{study}"),
     },
     "sobol": {"table": _table("{study}"), "figure": Product("figures", FIGURE, "{study}")},
+    "bands": {"table": _table("{study}"), "figure": Product("figures", FIGURE, "{study}")},
     "anisotropy": {
         "table": _table("{study}"),
         "misfits": _table("{study}_by_angle"),
@@ -70,7 +71,7 @@ ROLES: dict[str, Mapping[str, Role]] = {
 }  # fmt: skip
 SOME = ("angular_trends", "layer_trends")
 """Kinds that make what they can of some of their roles."""
-OF_TABLES = ("sobol",)
+OF_TABLES = ("sobol", "bands")
 """Kinds that are made of tables, however they are called."""
 FILES = {
     "sensitivity": {"published": "published"},

@@ -28,7 +28,7 @@ MODEL, SAMPLE = "readings", "saturation"
 """Axes of the dataset: of models, and of samples."""
 STEEPEST_DEG = 65.0
 """Up to which the principal plane is drawn."""
-MARKS = "os^D"
+MARKS = "os^Dv<>ph*"
 _HEIGHT = 5.2
 
 

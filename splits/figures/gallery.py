@@ -14,7 +14,7 @@ from splits.files import whole
 
 WIDTH = 900
 """Widest image (pixels)."""
-BYTES = 60_000
+BYTES = 100_000
 """Largest file."""
 QUALITIES = (90, 80, 70, 60, 50, 40, 30)
 SUFFIX = ".webp"

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
+from splits.analysis.quoted_retrievals import line_through_origin
 from splits.figures.notes import finished
 from splits.figures.style import (
     BAND,
@@ -27,7 +28,7 @@ MANY_NM = 2.0
 """Gaps in the wavelengths so many times the usual step are left open."""
 BINS = 30
 SHOWN = 400
-"""Draws shown as dots."""
+"""Draws shown as dots, of all models together."""
 SHORT = {
     "optical_radius_um": "radius (µm)",
     "specific_surface_area_m2_kg": "area (m²/kg)",
@@ -64,6 +65,7 @@ def retrievals(
         How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values
+    known = {name: values for name, values in (known or {}).items() if _shown(dataset, values, "")}
     most = min(len(every), ROWS - bool(known))
     some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
     samples = every[some]
@@ -78,7 +80,10 @@ def retrievals(
             _corner(figure, grid[row, 1], part)
             _kernel(figure.add_subplot(grid[row, 2]), part)
         if known:
-            panels = [(name, group) for name in known for group in groups]
+            panels = [
+                (name, group) for name, values in known.items() for group in groups
+                if _shown(dataset, values, group)
+            ]  # fmt: skip
             below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
             for column, (name, group) in enumerate(panels):
                 axes = figure.add_subplot(below[column])
@@ -94,18 +99,11 @@ def retrievals(
         return finished(figure, tops, note)
 
 
-def line_through_origin(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Return the slope of y = a x, its standard error, and the scatter of y about the line."""
-    slope = float((x * y).sum() / (x * x).sum())
-    scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
-    return slope, scatter / float(np.sqrt((x * x).sum())), scatter
-
-
 def _against(
     axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float], group: str
 ) -> Axes:
     """Draw what was found of a parameter against what is known of it."""
-    samples = [s for s in known if s in dataset.sample.values and s.startswith(group)]
+    samples = _shown(dataset, known, group)
     x = np.array([known[s] for s in samples])
     top = float(x.max())
     for model, colour in _models(dataset):
@@ -133,10 +131,15 @@ def _against(
     axes.set_xlim(0.0, top)
     # Room for a legend above the points.
     axes.set_ylim(0.0, top * (1.0 if dataset.sizes["model"] == 1 else 1.6))
-    if any(not handle.get_label().startswith("_") for handle in axes.get_lines()):
+    if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
         axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left")
     axes.spines[["top", "right"]].set_visible(False)
     return axes
+
+
+def _shown(dataset: xr.Dataset, known: Mapping[str, float], group: str) -> list[str]:
+    """Return the samples of a group of which something is known."""
+    return [s for s in known if s in dataset.sample.values and s.startswith(group)]
 
 
 def _models(dataset: xr.Dataset) -> list[tuple[str, Any]]:
@@ -202,7 +205,7 @@ def _corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
     names = list(map(str, part.parameter.values))
     inner = place.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
     draws = part.draws.transpose("model", "draw", "parameter").values
-    some = draws[:, :: max(1, draws.shape[1] // SHOWN)]
+    some = draws[:, :: max(1, len(draws) * draws.shape[1] // SHOWN)]
     shares = [0.16, 0.5, 0.84]
     marks = part.quantiles.sel(quantile=shares).transpose("model", "quantile", "parameter").values
     shades = [colour for _, colour in _models(part)]

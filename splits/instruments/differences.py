@@ -9,6 +9,7 @@ step.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +27,14 @@ LEAST_STEP = {INCIDENCE: 4.0, **dict.fromkeys(
      "ground", "bottom_albedo", "hematite_ratio"), 0.04,
 ), "single_scattering_albedo": 0.004}  # fmt: skip
 """Least first steps, of what has a scale of its own."""
-FROM_ONE = ("single_scattering_albedo",)
-"""What counts from 1: near 1 reflectance goes as the root of what is absorbed, 1 − ω."""
 AT_ZERO = 0.01
 """First step of any other where the value is 0."""
 HALVINGS = 10
+FROM = {"saturation": 0.0, "liquid_water_content": 0.0, "single_scattering_albedo": 1.0}
+"""Ends of ranges near which light goes as a root: of the water in narrow pores, of what absorbs.
+Differences are taken in the root of the distance from there."""
+SLOWEST = 1.2
+"""Ratio of two moves, as the step is halved, below which a derivative does not settle."""
 OFFSETS = tuple(
     tuple(place + shift for place in (-2.0, -1.0, 1.0, 2.0))
     for shift in (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
@@ -76,57 +80,120 @@ def difference(
     Raises
     ------
     ValueError
-        Where no medium near this one can be.
+        Where no medium near this one can be, or reflectance goes as a root from this value on.
     """
-    at_beam = parameter == INCIDENCE
-    value = float(incidence) if at_beam else value_of(medium, parameter)
-    own = parameter.rpartition(".")[2]
-    size = 1.0 - value if own in FROM_ONE else abs(value)
-    step = max(STEP * size, LEAST_STEP.get(own, 0.0 if size else AT_ZERO))
+    value = float(incidence) if parameter == INCIDENCE else value_of(medium, parameter)
+    way = _Way.of(parameter, value)
+    step = way.first_step(parameter)
     known: dict[float, Estimate] = {}
     best: Slopes | None = None
-    before: Slopes | None = None
+    one_sided: list[Slopes] = []
+    refusal = ValueError()
     for _ in range(HALVINGS + 1):
-        points = _points(medium, incidence, parameter, value, step)
+        points = _points(medium, incidence, parameter, way, step)
+        step *= 0.5
         if isinstance(points, ValueError):
             refusal = points
+            continue
+        for x, scene in points.scenes.items():
+            if x not in known:
+                known[x] = measure(*scene)
+        slopes = _slopes(points.offsets, 2.0 * step, [known[x] for x in points.scenes])
+        if sum(points.offsets) != 0.0:
+            one_sided.append(slopes)
+            best = slopes = _moved(one_sided)
+            settled = len(one_sided) > 1
         else:
-            for x, scene in points.scenes.items():
-                if x not in known:
-                    known[x] = measure(*scene)
-            slopes = _slopes(points.offsets, step, [known[x] for x in points.scenes])
-            one_sided = sum(points.offsets) != 0.0
-            settled = not one_sided
-            if one_sided and before is not None:
-                slopes = _moved_by(slopes, before)
-                settled = True
-            if best is None or one_sided or (slopes.stderr**2).sum() < (best.stderr**2).sum():
-                best = slopes
-            before = slopes
-            if settled and (slopes.missed**2).sum() < 0.5 * (slopes.stderr**2).sum():
-                break
-        step *= 0.5
+            # Of one side there may be better only where there is nothing else.
+            better = best is None or one_sided or (slopes.stderr**2).sum() < (best.stderr**2).sum()
+            best = slopes if better else best
+            one_sided, settled = [], True
+        if settled and (slopes.missed**2).sum() < 0.5 * (slopes.stderr**2).sum():
+            break
     if best is None:
         raise refusal
-    return Differences(parameter, best, sum(one.rays for one in known.values()))
+    _check_settled(parameter, value, best, one_sided)
+    rays = sum(one.rays for one in known.values())
+    return Differences(parameter, way.per_value(best), rays)
+
+
+def _check_settled(parameter: str, value: float, best: Slopes, one_sided: list[Slopes]) -> None:
+    """Refuse a derivative that grows as often as the step is halved."""
+    if len(one_sided) < 3:
+        return
+    sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided[-3:]]
+    noise = float(np.sqrt((best.groups**2).sum()))
+    if (
+        min(sizes[1] / sizes[0], sizes[2] / sizes[1]) > SLOWEST
+        and sizes[2] - sizes[0] > 4.0 * noise
+    ):
+        hint = "light goes as a root there: ask for it a little away"
+        raise refuse(f"jacobian ({parameter})", value, "where the derivative is finite", hint)
+
+
+class _Way(NamedTuple):
+    """The coordinate in which differences are taken: the value, or a root from an end on.
+
+    Attributes
+    ----------
+    start : float
+        Coordinate of the value.
+    end : float
+        Value from which the root counts.
+    sign : float
+        Of the way from there; 0 where the coordinate is the value itself.
+    """
+
+    start: float
+    end: float
+    sign: float
+
+    @classmethod
+    def of(cls, parameter: str, value: float) -> _Way:
+        """Return the coordinate for a parameter; at the very end it is the value itself."""
+        own = parameter.rpartition(".")[2]
+        end = FROM.get(own)
+        if end is None or value == end:
+            return cls(value, 0.0, 0.0)
+        return cls(abs(value - end) ** 0.5, end, 1.0 if end == 0.0 else -1.0)
+
+    def first_step(self, parameter: str) -> float:
+        """Return the step of the coordinate to begin with."""
+        own = parameter.rpartition(".")[2]
+        size = self.start**2 if self.sign else abs(self.start)
+        step = max(STEP * size, LEAST_STEP.get(own, 0.0 if size else AT_ZERO))
+        return float((size + step) ** 0.5 - self.start if self.sign else step)
+
+    def value(self, coordinate: float) -> float:
+        """Return the value at a coordinate."""
+        return self.end + self.sign * coordinate**2 if self.sign else coordinate
+
+    def per_value(self, slopes: Slopes) -> Slopes:
+        """Return derivatives to the value of those to the coordinate."""
+        rate = 1.0 / (2.0 * self.sign * self.start) if self.sign else 1.0
+        return Slopes(rate * slopes.mean, rate * slopes.groups, abs(rate) * slopes.missed)
 
 
 class _Points(NamedTuple):
-    """Places of runs in steps, and the medium and incidence at each, by the parameter's value."""
+    """Places of runs in steps, and the medium and incidence at each coordinate."""
 
     offsets: tuple[float, ...]
     scenes: dict[float, tuple[Medium, float | str]]
 
 
 def _points(
-    medium: Medium, incidence: float | str, parameter: str, value: float, step: float
+    medium: Medium, incidence: float | str, parameter: str, way: _Way, step: float
 ) -> _Points | ValueError:
     """Return where to measure, or why that cannot be."""
     refusal = ValueError()
     for offsets in OFFSETS:
-        values = [value + offset * step for offset in offsets]
+        places = [way.start + offset * step for offset in offsets]
+        if way.sign and min(places) < 0.0:
+            continue
         try:
-            return _Points(offsets, {x: _scene(medium, incidence, parameter, x) for x in values})
+            return _Points(
+                offsets, {x: _scene(medium, incidence, parameter, way.value(x)) for x in places}
+            )
         except ValueError as error:
             refusal = error
     return refusal
@@ -161,11 +228,20 @@ def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) 
     return Slopes(mean[:, None], np.tensordot(fine, groups, 1)[:, :, None], missed[:, None])
 
 
-def _moved_by(slopes: Slopes, before: Slopes) -> Slopes:
-    """Return derivatives with half of what they moved, beyond noise, in what they may miss."""
-    noise = ((slopes.groups - before.groups) ** 2).sum(axis=0)
-    moved = np.sqrt(np.maximum((slopes.mean - before.mean) ** 2 - noise, 0.0))
-    return slopes._replace(missed=np.maximum(slopes.missed, 0.5 * moved))
+def _moved(one_sided: Sequence[Slopes]) -> Slopes:
+    """Return the last of some derivatives, with what it may miss by how it moved with the step.
+
+    Where each halving moves it by 1/r of the move before, it is off by 1/(r − 1) of the last one.
+    """
+    last = one_sided[-1]
+    if len(one_sided) < 2:
+        return last
+    moves = [float(np.sqrt(((b.mean - a.mean) ** 2).sum()))
+             for a, b in pairwise(one_sided[-3:])]  # fmt: skip
+    ratio = moves[0] / max(moves[-1], 1e-300) if len(moves) > 1 else 2.0
+    part = 1.0 / (min(max(ratio, SLOWEST), 8.0) - 1.0)
+    moved = part * np.abs(last.mean - one_sided[-2].mean)
+    return last._replace(missed=np.maximum(last.missed, moved))
 
 
 def _rules(offsets: tuple[float, ...], step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -55,7 +55,7 @@ def single_scattering(
 ) -> xr.Dataset:
     """Measure what single grains of a medium do to light, as radiative transfer wants to know it.
 
-    Rays meet one grain each in free pore space, which is wet with the medium's saturation, drawn
+    Rays meet one grain each in free pore space, wet with the medium's `wet_share`, drawn
     and followed by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
     except those that look at neighbours: no boundary and no last leg rejects a grain.
 
@@ -79,7 +79,7 @@ def single_scattering(
         Default: every CPU this process may use.
     wet_pores : {"saturation", "equilibrium"}
         Share of the light that meets grains, and is absorbed between them, in wet pores: the
-        saturation S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
+        `wet_share` S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
         water over that of air, as deep in the sample, where radiance goes with n² (light leaves
         grains into water more easily).
 

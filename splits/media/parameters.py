@@ -2,7 +2,8 @@
 
 A name is a keyword whose value is a number (``depth_m``, ``liquid_water_content``), one whose value
 is a distribution (``facetness``), which moves as a whole, an amount
-(``impurities_ng_g.black_carbon``), or one of these in a layer of a stack (``layers.0.depth_m``).
+(``impurities_ng_g.black_carbon``), a share of a whole (``partition.coated``), beside which the
+others keep their ratios, or one of these in a layer of a stack (``layers.0.depth_m``).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import fields, replace
 from numbers import Real
 from typing import Any, NamedTuple
 
-from splits.checks import one_of, refuse, unknown_key
+from splits.checks import in_range, one_of, refuse, unknown_key
 from splits.materials.impurities import ALGAE, kinds
 from splits.media.ground import Ground
 from splits.media.measured_inputs import AREA, RADIUS, WATER
@@ -22,6 +23,8 @@ from splits.names import AMOUNTS, parameter_about
 
 SHIFTED = {"facetness": 3, "sphericity": 3, "roundness": 1}
 """Distributions, and how many of their first numbers move: the last is a standard deviation."""
+SHARES = {"partition": ("pure", "mixed", "coated"), "texture": ("clay", "silt", "sand")}
+"""Shares that add up to 1."""
 INCIDENCE = "incidence_deg"
 _LAYER = re.compile(r"layers\.(\d+)\.(.+)")
 _PER = {
@@ -49,6 +52,9 @@ def names_of(medium: Any) -> list[str]:
     found = [f.name for f in fields(medium) if _is_number(getattr(medium, f.name))]
     found += [name for name in SHIFTED if hasattr(medium, name)]
     found += [n for n in getattr(medium, "OTHER_KEYWORDS", ()) if hasattr(medium, n)]
+    for key, kinds_of in SHARES.items():
+        if hasattr(medium, key):
+            found += [f"{key}.{kind}" for kind in kinds_of]
     if _albedo_of(medium) is not None:
         found.append("ground")
     examples = {"impurities_ng_g": "black_carbon", "algae_cells_ml": "snow_algae"}
@@ -65,6 +71,8 @@ def value_of(medium: Any, name: str) -> float:
     """
     place = _place_of(medium, name)
     owner = medium if place.layer is None else medium.layers[place.layer]
+    if place.key in SHARES:
+        return float(getattr(owner, place.key)[SHARES[place.key].index(place.kind)])
     if place.kind:
         given = getattr(owner, place.key).get(place.kind, 0.0)
         return float(given["ng_g"] if isinstance(given, Mapping) else given)
@@ -112,6 +120,8 @@ def unit_of(name: str) -> str:
 
 def _with(owner: Any, place: _Place, value: float) -> Any:
     key = place.key
+    if key in SHARES:
+        return replace(owner, **{key: _shared(owner, place, value)})
     if place.kind:
         amounts = dict(getattr(owner, key))
         given = amounts.get(place.kind)
@@ -131,6 +141,18 @@ def _with(owner: Any, place: _Place, value: float) -> Any:
     if key == WATER:
         return replace(owner, saturation=value / owner.porosity)
     return replace(owner, **{key: value})
+
+
+def _shared(owner: Any, place: _Place, value: float) -> tuple[float, ...]:
+    """Return shares of which one has a value, and the others what is left in their ratios."""
+    before, which = getattr(owner, place.key), SHARES[place.key].index(place.kind)
+    value = in_range(f"{place.key}.{place.kind}", value, 0.0, 1.0)
+    rest = sum(share for i, share in enumerate(before) if i != which)
+    if rest == 0.0:
+        hint = f"which of the others grows is not known: give {place.key} with some of each"
+        raise refuse(f"{place.key}.{place.kind}", value, "below 1 to begin with", hint)
+    factor = (1.0 - value) / rest
+    return tuple(value if i == which else factor * share for i, share in enumerate(before))
 
 
 def _place_of(medium: Any, name: Any) -> _Place:
@@ -160,6 +182,8 @@ def _own_place(owner: Any, own: str, name: str, layer: int | None) -> _Place:
         if kind not in getattr(owner, key):
             one_of(f"parameter {key}", kind, ALGAE if key == "algae_cells_ml" else kinds())
         return _Place(layer, key, kind)
+    if key in SHARES and kind and hasattr(owner, key):
+        return _Place(layer, key, one_of(f"parameter {key}", kind, SHARES[key]))
     known = names_of(owner)
     if own not in known:
         raise unknown_key(f"parameter {name}", known)

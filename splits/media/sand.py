@@ -23,6 +23,9 @@ from splits.media.soil_sizes import SoilSizes, soil_sizes
 from splits.media.wetness import Wetness, wetness
 from splits.transport.grains.scene import WET_PORE, Grains, Types
 
+FILM = "water film"
+"""Name of the water on grains, among their materials."""
+
 
 @known_keywords
 @dataclass(frozen=True)
@@ -203,12 +206,12 @@ class Sand:
     @cached_property
     def _layers(self) -> list[tuple[str, ...]]:
         """Names of the materials of each particle type, from the outside in."""
-        film = (WATER,) if self._wetness.film else ()
+        film = (FILM,) if self._wetness.film else ()
         return [(*film, *_materials_of(t)) for t in self.composition.types]
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        minerals = dict.fromkeys(m for layers in self._layers for m in layers if m != WATER)
+        minerals = dict.fromkeys(m for layers in self._layers for m in layers)
         return (*self.fluids.names, *minerals)
 
     @cached_property
@@ -269,7 +272,7 @@ class Sand:
             return known[mineral]
 
         if self._wetness.film:
-            index[:, WET_PORE] = pure(WATER)
+            index[:, self.materials().index(FILM)] = pure(WATER)
         for particle in self.composition.types:
             for name in _materials_of(particle):
                 row = self.materials().index(name)
@@ -287,6 +290,8 @@ class Sand:
             "particle_density_kg_m3": self.density_kg_m3,
             "coating_volume_fraction": self.composition.coating_fraction,
             "mean_grain_distance_m": self.mean_grain_distance_m,
+            "wet_share": self.wet_share,
+            "film_thickness_per_major_axis": self._wetness.film,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }
 

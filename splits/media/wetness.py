@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scipy.special import lambertw
-
 from splits.media.grain_statistics import surface_to_volume
 
 WATER = ("whole_pores", "narrow_pores", "film")
@@ -21,6 +19,8 @@ THICKEST = 0.05
 """Relative thickness up to which a film counts as a flat slab."""
 LITTLE = 1e-6
 """Saturation up to which a series says which legs are wet."""
+NEWTON = 40
+"""Steps, of which some ten do where least water is missing."""
 
 
 class Wetness(NamedTuple):
@@ -31,7 +31,7 @@ class Wetness(NamedTuple):
     share : float
         Probability that a leg through pores begins and ends in water.
     filled : float
-        Part of such a leg's length, on average of all legs' lengths, that is water.
+        Water along such a leg, as a part of the mean length of all legs.
     film : float
         Thickness of a film on every grain per major axis.
     """
@@ -62,7 +62,11 @@ def wetness(saturation: float, porosity: float, sphericity: float, reading: str)
         # Thin: its volume is surface times thickness.
         per_thickness = float(surface_to_volume(sphericity)) * (1.0 - porosity) / porosity
         film = min(saturation / per_thickness, THICKEST)
-        return Wetness(max(saturation - film * per_thickness, 0.0), 1.0, film)
+        room = max(1.0 - film * per_thickness, 0.0)
+        if room == 0.0:
+            return Wetness(0.0, 1.0, film)
+        # What films leave of the pores fills with the rest.
+        return Wetness(max(1.0 - (1.0 - saturation) / room, 0.0), room, film)
     return Wetness(saturation, 1.0, 0.0)
 
 
@@ -89,10 +93,11 @@ def narrowest(saturation: float) -> float:
     """
     if saturation >= 1.0:
         return 1.0
-    if saturation < LITTLE:
-        # The branches meet at 0, where the function below loses half of its digits.
-        x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
-    else:
-        # (1 + x) e^−(1 + x) = (1 − S)/e: the lower branch of Lambert's function.
-        x = -1.0 - float(lambertw((saturation - 1.0) / math.e, -1).real)
+    # Where S is small, x = √(2S) + 2S/3; elsewhere Newton's method, from above where S bends down.
+    x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
+    if saturation > LITTLE:
+        x = max(x, -math.log1p(-saturation))
+        for _ in range(NEWTON):
+            dry = math.exp(-x)
+            x += (saturation - 1.0 + (1.0 + x) * dry) / (x * dry)
     return -math.expm1(-x)

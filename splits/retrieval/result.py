@@ -24,6 +24,8 @@ IMPROBABLE = 0.01
 """Probability of so large a misfit below which the model does not follow the measurement."""
 AT_END = 0.01
 """Distance (coordinate) from the end of a range within which a value lies at it."""
+STRAIGHT = 1.0
+"""Bend of light, in its noise, from which on errors by a straight line are rough."""
 FAR_FROM_PRIOR = 3.0
 """Standard deviations between prior and result from which they disagree."""
 
@@ -103,7 +105,11 @@ class Found(NamedTuple):
     tension : float, shape (parameters,)
         How far priors are from what the measurement says without them, in standard errors.
     off : float, shape (n,)
-        Standard errors of the table at the best end.
+        Standard errors of the table, or of runs, at the best end.
+    rivals : tuple of float, shape (parameters,)
+        Other answers that runs have found, in the parameters' own units.
+    bent : float
+        How far light is off a straight line a standard deviation away, in units of its noise.
     """
 
     ends: Sequence[Optimum]
@@ -112,11 +118,13 @@ class Found(NamedTuple):
     excess: float
     tension: np.ndarray
     off: np.ndarray
+    rivals: tuple[np.ndarray, ...] = ()
+    bent: float = 0.0
 
 
 def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
     """Return what was found as a dataset."""
-    (best, *_), told, draws, excess, _, off = found
+    (best, *_), told, draws, excess, _, off, *_ = found
     names = list(free.names)
     natural = free.at(draws.places)
     spread = draws.places.std(axis=0)
@@ -177,7 +185,7 @@ def excess_of(best: Optimum, told: Told) -> float:
 
 def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
     """Return what is to be known of the numbers."""
-    ends, _, draws, excess, tension, _ = result
+    ends, _, draws, excess, tension, *_ = result
     best, found = ends[0], []
     if excess > 1.0:
         found.append(
@@ -198,10 +206,14 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
             found.append(f"{name} lies at the low end of its range, {low:g}")
         if best.place[i] > 1.0 - AT_END:
             found.append(f"{name} lies at the high end of its range, {high:g}")
-    if len(ends) > 1:
-        other = free.at(ends[1].place)
+    for other in [*(free.at(end.place) for end in ends[1:2]), *result.rivals]:
         told = ", ".join(f"{n} {v:.3g}" for n, v in zip(free.names, other, strict=True))
         found.append(f"another answer is nearly as good: {told}")
+    if result.bent > STRAIGHT:
+        found.append(
+            f"errors are those of a straight line, from which light is {result.bent:.1f} of its "
+            f"noise off a standard deviation away: a table tells them better"
+        )
     if draws.effective < ENOUGH:
         found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")
     return found

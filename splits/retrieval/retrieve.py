@@ -16,12 +16,13 @@ from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.posterior import draws_of
 from splits.retrieval.result import Found, Retrieved, excess_of, result_of
+from splits.retrieval.runs import Around, free_of, runs_of
 
 
 @known_arguments
 def retrieve(
     measured: Any,
-    table: Table,
+    model: Any,
     free: Any,
     noise: Any,
     *,
@@ -30,6 +31,7 @@ def retrieve(
     bands: Any = None,
     quantity: str = "reflectance",
     seed: int = 1,
+    max_stderr: float | None = None,
 ) -> Retrieved:
     """Retrieve parameters from a measured spectrum, with their errors.
 
@@ -42,17 +44,19 @@ def retrieve(
     measured : xarray.DataArray, pandas.Series or pair of array_like
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
         there are `bands`.
-    table : Table
-        Of the light to be expected, see `splits.table` and `splits.open_table`.
+    model : Table or medium
+        A table of the light to be expected, see `splits.table` and `splits.open_table`; or a snow,
+        a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
     free : sequence of str or mapping
-        Axes of the table to be found, or their (low, high) by name.  ``level`` is a factor of the
-        measurement, for a panel whose reflectance is not known.
+        Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
+        parameters named as for derivatives (``layers.0.depth_m``).  ``level`` is a factor of
+        the measurement, for a panel whose reflectance is not known.
     noise : float, array_like or mapping
         Standard errors of the measurement, one or as many as values, their covariance matrix, or
         ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
         many nm, and others besides.
     at : mapping
-        Values of the other axes, such as ``incidence_deg``.
+        Values of the other axes, such as ``incidence_deg``; of a medium that alone.
     prior : mapping
         (mean, standard deviation) of what was known before, by name: normal in the coordinate of
         the parameter, between the two values a standard deviation off.  Without one all of a range
@@ -63,7 +67,9 @@ def retrieve(
     quantity : str
         Of the table.
     seed : int
-        Of the draws.
+        Of the draws, and of runs.
+    max_stderr : float, optional
+        Of runs of a medium; by default 0.3 of the least noise, but 0.0003 to 0.01.
 
     Returns
     -------
@@ -98,15 +104,33 @@ def retrieve(
     >>> found.determined
     {'optical_radius_um': True}
     """
-    if not isinstance(table, Table):
-        given = type(table).__name__
-        raise refuse("table", given, "a Table", "splits.Table(splits.table(…)), or open_table")
-    one_of("quantity", quantity, table.quantities)
     seed = check_whole("seed", seed, 0)
+    if isinstance(model, Table):
+        if max_stderr is not None:
+            raise refuse("max_stderr", max_stderr, "left out", "a table has errors of its own")
+        one_of("quantity", quantity, model.quantities)
+        measurement = Measurement.of(measured, noise, bands)
+        which = Free.of(free, prior, ranges_of(model))
+        known = OfTable(model, measurement, which, at or {}, quantity)
+        return result_of(which, measurement, _found(known, measurement, seed))
+    if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
+        given = type(model).__name__
+        hint = "splits.Table(splits.table(…)), open_table, or a snow, sand, layer or stack"
+        raise refuse("model", given, "a Table, or a medium", hint)
+    one_of("quantity", quantity, ["reflectance"])
     measurement = Measurement.of(measured, noise, bands)
-    which = Free.of(free, prior, ranges_of(table))
-    model = OfTable(table, measurement, which, at or {}, quantity)
-    nodes = model.nodes()
+    which = free_of(model, free, prior, (at or {}).get("incidence_deg", 0.0))
+    runs = runs_of(model, measurement, which, at or {}, max_stderr, seed)
+    around, rivals = runs.settled()
+    found = _found(around, measurement, seed)
+    bent = runs.bent(around, found.ends[0].place, found.told.covariance)
+    others = tuple(which.at(seen.place) for seen in rivals)
+    return result_of(which, measurement, found._replace(bent=bent, rivals=others))
+
+
+def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:
+    """Return the most probable places, and draws around them."""
+    which, nodes = model.free, model.nodes()
     ends = optima(model, measurement, *nodes)
     # A prior that contradicts the measurement is no fault of the model.
     alone = _without_priors(model, measurement, ends[0])
@@ -117,11 +141,10 @@ def retrieve(
     tension = np.abs(alone.place - which.prior_mean) / np.sqrt(which.prior_sd**2 + spread)
     draws = draws_of(model, measurement, ends, seed)
     off = np.sqrt(np.diag(model.covariance(ends[0].place)))
-    found = Found(ends, told(ends[0], model), draws, excess, tension, off)
-    return result_of(which, measurement, found)
+    return Found(ends, told(ends[0], model), draws, excess, tension, off)
 
 
-def _without_priors(model: OfTable, measurement: Measurement, end: Optimum) -> Optimum:
+def _without_priors(model: OfTable | Around, measurement: Measurement, end: Optimum) -> Optimum:
     """Return the optimum that the measurement has by itself, near that with priors."""
     free = model.free
     if not np.isfinite(free.prior_sd).any():

@@ -7,6 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.checks import Refusal
 from splits.instruments.differences import _rules, _weights, difference
 from splits.instruments.estimators import Estimate
 from splits.instruments.shared_paths import Slopes
@@ -28,6 +29,7 @@ CASES = {
     "size of deep snow": (DEEP, "optical_radius_um", 30.0, "paths"),
     "area of deep snow": (DEEP, "specific_surface_area_m2_kg", 4.0, "paths"),
     "iron oxide": (SAND, "iron_oxide", 0.002, "differences"),
+    "coated grains": (SAND, "partition.coated", 0.08, "differences"),
     "optical thickness": (LAYER, "optical_thickness", 0.3, "differences"),
     "asymmetry": (LAYER, "asymmetry", 0.03, "differences"),
 }
@@ -93,7 +95,13 @@ def test_weights_of_the_five_point_rule():
 
 
 @pytest.mark.parametrize(
-    "medium", [THIN, SAND, LAYER, splits.Stack([splits.Snow(depth_m=0.01), splits.Snow()])]
+    "medium",
+    [
+        THIN,
+        splits.Sand(texture=(0.01, 0.1, 0.89)),
+        LAYER,
+        splits.Stack([splits.Snow(depth_m=0.01), splits.Snow()]),
+    ],
 )
 def test_every_parameter_can_be_moved(medium):
     for name in names_of(medium):
@@ -104,19 +112,28 @@ def test_every_parameter_can_be_moved(medium):
         assert isinstance(unit_of(name), str)
 
 
+def test_shares_leave_the_others_in_their_ratios():
+    sand = splits.Sand(partition=(0.5, 0.3, 0.2))
+    moved = with_value(sand, "partition.coated", 0.6)
+    assert moved.partition == pytest.approx((0.25, 0.15, 0.6))
+    with pytest.raises(Refusal, match=r"partition\.pure = 1\.2: must be in \[0, 1\]"):
+        with_value(sand, "partition.pure", 1.2)
+    with pytest.raises(Refusal, match="below 1 to begin with"):
+        with_value(splits.Sand(partition=(0.0, 1.0, 0.0)), "partition.mixed", 0.5)
+    with pytest.raises(Refusal, match="silt"):
+        value_of(sand, "texture.sild")
+
+
 LAWS = {
     "falling": (lambda s: 0.5 * np.exp(-5.0 * s), -2.5),
     "steep": (lambda s: 0.5 * np.exp(-10.0 * s), -5.0),
     "root": (lambda s: 0.8 * np.exp(-1.5 * np.sqrt(0.02 + s)), -3.431),
+    "sharp root": (lambda s: 0.8 * np.exp(-1.5 * np.sqrt(1e-4 + s)), -59.107),
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("noise", [1e-3, 1e-5])
-def test_one_sided_differences_say_how_far_they_are_off(law, noise):
-    """Where a range begins, without noise in the means: what is left is the rule's own."""
-    make, slope = LAWS[law]
-    snow = splits.Snow(saturation=0.0)
+def formula(make, noise):
+    """Return runs of a medium whose reflectance is a function of its saturation."""
 
     def measure(medium, _incidence):
         mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
@@ -125,5 +142,45 @@ def test_one_sided_differences_say_how_far_they_are_off(law, noise):
         return Estimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "lanes",
                         Slopes(none, np.zeros((32, *none.shape)), none))  # fmt: skip
 
-    found = difference(measure, snow, 0.0, "saturation").slopes
+    return measure
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("noise", [1e-3, 1e-5])
+def test_one_sided_differences_say_how_far_they_are_off(law, noise):
+    """Where a range begins, without noise in the means: what is left is the rule's own."""
+    make, slope = LAWS[law]
+    found = difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").slopes
     assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3
+
+
+@pytest.mark.parametrize("saturation", [1e-3, 0.01, 0.2])
+def test_a_root_has_its_slope_wherever_it_has_one(saturation):
+    def root(s):
+        return 0.5 - 0.2 * np.sqrt(2.0 * s)
+
+    snow = splits.Snow(saturation=saturation)
+    found = difference(formula(root, 1e-4), snow, 0.0, "saturation").slopes
+    slope = -0.2 / np.sqrt(2.0 * saturation)
+    assert found.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
+    with pytest.raises(Refusal, match=r"saturation\) = 0\.0: must be where .* is finite"):
+        difference(formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation")
+
+
+def test_an_albedo_near_one_has_its_slope():
+    """Reflectance of a thick layer goes as the root of what absorbs."""
+
+    def make(albedo):
+        return np.exp(-3.0 * np.sqrt(1.0 - albedo + 1e-4))
+
+    layer = splits.Layer(single_scattering_albedo=0.999)
+
+    def measure(medium, incidence):
+        known = splits.Snow(saturation=0.5)
+        value = make(medium.single_scattering_albedo)
+        return formula(lambda _: value, 1e-4)(known, incidence)
+
+    found = difference(measure, layer, 0.0, "single_scattering_albedo").slopes
+    exact = make(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
+    off = abs(found.mean[0, 0, 0] - exact)
+    assert off < 2.0 * found.stderr[0, 0, 0] + 1e-2 * exact

@@ -74,10 +74,12 @@ def test_the_first_sample_tells_what_is_known_of_others():
     plain = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
     assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
     assert list(together(readings, "some").sample.values) == ["wetter@30"]
+    table["other@30"] = table["wetter@30"]
     given["prior_from"] |= {"of": "other"}
     section = RetrieveSection.model_validate(given)
     alone = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
     assert alone["wetter@30"].stderr == plain["wetter@30"].stderr
+    assert alone["other@30"].stderr == found["wetter@30"].stderr
 
 
 def test_every_sample_is_read_with_every_model():
@@ -127,7 +129,52 @@ def test_sections_that_make_no_sense_are_refused(name):
         RetrieveSection.model_validate(SECTION | other)
 
 
+LAW = {"beside": "kokhanovsky_zege_2004"}
+NAMED = {**TABLE["grid"], "readings": {"one": {}, "other": "geometric"}}
 OF_EXPERIMENTS = {
+    "models of numbers": (
+        {"retrieve": {**SECTION, "models": SIZE}},
+        r"retrieve\.models = .*no axis",
+    ),
+    "models and at": (
+        {"grid": NAMED, "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}}},
+        r"retrieve\.at\.readings",
+    ),
+    "no such model axis": (
+        {"grid": NAMED, "retrieve": {**SECTION, "models": "reading"}},
+        "one of readings",
+    ),
+    "known beyond the table": (
+        {"retrieve": {**SECTION, "known": {SIZE: {"some": 200}}}},
+        "50 to 100",
+    ),
+    "first sample beyond the table": (
+        {"retrieve": {**SECTION, "prior_from": {"sample": "some", "at": {SIZE: 10}}}},
+        "50 to 100",
+    ),
+    "nothing left of the first": (
+        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "at": {SIZE: 60, DIRT: 0}}}},
+        "not all that is free",
+    ),
+    "law of sand": (
+        {
+            "medium": {"kind": "sand"},
+            "grid": {"saturation": [0, 1], "porosity": [0.3, 0.4]},
+            "retrieve": {**SECTION, **LAW, "free": ["saturation", "porosity"]},
+        },
+        "but for snow",
+    ),
+    "law of shallow snow": (
+        {"medium": {**TABLE["medium"], "depth_m": 0.1}, "retrieve": {**SECTION, **LAW}},
+        "depth_m",
+    ),
+    "law of wet snow": (
+        {
+            "medium": {**TABLE["medium"], "liquid_water_content": 0.1},
+            "retrieve": {**SECTION, **LAW},
+        },
+        "liquid_water_content",
+    ),
     "no table": ({"instrument": {"kind": "spectrophotometer"}}, "table with a section retrieve"),
     "no such axis": ({"retrieve": {**SECTION, "free": ["depth_m"]}}, "retrieve.free"),
     "prior of what is not there": (
@@ -147,6 +194,21 @@ def test_experiments_that_cannot_retrieve_are_refused(name):
     other, message = OF_EXPERIMENTS[name]
     with pytest.raises((ValidationError, Refusal), match=message):
         Experiment.model_validate(TABLE | other)
+
+
+OF_SAMPLES = {
+    "begins no name": ([{"sample": "clean@30", "at": {DIRT: 1}, "of": "dusty"}], r"prior_from\.of"),
+    "twice": ([{"sample": "clean@30", "at": {DIRT: 1}}] * 2, "different samples"),
+    "all": ([{"sample": s, "at": {DIRT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
+}
+
+
+@pytest.mark.parametrize("name", OF_SAMPLES)
+def test_first_samples_that_serve_none_are_refused(name):
+    first, message = OF_SAMPLES[name]
+    section = RetrieveSection.model_validate({**SECTION, "prior_from": first})
+    with pytest.raises(Refusal, match=message):
+        run_retrieve(section, snowlike(), measured())
 
 
 def test_samples_that_are_not_there_are_refused():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT
+from chi2 import NEEDS_JIT, judge_z
 from formula_tables import W, table_of
 
 import splits
@@ -42,6 +42,20 @@ def test_indices_are_the_exact_ones(product):
 def test_the_same_seed_gives_the_same(product):
     one, other = (splits.sobol_indices(product, ["a", "b"], points=64, seed=3) for _ in range(2))
     np.testing.assert_array_equal(one.first_order, other.first_order)
+
+
+@NEEDS_JIT
+def test_other_seeds_scatter_as_errors_say(product):
+    """Of ten seeds: the middle wavelength counts, as all share their points."""
+    runs = [splits.sobol_indices(product, ["a", "b"], points=64, seed=s) for s in range(10)]
+    z = []
+    for name in ("first_order", "total"):
+        value, error = (np.stack([one[f"{name}{end}"].values[:, W.size // 2] for one in runs])
+                        for end in ("", "_stderr"))  # fmt: skip
+        z.append((value - value.mean(axis=0)) / (error * np.sqrt(0.9)))
+        # Totals hold what first-order indices do, and more.
+        assert (runs[0].total - runs[0].first_order > -3.0 * runs[0].total_stderr).all()
+    judge_z(np.concatenate(z).ravel())
 
 
 def test_what_does_not_vary_has_none(product):

@@ -37,30 +37,32 @@ def test_every_reading_holds_the_same_water(saturation):
         water = wetness(saturation, porosity, sphericity, reading)
         on_grains = water.film * surface * (1.0 - porosity) / porosity
         assert water.share * water.filled + on_grains == pytest.approx(saturation, rel=1e-9)
-        assert water.film <= THICKEST
+        assert water.film <= THICKEST and 0.0 <= water.share <= 1.0
 
 
 def test_films_are_the_outermost_coating():
     sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), readings={"water": "film"})
     grains, names = sand.grains(), sand.materials()
-    assert names[1] == "water" and names.count("water") == 1
+    assert names[:3] == ("air", "water", "water film")
     rows = zip(grains.types.material, grains.types.shells, strict=True)
     layers = [tuple(names[m] for m in row[:n]) for row, n in rows]
     assert layers == [
-        ("water", "quartz with goethite"),
-        ("water", "kaolinite with goethite", "quartz"),
+        ("water film", "quartz with goethite"),
+        ("water film", "kaolinite with goethite", "quartz"),
     ]
     thickness = grains.types.thickness
     assert (thickness[:, 0] == sand._wetness.film).all()
     assert thickness[1, 1] == sand.relative_coating_thickness
     water = Sand(saturation=1.0).indices(W)[:, 1]
-    np.testing.assert_array_equal(sand.indices(W)[:, 1], water)
+    np.testing.assert_array_equal(sand.indices(W)[:, 2], water)
     assert sand.wet_share == 0.0
+    assert sand.describe()["film_thickness_per_major_axis"] == sand._wetness.film
 
 
 def test_what_a_film_cannot_hold_fills_pores():
     sand = Sand(saturation=0.9, readings={"water": "film"})
-    assert sand._wetness.film == THICKEST and 0.3 < sand.wet_share < 0.9
+    assert sand._wetness.film == THICKEST and 0.7 < sand.wet_share < 0.9
+    assert Sand(saturation=1.0, readings={"water": "film"}).wet_share == 1.0
 
 
 def test_wet_legs_absorb_by_the_part_that_is_water():

@@ -223,6 +223,36 @@ for NAME in of_kind("sobol"):
             "../scripts/sobol.py"
 
 
+for NAME in of_kind("bands"):
+
+    rule:
+        name:
+            NAME
+        input:
+            data=data(STUDIES[NAME].experiments.values()),
+        output:
+            **study_output(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: 1
+        params:
+            names=list(STUDIES[NAME].experiments),
+            bands=STUDIES[NAME].bands,
+            noise=STUDIES[NAME].noise,
+            most=STUDIES[NAME].most,
+            at=STUDIES[NAME].at,
+            seed=SETTINGS.seed,
+            program=files_digest(PACKAGE, RETRIEVING),
+        message:
+            "Choosing bands that tell most"
+        script:
+            "../scripts/bands.py"
+
+
 for NAME in of_kind("sand_compositions"):
 
     rule:

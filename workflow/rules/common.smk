@@ -52,6 +52,10 @@ REPORTS = {
         "table": ("sobol", "Sensitivity"),
         "figure": ("sobol", "Sensitivity"),
     },
+    "bands": {
+        "table": ("bands", "Sensitivity"),
+        "figure": ("bands", "Sensitivity"),
+    },
     "anisotropy": {
         "table": ("anisotropy", "Sand"),
         "misfits": ("anisotropy", "Sand"),

@@ -14,7 +14,9 @@ table = beside_measured(dataset, read_measured(snakemake.input.directions))
 misfits = by_angle(table)
 write_table(table, snakemake.output.table)
 write_table(misfits, snakemake.output.misfits)
-middle = dataset.wavelength.values[1]
+# One that every sample was measured at, for the principal plane.
+shared = set.intersection(*(set(part.wavelength_nm) for _, part in table.groupby("saturation")))
+middle = sorted(shared or set(table.wavelength_nm))[len(shared) // 3]
 save_figure(
     anisotropy(dataset, table, misfits, float(middle)),
     Path(snakemake.output.figure[0]).with_suffix(""),

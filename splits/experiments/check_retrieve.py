@@ -1,0 +1,116 @@
+"""What an experiment must be to read measured spectra in its table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from splits.checks import one_of, refuse, under
+from splits.experiments.retrieve_section import RetrieveSection
+from splits.lookup.axes import INCIDENCE
+from splits.media.measured_inputs import AREA, RADIUS
+from splits.retrieval.coordinates import LEVEL, Free
+from splits.retrieval.forward import ranges_of_axes
+
+if TYPE_CHECKING:
+    from splits.experiments.model import Experiment
+
+LAW_KNOWS_NOT = (
+    "impurities_ng_g", "algae_cells_ml", "liquid_water_content", "saturation", "pores",
+)  # fmt: skip
+"""What a law that stands beside does not know, unless it is on the grid."""
+
+Rows = Mapping[str, tuple[Any, ...]]
+
+
+def check_retrieve(experiment: Experiment) -> None:
+    """Refuse retrievals from what is no table, or does not have what is to be found."""
+    section, instrument, grid = experiment.retrieve, experiment.instrument, experiment.grid
+    if section is None:
+        return
+    if instrument.kind != "table":
+        raise refuse("instrument.kind", instrument.kind, "table with a section retrieve")
+    if experiment.figure.model_fields_set:
+        given = sorted(experiment.figure.model_fields_set)
+        hint = "the figure is of what was retrieved"
+        raise refuse("figure", given, "left out with a section retrieve", hint)
+    if "reflectance" not in (instrument.quantities or ("reflectance",)):
+        raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
+    rows = dict(zip(*experiment.axes(), strict=True))
+    _check_models(section, rows)
+    for key in ("free", "at", "prior", "known"):
+        allowed = grid if key == "at" else [*grid, LEVEL]
+        for name in getattr(section, key):
+            one_of(f"retrieve.{key}", name, allowed)
+    with under("retrieve"):
+        Free.of(section.free, section.prior or None, ranges_of_axes(experiment.axes()))
+    named = {*section.free, *section.at, section.models, INCIDENCE}
+    for name in [n for n, values in grid.items() if len(values) > 1]:
+        if name not in named:
+            raise refuse(f"retrieve.at.{name}", None, "given", "or make it free")
+    for name in section.known:
+        one_of("retrieve.known", name, list(section.free))
+    _check_values(section, rows)
+    _check_law(section, rows, experiment.medium)
+
+
+def _check_models(section: RetrieveSection, rows: Rows) -> None:
+    """Refuse models that are no axis of texts, or that are given besides."""
+    models = section.models
+    if models is None:
+        return
+    texts = [name for name, row in rows.items() if isinstance(row[0], str)]
+    if models not in texts:
+        allowed = f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts"
+        raise refuse("retrieve.models", models, allowed, "an axis of the grid")
+    given = [("at", section.at), ("free", section.free), ("known", section.known)]
+    given += [("prior_from.at", first.at) for first in section.prior_from]
+    for key, mapping in given:
+        if models in mapping:
+            raise refuse(f"retrieve.{key}.{models}", "given", "left out", "it is models")
+
+
+def _check_values(section: RetrieveSection, rows: Rows) -> None:
+    """Refuse what is known outside the axes of the table."""
+    for first in section.prior_from:
+        for name, value in first.at.items():
+            one_of("retrieve.prior_from.at", name, [*rows, LEVEL])
+            _check_within(f"retrieve.prior_from.at.{name}", value, rows.get(name))
+        if not [n for n in section.free if n not in (*first.at, LEVEL)]:
+            hint = "something of the first sample must be left to be found"
+            raise refuse("retrieve.prior_from.at", sorted(first.at), "not all that is free", hint)
+    for name, values in section.known.items():
+        for sample, value in values.items():
+            _check_within(f"retrieve.known.{name}.{sample}", value, rows.get(name))
+
+
+def _check_within(key: str, value: Any, row: tuple[Any, ...] | None) -> None:
+    """Refuse a value that an axis does not reach."""
+    if row is None:
+        return
+    if isinstance(row[0], str) or isinstance(value, str):
+        one_of(key, value, [str(one) for one in row])
+    elif not row[0] <= value <= row[-1]:
+        raise refuse(key, value, f"{row[0]:g} to {row[-1]:g}, as far as the grid goes")
+
+
+def _check_law(section: RetrieveSection, rows: Rows, medium: Mapping[str, Any]) -> None:
+    """Refuse a law beside a table of what it does not know."""
+    key, law = "retrieve.beside", section.beside
+    if law is None:
+        return
+    kind = medium.get("kind")
+    if kind not in ("snow", "natural_snow"):
+        raise refuse(key, law, "left out but for snow")
+    if not {AREA, RADIUS} & set(rows):
+        raise refuse(key, law, f"left out without {AREA} or {RADIUS} on the grid")
+    held = [name for name in LAW_KNOWS_NOT if medium.get(name)]
+    depth = medium.get("depth_m", math.inf if kind == "natural_snow" else None)
+    if held or depth != math.inf:
+        hint = "it is for deep, dry snow with what is on the grid"
+        raise refuse(key, law, f"left out with {held[0] if held else 'a finite depth_m'}", hint)
+    for name, row in rows.items():
+        told = name in (section.models, INCIDENCE, AREA, RADIUS)
+        if not told and not name.startswith("impurities_ng_g.") and row[0] != 0.0:
+            raise refuse(key, law, f"left out with {name} on the grid, unless that begins with 0")

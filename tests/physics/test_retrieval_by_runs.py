@@ -1,0 +1,111 @@
+"""Retrieval from a medium itself, without a table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+from splits.checks import Refusal
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.runs import Around, Seen, free_of
+
+W = np.arange(500.0, 1400.0, 100.0)
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+
+
+def snow(radius, soot=0.0):
+    """Return deep natural snow."""
+    return splits.Snow.natural(optical_radius_um=radius, impurities_ng_g={"black_carbon": soot})
+
+
+def measured(medium, seed, w=W, noise=0.02):
+    """Return a noisy spectrum of a medium, and its noise."""
+    random = np.random.default_rng(seed)
+    truth = splits.spectrophotometer(medium, w, 0.0, 0.003, seed + 100).reflectance.values
+    return (w, truth + noise * random.standard_normal(w.size)), np.full(w.size, noise)
+
+
+@NEEDS_JIT
+def test_snow_is_found_within_its_errors():
+    z = []
+    for seed, (radius, soot) in enumerate([(120.0, 40.0), (600.0, 300.0)]):
+        spectrum, noise = measured(snow(radius, soot), seed)
+        free = {SIZE: (50.0, 1500.0), DIRT: (0.0, 1000.0)}
+        found = splits.retrieve(spectrum, snow(200.0), free, noise, max_stderr=0.006)
+        places = found.dataset.draws.values
+        for i, (name, truth) in enumerate(((SIZE, radius), (DIRT, soot))):
+            own = np.log(places[:, i]) if name == SIZE else np.sqrt(places[:, i])
+            there = np.log(truth) if name == SIZE else np.sqrt(truth)
+            z.append((own.mean() - there) / own.std())
+        assert found.determined[SIZE]
+    judge_z(np.array(z), bound_added=True)
+
+
+@NEEDS_JIT
+def test_runs_and_a_table_say_the_same():
+    spectrum, noise = measured(snow(200.0), 5)
+    table = splits.table(snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003)
+    of_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
+    of_runs = splits.retrieve(spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, noise)
+    both = np.hypot(0.006 * 200.0, 0.3 * of_table.stderr["radius"])
+    assert abs(of_runs.values[SIZE] - of_table.values["radius"]) < 4.0 * both
+    assert of_runs.stderr[SIZE] == pytest.approx(of_table.stderr["radius"], rel=0.25)
+
+
+@NEEDS_JIT
+def test_layers_of_a_stack_can_be_free():
+    def stack(depth):
+        top = splits.Snow.natural(optical_radius_um=80, depth_m=depth)
+        return splits.Stack([top, snow(600.0)])
+
+    spectrum, noise = measured(stack(0.01), 7, np.array([900.0, 1050.0, 1250.0]), 0.01)
+    free = {"layers.0.depth_m": (0.002, 0.05)}
+    found = splits.retrieve(spectrum, stack(0.004), free, noise, max_stderr=0.006)
+    own = np.log(found.dataset.draws.values[:, 0])
+    assert abs(own.mean() - np.log(0.01)) < 4.0 * own.std()
+    assert found.dataset.parameter_unit.values.tolist() == ["m"]
+
+
+def test_a_straight_line_is_read_as_one():
+    free = free_of(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    seen = Seen(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
+    line = Around(free, seen)
+    place = np.array([0.4, 0.5])
+    value, slopes = line.with_slopes(place)
+    np.testing.assert_allclose(value, 1.0 + seen.slopes @ [0.1, -0.1])
+    np.testing.assert_array_equal(slopes, seen.slopes)
+    np.testing.assert_array_equal(line.values(place[np.newaxis])[0], value)
+    assert free.laws == ("logarithm", "itself")
+
+
+WRONG = {
+    "names alone": ({"free": [SIZE]}, r"free = .*\(low, high\) by name"),
+    "no such parameter": ({"free": {"depth": (1, 2)}}, "depth"),
+    "no such medium": ({"free": {SIZE: (-5, 100)}}, rf"free\.{SIZE} = -5"),
+    "contradictory": ({"free": {SIZE: (100, 50)}}, "low < high"),
+    "one number": ({"free": {SIZE: 100}}, r"\(low, high\)"),
+    "other axes": ({"at": {"depth_m": 1}}, "incidence_deg"),
+    "no medium": ({"model": 3}, "a Table, or a medium"),
+    "error": ({"max_stderr": 0.9}, "max_stderr"),
+    "per cent": ({"measured": (W, np.full(W.size, 50.0))}, "not per cent"),
+    "transmittance": ({"quantity": "transmittance"}, "reflectance"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_input_is_refused(name):
+    other, message = WRONG[name]
+    given = {"measured": (W, np.full(W.size, 0.5)), "model": snow(100.0),
+             "free": {SIZE: (50, 200)}, "noise": 0.01}  # fmt: skip
+    with pytest.raises(Refusal, match=message):
+        splits.retrieve(**(given | other))
+
+
+def test_wavelengths_of_bands_cover_them():
+    from splits.retrieval.runs import _wavelengths
+
+    bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
+    w = _wavelengths(Measurement.of([0.5, 0.5], 0.01, bands))
+    assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

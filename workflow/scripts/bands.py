@@ -1,0 +1,25 @@
+"""Choose the bands that tell most (map snakemake to `splits.best_bands`)."""
+
+from pathlib import Path
+
+import pandas as pd
+
+import splits
+from splits.analysis.tables import write_table
+from splits.figures.chosen_bands import chosen_bands
+from splits.figures.style import save_figure
+from splits.lookup.axes import numeric
+
+found = {}
+for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
+    table = splits.open_table(path)
+    at = {n: value for n, value in snakemake.params.at.items() if n in table.axes}
+    free = [n for n in numeric(table.dataset, table.axes[:-1]) if n not in at]
+    bands = snakemake.params.bands or table.dataset.wavelength.values
+    found[name.replace("_", " ")] = splits.best_bands(
+        table, bands, free, snakemake.params.noise, snakemake.params.most, at=at,
+        seed=snakemake.params.seed,
+    )  # fmt: skip
+lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
+write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
+save_figure(chosen_bands(found), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -27,8 +27,8 @@ FITTING = (
 """Files behind a fit besides."""
 RETRIEVING = (
     "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
-    "lookup/interpolation.py", "materials/impurities.csv", "materials/impurities.py",
-    "lookup/reading.py", "retrieval/coordinates.py", "retrieval/cubics.py",
+    "lookup/interpolation.py", "lookup/reading.py", "materials/impurities.csv",
+    "materials/impurities.py", "retrieval/coordinates.py", "retrieval/cubics.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
     "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py",
     "retrieval/retrieve.py",

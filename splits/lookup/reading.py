@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from splits.checks import number, one_of, refuse, unknown_key
 from splits.checksum import LOCK
 from splits.dataset import attributes, load, opened
 from splits.lookup.axes import INCIDENCE
+from splits.lookup.derivatives import Read, checked, dataset_of, read_slope, slope_at
 from splits.lookup.formats import for_spires, write_csv
 from splits.lookup.interpolation import Weights, weights_at
 from splits.lookup.isofit import for_isofit
@@ -148,6 +150,48 @@ class Table:
         for w in weights:
             values = np.tensordot(w.share, values[w.nodes], 1)
         return values
+
+    def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
+        """Return derivatives to parameters along the axes, with errors that hold interpolation.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Axes of numbers.
+        **at
+            As for `interp`, without a wavelength.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``reflectance_jacobian`` and ``…_stderr`` over ``parameter`` and ``wavelength``, per
+            unit of the parameter.  Errors of cells count as independent, which overstates those of
+            cells that share paths, unless the table was made with ``covariance=True``.
+
+        Raises
+        ------
+        ValueError
+            As `interp`; and where light goes as a root from a value on.
+        """
+        if "sza" in at:
+            at[INCIDENCE] = at.pop("sza")
+        axes = self.axes[:-1]
+        for name in at:
+            if name not in axes:
+                raise unknown_key(name, axes)
+        numbers = [n for n in axes if self.dataset[n].dtype.kind == "f"]
+        chosen = checked(names, numbers)
+        groups = [f"{q}_groups" for q in self.quantities if f"{q}_groups" in self.dataset]
+        part, weights = self._near(at, self._variables() + groups)
+        found: dict[str, list[Read]] = {q: [] for q in self.quantities}
+        for name in chosen:
+            which, nodes = axes.index(name), self.dataset[name].values
+            here = np.searchsorted(nodes, part[name].values[weights[which].nodes])
+            slope = slope_at(name, nodes, here, number(name, at.get(name, nodes[0])))
+            for quantity, rows in found.items():
+                rows.append(read_slope(part, quantity, weights, which, slope))
+        wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
+        return dataset_of(found, chosen, wavelength, attributes(dict(at)))
 
     def _near(
         self, at: dict[str, Any], names: list[str] | None = None

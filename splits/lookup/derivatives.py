@@ -1,0 +1,181 @@
+"""Derivatives of a table's light to the parameters along its axes, between nodes.
+
+They are those of the polynomials that values are drawn from, see `splits.lookup.interpolation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.checks import refuse, unknown_key
+from splits.lookup.interpolation import Weights, law, spaced
+from splits.media.parameters import unit_of
+
+_TINY = 1e-300
+
+
+class Slope(NamedTuple):
+    """Weights of the nodes of an axis in a derivative, those of one node fewer beside."""
+
+    share: np.ndarray
+    fewer: np.ndarray
+
+
+class Read(NamedTuple):
+    """A derivative along the spectrum, its error by the cells, and what reading between misses."""
+
+    value: np.ndarray
+    stderr: np.ndarray
+    missed: np.ndarray
+
+
+def slope_at(name: str, nodes: np.ndarray, drawn: np.ndarray, value: float) -> Slope:
+    """Return how the derivative to a parameter is drawn from some nodes of its axis.
+
+    Parameters
+    ----------
+    name : str
+    nodes : float, shape (nodes,)
+        Of the axis, numbers.
+    drawn : int, shape (drawn,)
+        Those to draw from, at least 2.
+    value : float
+
+    Raises
+    ------
+    ValueError
+        For an axis of one node, or where light goes as a root from this value on.
+    """
+    if len(drawn) < 2:
+        raise refuse(f"derivatives ({name})", len(nodes), "an axis of two nodes or more")
+    kind, at = spaced(name, nodes)
+    x = float(law(kind, np.array(value)))
+    if kind == "root" and value <= _TINY:
+        hint = "light goes as a root there: ask for it a little away"
+        raise refuse(f"derivatives ({name})", value, "where the derivative is finite", hint)
+    rate = {
+        "logarithm": lambda: 1.0 / value, "root": lambda: 0.5 / x, "itself": lambda: 1.0,
+        "cosine": lambda: float(np.radians(1.0) * np.sin(np.radians(value))),
+    }[kind]()  # fmt: skip
+    share = rate * _slopes(at[drawn], x)
+    fewer = share.copy()
+    if len(drawn) > 2:
+        far = int(np.argmax(np.abs(at[drawn] - x)))
+        kept = np.delete(np.arange(len(drawn)), far)
+        fewer = np.zeros_like(share)
+        fewer[kept] = rate * _slopes(at[drawn][kept], x)
+    return Slope(share, fewer)
+
+
+def read_slope(
+    part: xr.Dataset, quantity: str, weights: Sequence[Weights], which: int, slope: Slope
+) -> Read:
+    """Return the derivative along one axis at a place.
+
+    Parameters
+    ----------
+    part : xarray.Dataset
+        The nodes around the place, all axes in the order of `weights`, the wavelength last.
+    quantity : str
+    weights : sequence of Weights
+        Of every axis.
+    which : int
+        The axis to derive along.
+    slope : Slope
+        Of its nodes.
+    """
+    values = part[quantity].values.astype(float)
+    shares = [w.share for w in weights]
+    along = [*shares[:which], slope.share, *shares[which + 1 :]]
+    plain = [*shares[:which], slope.fewer, *shares[which + 1 :]]
+    value = _drawn(values, weights, along)
+    missed = (value - _drawn(values, weights, plain)) ** 2
+    for i, w in enumerate(weights):
+        if i != which and len(w.others):
+            missed = missed + max(
+                (_across(values, weights, along, i, row) ** 2 for row in w.others),
+                key=lambda off: float(off.sum()),
+            )
+    groups = f"{quantity}_groups"
+    error = part[f"{quantity}_stderr"].values.astype(float)
+    variance = _drawn(error**2, weights, [s**2 for s in along])
+    if groups in part:
+        order = [d for d in part[quantity].dims if d != "wavelength"]
+        deviations = part[groups].transpose(*order, "group", "wavelength").values.astype(float)
+        variance = (_drawn(deviations, weights, along) ** 2).sum(axis=0)
+    return Read(value, np.sqrt(variance), np.sqrt(missed))
+
+
+def dataset_of(
+    found: dict[str, list[Read]], names: Sequence[str], wavelength: Any, facts: dict[str, Any]
+) -> xr.Dataset:
+    """Return derivatives by quantity as a dataset, over ``parameter`` and ``wavelength``."""
+    dims = ("parameter", "wavelength")
+    variables = {}
+    for quantity, rows in found.items():
+        label = f"derivative of {quantity} to the parameter, in the inverse of its unit"
+        error = [np.hypot(one.stderr, one.missed) for one in rows]
+        for end, values, about in (
+            ("", [one.value for one in rows], label),
+            ("_stderr", error, f"standard error of the {label}"),
+        ):
+            about_it = {"long_name": about, "units": "1"}
+            variables[f"{quantity}_jacobian{end}"] = (dims, np.stack(values), about_it)
+    units = [unit_of(name) for name in names]
+    axes = {
+        "parameter": ("parameter", list(names), {"long_name": "parameter"}),
+        "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),
+        "wavelength": wavelength,
+    }
+    return xr.Dataset(variables, axes, facts)
+
+
+def checked(names: Any, axes: Sequence[str]) -> list[str]:
+    """Return the axes to derive along, or refuse them."""
+    if isinstance(names, str) or not isinstance(names, Sequence) or not names:
+        raise refuse("names", names, f"a list of {', '.join(axes)}")
+    for name in names:
+        if name not in axes:
+            raise unknown_key(f"names.{name}", axes)
+    if len(set(names)) < len(names):
+        raise refuse("names", list(names), "each once")
+    return list(names)
+
+
+def _drawn(
+    values: np.ndarray, weights: Sequence[Weights], shares: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return the sum over all axes, by shares of the nodes that each is drawn from."""
+    for w, share in zip(weights, shares, strict=True):
+        values = np.tensordot(share, values[w.nodes], 1)
+    return values
+
+
+def _across(
+    values: np.ndarray, weights: Sequence[Weights], shares: Sequence[np.ndarray], which: int,
+    row: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Return that sum with other shares of all nodes along one axis."""
+    for i, (w, share) in enumerate(zip(weights, shares, strict=True)):
+        values = np.tensordot(row if i == which else share,
+                              values if i == which else values[w.nodes], 1)  # fmt: skip
+    return values
+
+
+def _slopes(at: np.ndarray, x: float) -> np.ndarray:
+    """Return the weights of the slope of Lagrange's polynomial."""
+    found = np.zeros(len(at))
+    for i, one in enumerate(at):
+        for left in range(len(at)):
+            if left == i:
+                continue
+            term = 1.0 / (one - at[left])
+            for j, other in enumerate(at):
+                if j not in (i, left):
+                    term *= (x - other) / (one - other)
+            found[i] += term
+    return found

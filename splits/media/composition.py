@@ -63,6 +63,16 @@ class ParticleType:
         return "kaolinite" in self.concentration
 
     @property
+    def materials(self) -> tuple[str, ...]:
+        """Names of its layers from the outside in."""
+        if self.coated:
+            coating = f"kaolinite with {self.oxide}" if self.oxide else "kaolinite"
+            return coating, "quartz"
+        if self.oxide:
+            return (f"quartz with {self.oxide}",)
+        return (next(iter(self.concentration)),)
+
+    @property
     def inclusion_fraction(self) -> float:
         """Volume of iron oxide per volume of the mixture that it is part of (section 4.2.5)."""
         if self.oxide is None:

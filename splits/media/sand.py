@@ -13,7 +13,7 @@ import numpy as np
 from splits.checks import in_range, known_keywords, numbers, refuse
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
-from splits.media.composition import Composition, ParticleType, coating_fraction, compose
+from splits.media.composition import Composition, coating_fraction, compose
 from splits.media.granular import Interface, mean_leg_m
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
@@ -207,7 +207,7 @@ class Sand:
     def _layers(self) -> list[tuple[str, ...]]:
         """Names of the materials of each particle type, from the outside in."""
         film = (FILM,) if self._wetness.film else ()
-        return [(*film, *_materials_of(t)) for t in self.composition.types]
+        return [(*film, *t.materials) for t in self.composition.types]
 
     def materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
@@ -274,7 +274,7 @@ class Sand:
         if self._wetness.film:
             index[:, self.materials().index(FILM)] = pure(WATER)
         for particle in self.composition.types:
-            for name in _materials_of(particle):
+            for name in particle.materials:
                 row = self.materials().index(name)
                 matrix, _, oxide = name.partition(" with ")
                 index[:, row] = pure(matrix)
@@ -294,13 +294,3 @@ class Sand:
             "film_thickness_per_major_axis": self._wetness.film,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }
-
-
-def _materials_of(particle: ParticleType) -> tuple[str, ...]:
-    """Return the names of a particle's layers from the outside in."""
-    if particle.coated:
-        coating = f"kaolinite with {particle.oxide}" if particle.oxide else "kaolinite"
-        return coating, "quartz"
-    if particle.oxide:
-        return (f"quartz with {particle.oxide}",)
-    return (next(iter(particle.concentration)),)

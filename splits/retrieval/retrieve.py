@@ -14,9 +14,10 @@ from splits.retrieval.coordinates import Free
 from splits.retrieval.estimation import Optimum, optima, optimum, told
 from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.media import free_of, runs_of
 from splits.retrieval.posterior import draws_of
 from splits.retrieval.result import Found, Retrieved, excess_of, result_of
-from splits.retrieval.runs import Around, free_of, runs_of
+from splits.retrieval.runs import Around
 
 
 @known_arguments

@@ -8,20 +8,16 @@ the medium only.  Around the end light is taken as linear in the coordinates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.checks import in_range, refuse, unknown_key
-from splits.instruments.arguments import check_incidence, check_medium, check_whole
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.lookup.interpolation import spaced
-from splits.media.parameters import INCIDENCE, value_of, with_value
+from splits.media.parameters import INCIDENCE, with_value
 from splits.media.turbid import Medium
-from splits.retrieval.coordinates import LEVEL, Free, Widest
+from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.estimation import APART, RIVAL
-from splits.retrieval.forward import LEVELS, Operator
+from splits.retrieval.forward import Operator
 from splits.retrieval.measurement import Measurement
 
 SURVEY = 16
@@ -118,7 +114,7 @@ class OfRuns:
         self.incidence, self.seed, self.threads = incidence, seed, threads
         least = float(np.sqrt(np.diag(measurement.covariance).min()))
         self.error = error or min(max(NOISE_SHARE * least, FINEST), COARSEST)
-        self.wavelengths = _wavelengths(measurement)
+        self.wavelengths = wavelengths_of(measurement)
         self.operator = Operator.of(measurement, self.wavelengths).matrix
         self.axes = [name for name in free.names if name != LEVEL]
         self._rows = [free.names.index(name) for name in self.axes]
@@ -256,78 +252,7 @@ class OfRuns:
         return most
 
 
-def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Free:
-    """Return what a user leaves free of a medium, or refuse it.
-
-    Parameters
-    ----------
-    medium : Medium
-    ranges : mapping
-        (low, high) by name: numbers of the medium as for derivatives, ``incidence_deg``, ``level``.
-    prior : mapping or None
-    incidence : float or "diffuse"
-
-    Raises
-    ------
-    ValueError
-        For a parameter that the medium does not have, or ends of a range that no medium has.
-    """
-    check_medium(medium, endless=True)
-    if not isinstance(ranges, Mapping):
-        hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
-        raise refuse("free", ranges, "(low, high) by name", hint)
-    known: dict[str, Widest] = {LEVEL: Widest(*LEVELS, "itself")}
-    for name, pair in ranges.items():
-        if name == LEVEL:
-            continue
-        if name != INCIDENCE:
-            value_of(medium, name)
-        elif incidence == "diffuse":
-            raise unknown_key(f"free.{name}", ["level"])
-        ends = np.array([in_range(f"free.{name}", v, -np.inf, np.inf) for v in _pair(name, pair)])
-        if not ends[0] < ends[1]:
-            raise refuse(f"free.{name}", pair, "low < high")
-        for value in ends if name != INCIDENCE else ():
-            try:
-                with_value(medium, name, float(value))
-            except ValueError as error:
-                raise refuse(f"free.{name}", float(value), "what a medium can have",
-                             str(error)) from None  # fmt: skip
-        for value in ends if name == INCIDENCE else ():
-            check_incidence(float(value))
-        middle = np.array([ends[0], 0.5 * ends.sum(), ends[1]])
-        known[name] = Widest(float(ends[0]), float(ends[1]), spaced(name, middle)[0])
-    return Free.of(dict(ranges), prior, known)
-
-
-def runs_of(
-    medium: Medium,
-    measurement: Measurement,
-    free: Free,
-    at: Mapping[str, Any],
-    error: float | None,
-    seed: int,
-) -> OfRuns:
-    """Return a measurement as runs have it, or refuse what is known of it."""
-    for name in at:
-        if name not in (INCIDENCE, "sza"):
-            raise unknown_key(f"at.{name}", [INCIDENCE])
-    beam = check_incidence(at.get(INCIDENCE, at.get("sza", 0.0)))
-    if error is not None:
-        error = in_range("max_stderr", error, 1e-6, 0.5)
-    return OfRuns(medium, measurement, free, beam, error, check_whole("seed", seed, 0))
-
-
-def _pair(name: str, pair: Any) -> tuple[Any, Any]:
-    """Return the two ends of a range, or refuse it."""
-    try:
-        low, high = pair
-    except (TypeError, ValueError):
-        raise refuse(f"free.{name}", pair, "(low, high)") from None
-    return low, high
-
-
-def _wavelengths(measurement: Measurement) -> np.ndarray:
+def wavelengths_of(measurement: Measurement) -> np.ndarray:
     """Return the wavelengths (nm) to run: those measured, or some across all bands."""
     if not measurement.bands:
         return np.unique(measurement.wavelength_nm)

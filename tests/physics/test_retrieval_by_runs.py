@@ -9,7 +9,8 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.checks import Refusal
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.runs import Around, Seen, free_of
+from splits.retrieval.media import free_of
+from splits.retrieval.runs import Around, Seen, wavelengths_of
 
 W = np.arange(500.0, 1400.0, 100.0)
 SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
@@ -104,8 +105,6 @@ def test_bad_input_is_refused(name):
 
 
 def test_wavelengths_of_bands_cover_them():
-    from splits.retrieval.runs import _wavelengths
-
     bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
-    w = _wavelengths(Measurement.of([0.5, 0.5], 0.01, bands))
+    w = wavelengths_of(Measurement.of([0.5, 0.5], 0.01, bands))
     assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

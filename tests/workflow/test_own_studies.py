@@ -57,6 +57,10 @@ INDICES = """
   telling:
     kind: sobol
     experiments: {my snow: grains}
+  choosing:
+    kind: bands
+    experiments: {my snow: grains}
+    most: 2
 """
 
 
@@ -69,9 +73,10 @@ def test_a_retrieval_and_indices_of_ones_own(project):
     made = [path for path in project.results("results/tiny") if not path.startswith("blocks")]
     assert made == [
         "data/grains.nc",
+        "figures/choosing.pdf", "figures/choosing.png", "figures/choosing.svg",
         "figures/grains.pdf", "figures/grains.png", "figures/grains.svg",
         "figures/telling.pdf", "figures/telling.png", "figures/telling.svg",
-        "tables/grains_retrieved.csv", "tables/telling.csv",
+        "tables/choosing.csv", "tables/grains_retrieved.csv", "tables/telling.csv",
     ]  # fmt: skip
     tables = project.folder / "results" / "tiny" / "tables"
     retrieved = pd.read_csv(tables / "grains_retrieved.csv")

@@ -196,10 +196,12 @@ def _check_readings(study: Study) -> None:
 
 def _check_bands(study: Study) -> None:
     """Refuse a choice of bands that cannot be, and its keys for another kind of study."""
-    given = [key for key in ("bands", "noise", "most", "at") if key in study.model_fields_set]
     if study.kind != "bands":
-        for key in given:
-            raise refuse(key, getattr(study, key), "left out but for kind = 'bands'")
+        # Archives say all keys, as they are by default.
+        for key in ("bands", "noise", "most", "at"):
+            usual = Study.model_fields[key].get_default(call_default_factory=True)
+            if getattr(study, key) != usual:
+                raise refuse(key, getattr(study, key), "left out but for kind = 'bands'")
         return
     if study.bands is not None:
         one_of("bands", study.bands, SENSORS)

@@ -141,9 +141,10 @@ class Sand:
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
         given = self.refractive_index
         put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
-        if self.pores and self.readings.water == "narrow_pores":
+        if self.pores and self.readings.water != "whole_pores":
             hint = "which pores these media fill is not known: leave readings.water out"
-            raise refuse("pores", dict(self.pores), "empty with readings.water narrow_pores", hint)
+            allowed = f"empty with readings.water {self.readings.water}"
+            raise refuse("pores", dict(self.pores), allowed, hint)
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
         _ = self.sizes, self.composition

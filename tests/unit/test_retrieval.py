@@ -219,7 +219,7 @@ WRONG = {
     "prior of nothing": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
     "prior outside": ({"prior": {SIZE: (5000.0, 10.0)}}, "a mean in the range"),
     "sure prior": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),
-    "no table": ({"table": 3}, "a Table"),
+    "no table": ({"model": 3}, "a Table"),
     "another quantity": ({"quantity": "transmittance"}, "reflectance"),
 }
 
@@ -227,7 +227,7 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_bad_input_is_refused_in_one_line(table, name):
     other, message = WRONG[name]
-    given = {"measured": GOOD, "table": table, "free": [SIZE, DIRT], "noise": 0.01, "at": AT}
+    given = {"measured": GOOD, "model": table, "free": [SIZE, DIRT], "noise": 0.01, "at": AT}
     with pytest.raises(Refusal, match=message) as caught:
         splits.retrieve(**(given | other))
     assert "\n" not in str(caught.value)

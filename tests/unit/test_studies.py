@@ -35,12 +35,14 @@ def test_shipped_studies_have_all_that_they_need(shipped):
     figures = (
         "fig23_sensitivity", "readings_together", "letcher2022_measured",
         "surface_area_spectra_found", "surface_area_law", "which_wavelength_tells_what",
+        "wet_sand_anisotropy", "bands_that_tell_most",
     )  # fmt: skip
     drawn = {f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")}
     assert paths == drawn | {
         "data/fig23_sensitivity.nc", "tables/sensitivity.csv", "tables/table2.csv",
         "tables/agreement.csv", "tables/readings_together.csv",
-        "tables/which_wavelength_tells_what.csv",
+        "tables/which_wavelength_tells_what.csv", "tables/bands_that_tell_most.csv",
+        "tables/wet_sand_anisotropy.csv", "tables/wet_sand_anisotropy_by_angle.csv",
         "tables/readings_together_statements.csv", "tables/readings_together_without.csv",
         "tables/measured_bands.csv", "tables/table1.csv", "tables/table3.csv",
         "tables/sand_trends.csv", "tables/sand_weights.csv",

@@ -76,16 +76,16 @@ def _check_values(section: RetrieveSection, rows: Rows) -> None:
     for first in section.prior_from:
         for name, value in first.at.items():
             one_of("retrieve.prior_from.at", name, [*rows, LEVEL])
-            _check_within(f"retrieve.prior_from.at.{name}", value, rows.get(name))
+            check_within(f"retrieve.prior_from.at.{name}", value, rows.get(name))
         if not [n for n in section.free if n not in (*first.at, LEVEL)]:
             hint = "something of the first sample must be left to be found"
             raise refuse("retrieve.prior_from.at", sorted(first.at), "not all that is free", hint)
     for name, values in section.known.items():
         for sample, value in values.items():
-            _check_within(f"retrieve.known.{name}.{sample}", value, rows.get(name))
+            check_within(f"retrieve.known.{name}.{sample}", value, rows.get(name))
 
 
-def _check_within(key: str, value: Any, row: tuple[Any, ...] | None) -> None:
+def check_within(key: str, value: Any, row: tuple[Any, ...] | None) -> None:
     """Refuse a value that an axis does not reach."""
     if row is None:
         return

@@ -60,6 +60,9 @@ def run_retrieve(
     """
     with under("retrieve"):
         spectra = section.spectra(measured, table.dataset.wavelength.values)
+    used, every = len(next(iter(spectra.values()))), len(measured)
+    if used < every:
+        say(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
     axis, law = section.models, section.beside
     alone = OURS if law else ALONE
     names = [str(v) for v in table.dataset[axis].values] if axis else [alone]

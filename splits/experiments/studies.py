@@ -12,6 +12,7 @@ from pydantic import Field
 
 from splits.analysis.roles import SENSITIVITY_DEPTHS, Role
 from splits.checks import in_range, one_of, refuse, suggestion, unknown_key
+from splits.experiments.check_retrieve import check_within
 from splits.experiments.model import RULES, Experiment
 from splits.experiments.rank_readings import BOUNDARIES, FATES
 from splits.experiments.sections import Section
@@ -127,6 +128,7 @@ def check_studies(
             _check_keys(about)
             _check_names(study, about, studies)
             _check_files(about, tables)
+            _check_at(about, available)
             for role, name in about.experiments.items():
                 if name in available and about.kind in OF_TABLES:
                     _check_table(f"experiments.{role}", available[name])
@@ -232,6 +234,21 @@ def _check_table(place: str, experiment: Experiment) -> None:
     several = [row for row in axes if len(row) > 1 and not isinstance(row[0], str)]
     if len(several) < 2:
         raise refuse(place, experiment.name, "a table over two parameters or more")
+
+
+def _check_at(about: Study, available: Mapping[str, Experiment]) -> None:
+    """Refuse values of axes that no table has or reaches, and texts that are left open."""
+    if about.kind != "bands":
+        return
+    tables = [available[n] for n in about.experiments.values() if n in available]
+    rows = {name: row for one in tables for name, row in zip(*one.axes(), strict=True)}
+    for name, value in about.at.items() if tables else ():
+        if name not in rows:
+            raise unknown_key(f"at.{name}", rows)
+        check_within(f"at.{name}", value, rows[name])
+    for name, row in rows.items():
+        if isinstance(row[0], str) and len(row) > 1 and name not in about.at:
+            raise refuse(f"at.{name}", "nothing", f"one of {', '.join(map(str, row))}")
 
 
 def _check_role(place: str, experiment: Experiment, role: Role) -> None:

@@ -23,13 +23,15 @@ from splits.figures.style import (
 _HEIGHT = 4.2
 
 
-def chosen_bands(found: Mapping[str, xr.Dataset]) -> Figure:
+def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
     """Draw a column for every table: information by the number of bands, and what is left.
 
     Parameters
     ----------
     found : mapping
         From what columns are called to what `splits.best_bands` returns.
+    known : str
+        Of noise, and of what is known, for the foot.
     """
     with style():
         figure, panels = subplots(
@@ -61,4 +63,5 @@ def chosen_bands(found: Mapping[str, xr.Dataset]) -> Figure:
             "Bands from left to right, each the one that adds most to those before it, in the mean "
             "over the ranges of the table. Error bars: two standard errors of that mean."
         )
+        note += f" {known.replace('_', ' ')}." if known else ""
         return finished(figure, panels[0], note)

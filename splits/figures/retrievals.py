@@ -92,6 +92,8 @@ def retrievals(
             "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
             "Dots: draws from what the spectrum allows"
         )
+        if len(samples) < len(every):
+            note = f"{len(samples)} of {len(every)} samples, evenly among all. " + note
         if dataset.sizes["model"] == 1:
             note += "; lines: 16, 50 and 84 %."
         else:
@@ -120,7 +122,8 @@ def _against(
             told.append(f"slope {slope:.2f} ± {error:.2f}, scatter {scatter:.2g}")
             misfit = own.chi2_where_known.values
             if model and np.isfinite(misfit).all():
-                told.append(f"χ² {misfit.sum():.0f} at what is known")
+                expected = float(own.chi2_expected.sum())
+                told.append(f"χ² {misfit.sum():.0f} at what is known, {expected:.0f} expected")
         axes.plot(x, y, "o", color=colour, ms=3, label="\n".join(told) or None)
         top = max(top, float(most.max()))
     top *= 1.08

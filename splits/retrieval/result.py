@@ -211,8 +211,8 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
         found.append(f"another answer is nearly as good: {told}")
     if result.bent > STRAIGHT:
         found.append(
-            f"errors are those of a straight line, from which light is {result.bent:.1f} of its "
-            f"noise off a standard deviation away: a table tells them better"
+            f"errors take reflectance to be linear in the coordinates, but a standard deviation "
+            f"away it is off by {result.bent:.1f} times the noise: a table gives better ones"
         )
     if draws.effective < ENOUGH:
         found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")

@@ -16,7 +16,13 @@ from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import free_of, runs_of
 from splits.retrieval.posterior import draws_of
-from splits.retrieval.result import Found, Retrieved, excess_of, result_of
+from splits.retrieval.result import (
+    FAR_FROM_PRIOR,
+    Found,
+    Retrieved,
+    excess_of,
+    result_of,
+)
 from splits.retrieval.runs import Around
 
 
@@ -51,7 +57,8 @@ def retrieve(
     free : sequence of str or mapping
         Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
         parameters named as for derivatives (``layers.0.depth_m``).  ``level`` is a factor of
-        the measurement, for a panel whose reflectance is not known.
+        the model: what was measured is `level` times its light, for a panel whose reflectance is
+        not known.
     noise : float, array_like or mapping
         Standard errors of the measurement, one or as many as values, their covariance matrix, or
         ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
@@ -70,7 +77,7 @@ def retrieve(
     seed : int
         Of the draws, and of runs.
     max_stderr : float, optional
-        Of runs of a medium; by default 0.3 of the least noise, but 0.0003 to 0.01.
+        Of the last runs of a medium; by default half of the least noise, but 0.001 to 0.01.
 
     Returns
     -------
@@ -135,11 +142,15 @@ def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Foun
     ends = optima(model, measurement, *nodes)
     # A prior that contradicts the measurement is no fault of the model.
     alone = _without_priors(model, measurement, ends[0])
-    excess = excess_of(alone, told(alone, model))
+    fair = ends[0] if ends[0].chi2 <= alone.chi2 else alone
+    excess = excess_of(fair, told(fair, model))
     if excess > 1.0:
         ends = optima(model, measurement, *nodes, excess)
     spread = np.diag(told(alone._replace(covariance=excess * alone.covariance), model).covariance)
     tension = np.abs(alone.place - which.prior_mean) / np.sqrt(which.prior_sd**2 + spread)
+    if ends[0].chi2 - fair.chi2 / excess < FAR_FROM_PRIOR**2:
+        # As well followed with the priors as without: they do not contradict it.
+        tension = np.zeros_like(tension)
     draws = draws_of(model, measurement, ends, seed)
     off = np.sqrt(np.diag(model.covariance(ends[0].place)))
     return Found(ends, told(ends[0], model), draws, excess, tension, off)

@@ -22,4 +22,6 @@ for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True)
     )  # fmt: skip
 lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
 write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
-save_figure(chosen_bands(found), Path(snakemake.output.figure[0]).with_suffix(""))
+known = ", ".join(f"{n} {v}" for n, v in snakemake.params.at.items())
+note = f"Noise {snakemake.params.noise:g}" + (f", at {known}" if known else "")
+save_figure(chosen_bands(found, note), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from splits.analysis.anisotropy import EVERY
+from splits.analysis.proportion import proportion
 from splits.analysis.quoting import Number, Value, cell
 
 WET, LETCHER = "tables/retrieved_wet_sand_retrieved.csv", "tables/retrieved_letcher_retrieved.csv"
@@ -26,13 +27,6 @@ SNOWS = {
 Select = Callable[[pd.DataFrame], Value]
 
 
-def line_through_origin(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Return the slope of y = a x, its standard error, and the scatter of y about the line."""
-    slope = float((x * y).sum() / (x * x).sum())
-    scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
-    return slope, scatter / float(np.sqrt((x * x).sum())), scatter
-
-
 def _wet(table: pd.DataFrame, model: str, sand: str) -> pd.DataFrame:
     """Return the rows of the water of one sand, read with one model."""
     own = table[(table.model == model) & (table.parameter == "saturation")]
@@ -44,8 +38,8 @@ def _slope(model: str, sand: str) -> Select:
 
     def select(table: pd.DataFrame) -> Value:
         own = _wet(table, model, sand)
-        slope, error, _ = line_through_origin(own.known.to_numpy(), own["median"].to_numpy())
-        return slope, error, ""
+        line = proportion(own.known.to_numpy(), own["median"].to_numpy())
+        return line.slope, line.stderr, ""
 
     return select
 
@@ -55,7 +49,8 @@ def _scatter(model: str, sand: str) -> Select:
 
     def select(table: pd.DataFrame) -> Value:
         own = _wet(table, model, sand)
-        return line_through_origin(own.known.to_numpy(), own["median"].to_numpy())[2], None, ""
+        line = proportion(own.known.to_numpy(), own["median"].to_numpy())
+        return line.scatter, None, ""
 
     return select
 

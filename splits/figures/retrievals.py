@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from splits.analysis.quoted_retrievals import line_through_origin
+from splits.analysis.proportion import proportion
 from splits.figures.notes import finished
 from splits.figures.style import (
     BAND,
@@ -118,8 +118,9 @@ def _against(
             axes.vlines(x, *ends, color=colour, lw=width)
         told = [value_label(model, "model")] if model else []
         if len(samples) >= FEWEST:
-            slope, error, scatter = line_through_origin(x, y)
-            told.append(f"slope {slope:.2f} ± {error:.2f}, scatter {scatter:.2g}")
+            line = proportion(x, y)
+            slope = f"slope {line.slope:.2f} ± {line.stderr:.2f}"
+            told.append(f"{slope}, scatter {line.scatter:.2g}")
             misfit = own.chi2_where_known.values
             if model and np.isfinite(misfit).all():
                 expected = float(own.chi2_expected.sum())

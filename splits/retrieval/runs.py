@@ -145,8 +145,8 @@ class OfRuns:
         """Return what would be measured at a place, with slopes; each is run once."""
         key = (place.tobytes(), error)
         if key not in self._known:
-            found, level = self.looked(place, error, [])
-            slope_run, _ = self.looked(place, max(error, SLOPES), self.axes)
+            slope_run, level = self.looked(place, max(error, SLOPES), self.axes)
+            found = slope_run if error >= SLOPES else self.looked(place, error, [])[0]
             values = self.operator @ found.reflectance.values
             slopes = np.zeros((values.size, len(self.free.names)))
             per_unit = self._per_coordinate(place)

@@ -20,18 +20,19 @@ PHYSICS = (
 """Folders and files, relative to the package, behind every simulation."""
 FITTING = (
     "experiments/fit.py",
-    "experiments/fit_errors.py",
     "experiments/parameters.py",
     "experiments/run_fit.py",
-)
+    "retrieval/coordinates.py", "retrieval/estimation.py", "retrieval/least_squares.py",
+    "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/search.py",
+)  # fmt: skip
 """Files behind a fit besides."""
 RETRIEVING = (
     "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
     "lookup/interpolation.py", "lookup/reading.py", "materials/impurities.csv",
     "materials/impurities.py", "retrieval/coordinates.py", "retrieval/cubics.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
-    "retrieval/measurement.py", "retrieval/posterior.py", "retrieval/result.py",
-    "retrieval/retrieve.py",
+    "retrieval/least_squares.py", "retrieval/measurement.py", "retrieval/misfit.py",
+    "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
 )  # fmt: skip
 """Files behind retrievals from a table."""
 

@@ -12,8 +12,11 @@ from splits.lookup.axes import INCIDENCE
 from splits.media.measured_inputs import AREA, RADIUS
 from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.forward import ranges_of_axes
+from splits.retrieval.measurement import Measurement
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from splits.experiments.model import Experiment
 
 LAW_KNOWS_NOT = (
@@ -53,6 +56,25 @@ def check_retrieve(experiment: Experiment) -> None:
         one_of("retrieve.known", name, list(section.free))
     _check_values(section, rows)
     _check_law(section, rows, experiment.medium)
+
+
+def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
+    """Refuse measured spectra that the experiment's table could not be asked about.
+
+    Raises
+    ------
+    ValueError
+        For per cent, gaps, wavelengths or angles that the table does not have.
+    """
+    section = experiment.retrieve
+    if section is None:
+        return
+    rows = dict(zip(*experiment.axes(), strict=True))
+    for name, spectrum in section.spectra(measured, experiment.instrument.wavelengths()).items():
+        with under(f"retrieve ({name})"):
+            Measurement.of(spectrum, section.noise.of(spectrum.to_numpy()))
+        for axis, value in section.where(name, list(rows)).items():
+            check_within(f"retrieve ({name}): {axis}", value, rows.get(axis))
 
 
 def _check_models(section: RetrieveSection, rows: Rows) -> None:

@@ -1,26 +1,28 @@
-"""Which sand has a measured spectrum: least squares over what SPLITS Table 2 leaves open.
+"""Which sand has a measured spectrum: a retrieval of what SPLITS Table 2 leaves open.
 
-Every simulation of a stage uses the same random numbers, so that the misfit is a smooth function
-of the parameters, bent a little towards that stage's noise; later stages use other numbers and
-more rays, and the sand found is simulated afresh in the end.  A spectrum seldom fixes all
-parameters: the error of each says how far it may move before the misfit tells.
+Every place of the unit cube is a sand (`splits.experiments.parameters.Cube`).  Noise is not told:
+`splits.retrieval.search` finds the least misfit, `splits.retrieval.least_squares` what that leaves
+open.  A spectrum seldom fixes all parameters: the error of each says how far it may move before
+the misfit tells.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from splits.checks import in_range, refuse
-from splits.experiments.fit_errors import covariance_of, draws_of, parameter_errors
-from splits.experiments.parameters import Cube, FitResult
+from splits.experiments.parameters import Cube, FitResult, Fitted
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
+from splits.retrieval.least_squares import estimated
+from splits.retrieval.search import Aim, End, Stage, search
 
 STEP = 0.05
 """Difference of a coordinate for derivatives: large enough against what noise is not shared."""
@@ -28,14 +30,6 @@ JACOBIANS = 4
 """Independent Jacobians behind the errors."""
 _RAYS_PER_DERIVATIVE = 8
 """The last stage's rays over those of each: there are many, and noise in them does not bias."""
-FIRST_RADIUS = 0.3
-"""Half the edge of the first trust region."""
-_LEAST_RADIUS = 0.02
-_LEAST_GAIN = 0.003
-"""A descent ends once its trust region, or the relative gain foretold, falls below these."""
-
-Model = Callable[[np.ndarray], np.ndarray]
-"""Spectrum as a function of the place in the unit cube."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +59,90 @@ class Effort:
     def __post_init__(self) -> None:
         if not len(self.starts) == len(self.evaluations) == len(self.rays) - 1:
             raise refuse("effort", self, "starts, evaluations and rays for the same stages")
+
+
+class OfSands:
+    """Reflectance of sands as runs of fixed numbers of rays have it, see `splits.retrieval.search`.
+
+    Parameters
+    ----------
+    cube : Cube
+    wavelengths : float, shape (wavelengths,)
+        In nm.
+    incidence : float or "diffuse"
+    effort : Effort
+    seed : int
+    threads : int, optional
+
+    Attributes
+    ----------
+    count : int
+        Sands simulated so far.
+    """
+
+    margin = 0.0
+
+    def __init__(
+        self,
+        cube: Cube,
+        wavelengths: np.ndarray,
+        incidence: float | str,
+        effort: Effort,
+        seed: int,
+        threads: int | None,
+    ) -> None:
+        self.cube, self.free = cube, cube.free
+        self.wavelengths, self.incidence, self.threads = wavelengths, incidence, threads
+        self.rays = effort.rays
+        self.count = 0
+        count = len(effort.rays) + JACOBIANS + 1
+        drawn = np.random.SeedSequence(seed).generate_state(count)
+        self.streams = [int(one) for one in drawn]
+        """Of the survey and every stage, of Jacobians, and of the last spectrum."""
+        self._last: tuple[bytes, int, np.ndarray] = (b"", 0, np.empty(0))
+
+    def _run(self, place: np.ndarray, rays: int, stream: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return reflectance and how far groups of rays take it off."""
+        self.count += 1
+        mean, _, groups = fixed_spectrum(
+            self.cube.sand(place), self.wavelengths, self.incidence,
+            spread_rows(len(self.wavelengths)), rays, stream, self.threads,
+        )  # fmt: skip
+        return mean[0], groups[:, 0]
+
+    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+        """Return reflectance with the rays of a stage, shape (wavelengths,)."""
+        if self._last[:2] != (place.tobytes(), stage):
+            found = self._run(place, self.rays[stage], self.streams[stage])[0]
+            self._last = place.tobytes(), stage, found
+        return self._last[2]
+
+    def slopes(self, place: np.ndarray, stage: int) -> np.ndarray:
+        """Return derivatives from one neighbour per coordinate, inside the cube."""
+        here, columns = self.values(place, stage), []
+        for i, x in enumerate(place):
+            near = place.copy()
+            near[i] += STEP if x + STEP <= 1.0 else -STEP
+            columns.append((self.values(near, stage) - here) / (near[i] - x))
+        return np.column_stack(columns)
+
+    def noise(self, place: np.ndarray) -> np.ndarray:
+        """Return the covariance of the last stage's noise, which all of its runs share."""
+        groups = self._run(place, self.rays[-1], self.streams[len(self.rays) - 1])[1]
+        found: np.ndarray = groups.T @ groups
+        return found
+
+    def jacobians(self, place: np.ndarray) -> list[np.ndarray]:
+        """Return derivatives with random numbers of their own."""
+        first = len(self.rays)
+        rays = max(self.rays[-1] // _RAYS_PER_DERIVATIVE, 1)
+        return [
+            central(partial(self._reflectance, rays, stream), place)
+            for stream in self.streams[first : first + JACOBIANS]
+        ]
+
+    def _reflectance(self, rays: int, stream: int, place: np.ndarray) -> np.ndarray:
+        return self._run(place, rays, stream)[0]
 
 
 def fit(
@@ -114,20 +192,21 @@ def fit(
         raise refuse(
             "wavelength_nm", wavelengths.tolist(), f"more than {len(cube.names)} wavelengths"
         )
-    entropy = np.random.SeedSequence(check_whole("seed", seed, 0))
-    survey, *streams = (int(s) for s in entropy.generate_state(2 + len(effort.starts) + JACOBIANS))
-    problem = _Problem(cube, wavelengths, wanted, check_incidence(incidence_deg), threads)
-
-    ends = _search(problem, effort, survey, streams, say)
+    beam, seed = check_incidence(incidence_deg), check_whole("seed", seed, 0)
+    runs = OfSands(cube, wavelengths, beam, effort, seed, threads)
+    ends = _ends(runs, wanted, effort, say)
     best = ends[-1][0].place
     spectrum = spectrophotometer(
-        cube.sand(best), wavelengths, incidence_deg, effort.max_stderr, streams[-1], threads=threads
+        cube.sand(best), wavelengths, beam, effort.max_stderr, runs.streams[-1], threads=threads
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
-    value, value_stderr = _misfit(modelled, wanted), float(np.sqrt(np.mean(stderr**2)))
-    draws = draws_of(best, _covariance(problem, best, effort, streams, modelled))
+    off = modelled - wanted
+    draws = estimated(
+        cube.free, best, runs.jacobians(best), off, runs.noise(best), seed
+    ).draws.places  # fmt: skip
+    value, value_stderr = _rms(off), _rms(stderr)
     seconds = time.perf_counter() - begun
-    say(f"{problem.count} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
+    say(f"{runs.count} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
     return FitResult(
         parameters=parameter_errors(cube, best, draws),
         settings=cube.settings(best),
@@ -142,89 +221,32 @@ def fit(
         coordinates=best,
         coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
         correlation=np.corrcoef(draws, rowvar=False),
-        others=[(end.misfit, cube.natural(end.place)) for end in ends[0]],
-        evaluations=problem.count,
+        others=[(_misfit(end, wanted), cube.natural(end.place)) for end in ends[0]],
+        evaluations=runs.count,
         seconds=seconds,
     )
 
 
-class _Candidate(NamedTuple):
-    """A place in the unit cube and the misfit found there."""
-
-    misfit: float
-    place: np.ndarray
-
-
-@dataclass
-class _Problem:
-    """The spectrum wanted, the sands allowed, and the simulations so far."""
-
-    cube: Cube
-    wavelengths: np.ndarray
-    wanted: np.ndarray
-    incidence_deg: float | str
-    threads: int | None
-    count: int = 0
-
-    def simulate(self, x: np.ndarray, rays: int, stream: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return reflectance at a place of the cube and how far groups of rays take it off."""
-        self.count += 1
-        mean, _, groups = fixed_spectrum(
-            self.cube.sand(x),
-            self.wavelengths,
-            self.incidence_deg,
-            spread_rows(len(self.wavelengths)),
-            rays,
-            stream,
-            self.threads,
-        )
-        return mean[0], groups[:, 0]
-
-    def model(self, rays: int, stream: int) -> Model:
-        """Return reflectance as a function of the place, with so many rays of one stream."""
-        return lambda x: self.simulate(x, rays, stream)[0]
-
-
-def _search(
-    problem: _Problem,
-    effort: Effort,
-    survey: int,
-    streams: Sequence[int],
-    say: Callable[[str], None],
-) -> list[list[_Candidate]]:
+def _ends(
+    runs: OfSands, wanted: np.ndarray, effort: Effort, say: Callable[[str], None]
+) -> list[list[End]]:
     """Return where the descents of every stage ended, best first."""
     from scipy.stats import qmc  # a second, which every start of the workflow would take
 
-    model = problem.model(effort.rays[0], survey)
-    places = qmc.Sobol(len(problem.cube.names), seed=survey).random(effort.points)
-    found = [_Candidate(_misfit(model(x), problem.wanted), x) for x in places]
-    ends = []
-    for stage, (starts, most) in enumerate(zip(effort.starts, effort.evaluations, strict=True)):
-        found = sorted(found, key=lambda c: c.misfit)[:starts]
-        say(f"{problem.count} sands, best misfit {found[0].misfit:.4f}")
-        model = problem.model(effort.rays[stage + 1], streams[stage])
-        # A later stage begins near its goal: it may trust its linear model less far.
-        found = [
-            descend(model, c.place, problem.wanted, most, FIRST_RADIUS / 2**stage) for c in found
-        ]
-        ends.append(sorted(found, key=lambda c: c.misfit))
-    say(f"{problem.count} sands, best misfit {ends[-1][0].misfit:.4f}; now its errors")
+    places = qmc.Sobol(len(runs.cube.names), seed=runs.streams[0]).random(effort.points)
+    stages = [Stage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]
+    aim = Aim.least_squares(wanted, runs.free)
+
+    def tell(_: int, cost: float) -> None:
+        say(f"{runs.count} sands, best misfit {np.sqrt(cost / len(wanted)):.4f}")
+
+    ends = search(runs, lambda place, stage: aim, places, stages, tell)
+    say(f"{runs.count} sands, best misfit {_misfit(ends[-1][0], wanted):.4f}; now its errors")
     return ends
 
 
-def _covariance(
-    problem: _Problem, best: np.ndarray, effort: Effort, streams: Sequence[int], fresh: np.ndarray
-) -> np.ndarray:
-    """Return the covariance of the coordinates, from derivatives with numbers of their own."""
-    last = len(effort.starts) - 1
-    noise = problem.simulate(best, effort.rays[-1], streams[last])[1]
-    rays = max(effort.rays[-1] // _RAYS_PER_DERIVATIVE, 1)
-    jacobians = [central(problem.model(rays, s), best) for s in streams[last + 1 : -1]]
-    return covariance_of(jacobians, fresh - problem.wanted, noise)
-
-
-def _misfit(spectrum: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.sqrt(np.mean((spectrum - wanted) ** 2)))
+def _misfit(end: End, wanted: np.ndarray) -> float:
+    return float(np.sqrt(end.cost / len(wanted)))
 
 
 def check_measured(measured: Any, count: int) -> np.ndarray:
@@ -242,77 +264,7 @@ def check_measured(measured: Any, count: int) -> np.ndarray:
     return values
 
 
-def descend(
-    model: Model,
-    start: np.ndarray,
-    wanted: np.ndarray,
-    evaluations: int,
-    radius: float,
-) -> _Candidate:
-    """Return the misfit and the place of the nearest spectrum found, by Gauss-Newton in a box.
-
-    Every step minimises the linear model within the unit cube and a trust region around the best
-    place so far.  Derivatives are differences, updated after Broyden (1965) as long as they
-    foretell the misfit, because every simulation costs the same.
-
-    Parameters
-    ----------
-    model : callable
-        Spectrum at a place in the unit cube.
-    start : float, shape (coordinates,)
-    wanted : float, shape (wavelengths,)
-    evaluations : int
-        About how often the model may be called.
-    radius : float
-        Half the edge of the first trust region, 0 to 1.
-    """
-    from scipy.optimize import lsq_linear
-
-    x = start.copy()
-    f = model(x)
-    best = float(np.sum((f - wanted) ** 2))
-    used, stale = 1, True
-    jacobian = np.empty((len(f), len(x)))
-    while used < evaluations and radius >= _LEAST_RADIUS:
-        fresh = stale
-        if stale:
-            jacobian = _forward(model, x, f)
-            used += len(x)
-            stale = False
-        low, high = np.maximum(-x, -radius), np.minimum(1.0 - x, radius)
-        step = lsq_linear(jacobian, wanted - f, (low - 1e-9, high + 1e-9)).x
-        step = np.clip(x + step, 0.0, 1.0) - x
-        foretold = best - float(np.sum((f + jacobian @ step - wanted) ** 2))
-        if foretold < _LEAST_GAIN * best:
-            if fresh:
-                break
-            stale = True
-            continue
-        g = model(x + step)
-        used += 1
-        gained = best - float(np.sum((g - wanted) ** 2))
-        jacobian += np.outer(g - f - jacobian @ step, step) / (step @ step)
-        if gained < 0.25 * foretold:
-            radius *= 0.5
-        elif gained > 0.75 * foretold:
-            radius = min(2.0 * radius, 0.5)
-        stale = gained < 0.5 * foretold and not (fresh and gained <= 0.0)
-        if gained > 0.0:
-            x, f, best = x + step, g, best - gained
-    return _Candidate(float(np.sqrt(best / len(wanted))), x)
-
-
-def _forward(model: Model, x: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """Return derivatives from one neighbour per coordinate, inside the cube."""
-    columns = []
-    for i in range(len(x)):
-        near = x.copy()
-        near[i] += STEP if x[i] + STEP <= 1.0 else -STEP
-        columns.append((model(near) - f) / (near[i] - x[i]))
-    return np.column_stack(columns)
-
-
-def central(model: Model, x: np.ndarray) -> np.ndarray:
+def central(model: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
     """Return derivatives between neighbours on both sides, as far as the cube reaches."""
     columns = []
     for i in range(len(x)):
@@ -321,3 +273,25 @@ def central(model: Model, x: np.ndarray) -> np.ndarray:
         down[i] = max(x[i] - 2.0 * STEP, 0.0)
         columns.append((model(up) - model(down)) / (up[i] - down[i]))
     return np.column_stack(columns)
+
+
+def parameter_errors(cube: Cube, best: np.ndarray, draws: np.ndarray) -> dict[str, Fitted]:
+    """Return the parameters with errors, from draws around the best fit.
+
+    What a parameter may be off by is also counted in ranks among sands drawn from the whole cube,
+    which treat a logarithmic coordinate and a mass fraction alike.
+    """
+    everywhere = np.random.default_rng(1).random(draws.shape)
+    around, anywhere = ([cube.natural(x) for x in places] for places in (draws, everywhere))
+    found = {}
+    for name, value in cube.natural(best).items():
+        near = np.array([a[name] for a in around])
+        order = np.sort([a[name] for a in anywhere])
+        rank, ranks = np.searchsorted(order, value), np.searchsorted(order, near)
+        unmeasured = _rms(np.arange(len(order)) - rank)
+        found[name] = Fitted(value, _rms(near - value), bool(_rms(ranks - rank) < 0.5 * unmeasured))
+    return found
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -9,6 +9,7 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from splits.checks import named, one_of, refuse
+from splits.experiments.check_retrieve import check_spectra
 from splits.experiments.figure_sizes import check_size
 from splits.experiments.messages import line_of
 from splits.experiments.model import Experiment
@@ -90,10 +91,8 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
             name = experiment.figure.measured
             raise refuse("figure.measured", name, f"a table with columns {columns}")
     if experiment.retrieve:
-        section = experiment.retrieve
-        table = _measured("retrieve.measured", measured, section.measured)
-        for name in section.spectra(table, experiment.instrument.wavelengths()):
-            section.where(name, list(experiment.grid))
+        name = experiment.retrieve.measured
+        check_spectra(experiment, _measured("retrieve.measured", measured, name))
     if experiment.fit:
         if experiment.figure.kind not in ("fit", "none"):
             raise refuse("figure.kind", experiment.figure.kind, "'fit' beside a section fit")

@@ -17,6 +17,7 @@ import xarray as xr
 
 from splits.checks import in_range, numbers, refuse, suggestion
 from splits.media import Sand
+from splits.retrieval.coordinates import Free, Widest
 
 RANGES: dict[str, tuple[float, float]] = {
     "iron_oxide": (0.0005, 0.05),
@@ -62,6 +63,8 @@ class Cube:
     ----------
     names : tuple of str
         Of the coordinates.
+    free : Free
+        The coordinates themselves.
     ranges : dict
 
     Raises
@@ -79,6 +82,8 @@ class Cube:
                 raise refuse(key, self.base[key], "left out", "the fit decides it; see ranges")
         self.ranges = checked_ranges(ranges or {})
         self.names = tuple(self.ranges)
+        unit = Widest(0.0, 1.0, "itself")
+        self.free = Free.of(self.names, None, dict.fromkeys(self.names, unit))
         for corner in itertools.product((0.0, 1.0), repeat=len(self.names)):
             try:
                 self.sand(np.array(corner))

@@ -15,6 +15,8 @@ from splits.skies.bands import Band, bands_of
 PER_CENT = 2.0
 """Reflectance factor above which the numbers are taken for per cent."""
 ALIKE = ("stderr", "correlation_nm", "independent")
+EVEN = 1.0
+"""Errors of all wavelengths where none are known, so large that all weigh alike."""
 LARGEST = 3.0
 """Noise of a reflectance above which it says nothing."""
 
@@ -31,12 +33,15 @@ class Measurement(NamedTuple):
         Of its noise.
     bands : dict of Band
         By name; empty for a spectrum.
+    told : bool
+        Whether the noise is known; else its covariance means nothing but equal weights.
     """
 
     values: np.ndarray
     wavelength_nm: np.ndarray
     covariance: np.ndarray
     bands: dict[str, Band]
+    told: bool = True
 
     @classmethod
     def of(cls, measured: Any, noise: Any, bands: Any = None) -> Measurement:
@@ -46,11 +51,11 @@ class Measurement(NamedTuple):
         ----------
         measured : xarray.DataArray, pandas.Series or pair of array_like
             Over ``wavelength`` (nm), or (wavelengths, reflectances); a row where there are bands.
-        noise : float, array_like or mapping
-            Standard errors, one or as many as values, or their covariance matrix; or a mapping of
-            ``stderr`` and ``correlation_nm``, over which errors are alike (what two wavelengths d
-            apart have in common is e^(−d/correlation_nm)), and perhaps ``independent`` standard
-            errors besides.
+        noise : float, array_like, mapping or None
+            None where it is not known.  Standard errors, one or as many as values, or their
+            covariance matrix; or a mapping of ``stderr`` and ``correlation_nm``, over which errors
+            are alike (what two wavelengths d apart have in common is e^(−d/correlation_nm)), and
+            perhaps ``independent`` standard errors besides.
         bands : mapping or str, optional
             As for `splits.albedo`, in the order of the values.
 
@@ -73,6 +78,8 @@ class Measurement(NamedTuple):
             if len(some) != values.size:
                 raise refuse("measured", f"{values.size} values", f"{len(some)}, one for each band")
             w = np.array([_middle(band) for band in some.values()])
+        if noise is None:
+            return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
         return cls(values, w, _covariance(noise, w), some)
 
 

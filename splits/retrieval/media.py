@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, refuse, unknown_key
-from splits.instruments.arguments import check_incidence, check_medium, check_whole
+from splits.instruments.arguments import check_incidence, check_medium
+from splits.instruments.progress import Report
 from splits.lookup.interpolation import spaced
 from splits.media.parameters import INCIDENCE, value_of, with_value
 from splits.media.turbid import Medium
@@ -69,6 +70,7 @@ def runs_of(
     at: Mapping[str, Any],
     error: float | None,
     seed: int,
+    progress: Report = None,
 ) -> OfRuns:
     """Return a measurement as runs have it, or refuse what is known of it."""
     for name in at:
@@ -77,7 +79,7 @@ def runs_of(
     beam = check_incidence(at.get(INCIDENCE, at.get("sza", 0.0)))
     if error is not None:
         error = in_range("max_stderr", error, 1e-6, 0.5)
-    return OfRuns(medium, measurement, free, beam, error, check_whole("seed", seed, 0))
+    return OfRuns(medium, measurement, free, beam, error, seed, progress)
 
 
 def _pair(name: str, pair: Any) -> tuple[Any, Any]:

@@ -30,6 +30,9 @@ FAR_FROM_PRIOR = 3.0
 """Standard deviations between prior and result from which they disagree."""
 
 
+GIVEN = "as given"
+
+
 class Retrieved:
     """What a measurement tells.
 
@@ -83,8 +86,10 @@ class Retrieved:
                 tail += ", not told by the measurement"
             lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){tail}")
         about = self.dataset.attrs
+        known = f"chi2 {about['chi2']:.4g} of {about['chi2_expected']:.4g}"
+        unknown = f"rms {about['rmse']:.4g}, by which errors go, as no noise was told"
         lines.append(
-            f"misfit: chi2 {about['chi2']:.4g} of {about['chi2_expected']:.4g}; "
+            f"misfit: {known if about['noise'] == GIVEN else unknown}; "
             f"{about['degrees_of_freedom']:.2f} degrees of freedom of signal, "
             f"{about['information_bits']:.1f} bits"
         )
@@ -151,6 +156,8 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
     }  # fmt: skip
     facts: dict[str, Any] = {
         "title": "Retrieval",
+        "rmse": float(np.sqrt(np.mean((best.values - measurement.values) ** 2))),
+        "noise": GIVEN if measurement.told else "found from the misfit",
         "chi2": excess * best.chi2,
         "chi2_expected": len(best.values) - told.degrees_of_freedom,
         "errors_enlarged_by": float(np.sqrt(excess)),
@@ -171,6 +178,12 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
         "wavelength": wavelength_axis(measurement.wavelength_nm),
     }
     return Retrieved(xr.Dataset(variables, axes, attributes(facts)))
+
+
+def tension_of(free: Free, alone: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return how far priors are from a place that is told without them, in standard errors."""
+    found: np.ndarray = np.abs(alone - free.prior_mean) / np.sqrt(free.prior_sd**2 + variance)
+    return found
 
 
 def excess_of(best: Optimum, told: Told) -> float:

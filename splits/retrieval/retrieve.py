@@ -9,10 +9,12 @@ import numpy as np
 
 from splits.checks import known_arguments, one_of, refuse
 from splits.instruments.arguments import check_whole
+from splits.instruments.progress import Report, shows_progress
 from splits.lookup.reading import Table
 from splits.retrieval.coordinates import Free
 from splits.retrieval.estimation import Optimum, optima, optimum, told
 from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.least_squares import by_runs, in_table
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import free_of, runs_of
 from splits.retrieval.posterior import draws_of
@@ -22,16 +24,18 @@ from splits.retrieval.result import (
     Retrieved,
     excess_of,
     result_of,
+    tension_of,
 )
 from splits.retrieval.runs import Around
 
 
 @known_arguments
+@shows_progress
 def retrieve(
     measured: Any,
     model: Any,
     free: Any,
-    noise: Any,
+    noise: Any = None,
     *,
     at: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
@@ -39,6 +43,7 @@ def retrieve(
     quantity: str = "reflectance",
     seed: int = 1,
     max_stderr: float | None = None,
+    progress: Report = None,
 ) -> Retrieved:
     """Retrieve parameters from a measured spectrum, with their errors.
 
@@ -59,10 +64,11 @@ def retrieve(
         parameters named as for derivatives (``layers.0.depth_m``).  ``level`` is a factor of
         the model: what was measured is `level` times its light, for a panel whose reflectance is
         not known.
-    noise : float, array_like or mapping
+    noise : float, array_like or mapping, optional
         Standard errors of the measurement, one or as many as values, their covariance matrix, or
         ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
-        many nm, and others besides.
+        many nm, and others besides.  Without it the misfit tells how far the values may be off:
+        least squares, with errors that are alike at neighbouring values as far as the misfit is.
     at : mapping
         Values of the other axes, such as ``incidence_deg``; of a medium that alone.
     prior : mapping
@@ -77,7 +83,10 @@ def retrieve(
     seed : int
         Of the draws, and of runs.
     max_stderr : float, optional
-        Of the last runs of a medium; by default half of the least noise, but 0.001 to 0.01.
+        Of the last runs of a medium; by default half of the least noise, but 0.001 to 0.01, and
+        0.002 where noise is not known.
+    progress : callable or bool, optional
+        See `splits.Progress`; True for a bar.  A table takes no time.
 
     Returns
     -------
@@ -85,7 +94,7 @@ def retrieve(
         Prints what was found.  Its ``dataset`` has, over ``parameter``: ``value`` (most probable)
         and ``value_stderr``, ``mean``, ``determined``, ``quantiles`` over ``quantile``; the
         ``averaging_kernel`` and the ``correlation``; ``draws``; ``measured`` and ``fitted`` over
-        ``wavelength``, with errors.  Attributes: ``chi2`` and what to expect of it,
+        ``wavelength``, with errors.  Attributes: ``rmse``, ``chi2`` and what to expect of it,
         ``degrees_of_freedom`` of signal, ``information_bits``, ``warnings``.
 
     Raises
@@ -120,7 +129,11 @@ def retrieve(
         measurement = Measurement.of(measured, noise, bands)
         which = Free.of(free, prior, ranges_of(model))
         known = OfTable(model, measurement, which, at or {}, quantity)
-        return result_of(which, measurement, _found(known, measurement, seed))
+        if not measurement.told:
+            found, measurement = in_table(known, measurement, seed)
+        else:
+            found = _found(known, measurement, seed)
+        return result_of(which, measurement, found)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
         given = type(model).__name__
         hint = "splits.Table(splits.table(…)), open_table, or a snow, sand, layer or stack"
@@ -128,11 +141,14 @@ def retrieve(
     one_of("quantity", quantity, ["reflectance"])
     measurement = Measurement.of(measured, noise, bands)
     which = free_of(model, free, prior, (at or {}).get("incidence_deg", 0.0))
-    runs = runs_of(model, measurement, which, at or {}, max_stderr, seed)
+    runs = runs_of(model, measurement, which, at or {}, max_stderr, seed, progress)
+    if not measurement.told:
+        found, measurement = by_runs(runs, measurement, seed)
+        return result_of(which, measurement, found)
     around, rivals = runs.settled()
     found = _found(around, measurement, seed)
     bent = runs.bent(around, found.ends[0].place, found.told.covariance)
-    others = tuple(which.at(seen.place) for seen in rivals)
+    others = tuple(which.at(place) for place in rivals)
     return result_of(which, measurement, found._replace(bent=bent, rivals=others))
 
 
@@ -147,7 +163,7 @@ def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Foun
     if excess > 1.0:
         ends = optima(model, measurement, *nodes, excess)
     spread = np.diag(told(alone._replace(covariance=excess * alone.covariance), model).covariance)
-    tension = np.abs(alone.place - which.prior_mean) / np.sqrt(which.prior_sd**2 + spread)
+    tension = tension_of(which, alone.place, spread)
     if ends[0].chi2 - fair.chi2 / excess < FAR_FROM_PRIOR**2:
         # As well followed with the priors as without: they do not contradict it.
         tension = np.zeros_like(tension)

@@ -2,16 +2,18 @@
 
 Where a medium is looked at once, a table of it would cost more than it tells.  Spectra with their
 derivatives (`splits.instruments.jacobian`, `splits.instruments.differences`) lead to the most
-probable medium by Gauss-Newton steps; all runs share their random numbers, so that they differ by
-the medium only.  Around the end light is taken as linear in the coordinates.
+probable medium (`splits.retrieval.search`).  Around the end light is taken as linear in the
+coordinates.
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.instruments.progress import Progress, Report
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.parameters import INCIDENCE, with_value
 from splits.media.turbid import Medium
@@ -19,23 +21,23 @@ from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.estimation import APART, RIVAL
 from splits.retrieval.forward import Operator
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.search import Aim, Stage, search
 
 SURVEY = 16
 """Media looked at first."""
-STARTS = 2
-"""Descents, from the nearest of these."""
-STEPS = 12
-"""Of a descent at most."""
+STAGES = (Stage(2, 60), Stage(2, 60, RIVAL))
+"""Descents: from the nearest of these, and those of runs with the last error."""
+LAST = len(STAGES)
 ROUGHLY = 0.01
-"""Error of the runs of the survey and of descents, but for the last steps."""
+"""Error of the runs of the survey and of the first descents."""
 NOISE_SHARE = 0.5
 """Error of the last runs, as a part of the least noise of the measurement."""
 FINEST, COARSEST = 1e-3, 0.01
 """Errors of these, whatever the noise."""
+PLAIN = 2e-3
+"""Error of these where noise is not known."""
 SLOPES = 0.004
 """Least error of the runs that derivatives come from: they cost most, and need not be as exact."""
-ENOUGH = 0.1
-"""Step, in standard deviations, from which on a descent has ended."""
 STEP_NM = 10.0
 """Between the wavelengths of a band."""
 
@@ -85,20 +87,23 @@ class Around:
 
 
 class OfRuns:
-    """A measurement as runs have it.
+    """A measurement as runs have it; see `splits.retrieval.search.Runs`.
 
     Parameters
     ----------
     medium : Medium
     measurement : Measurement
     free : Free
-        See `free_of`.
+        See `splits.retrieval.media.free_of`.
     incidence : float or "diffuse"
     error : float, optional
-        Of a run; by default `NOISE_SHARE` of the least noise.
+        Of the last runs; by default `NOISE_SHARE` of the least noise.
     seed : int
-    threads : int, optional
+    progress : callable, optional
     """
+
+    margin = 1e-3
+    """At the very ends of ranges slopes may be infinite."""
 
     def __init__(
         self,
@@ -108,20 +113,28 @@ class OfRuns:
         incidence: float | str,
         error: float | None,
         seed: int,
-        threads: int | None = None,
+        progress: Report = None,
     ) -> None:
         self.medium, self.measurement, self.free = medium, measurement, free
-        self.incidence, self.seed, self.threads = incidence, seed, threads
+        self.incidence, self.seed = incidence, seed
         least = float(np.sqrt(np.diag(measurement.covariance).min()))
-        self.error = error or min(max(NOISE_SHARE * least, FINEST), COARSEST)
+        usual = min(max(NOISE_SHARE * least, FINEST), COARSEST) if measurement.told else PLAIN
+        self.error = error or usual
         self.wavelengths = wavelengths_of(measurement)
         self.operator = Operator.of(measurement, self.wavelengths).matrix
         self.axes = [name for name in free.names if name != LEVEL]
         self._rows = [free.names.index(name) for name in self.axes]
         self._level = free.names.index(LEVEL) if LEVEL in free.names else None
-        self._known: dict[tuple[bytes, float], Seen] = {}
+        self._known: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._way = _Way(progress, self.error, len(free.names))
 
-    def looked(self, place: np.ndarray, error: float, names: list[str]) -> Any:
+    def error_of(self, stage: int) -> float:
+        """Return the error of the runs of a stage, the last of which is exact."""
+        return self.error if stage == LAST else max(ROUGHLY, self.error)
+
+    def looked(
+        self, place: np.ndarray, error: float, names: list[str], seed: int
+    ) -> tuple[Any, float]:
         """Return a run at a place, its derivatives to some parameters, and the level there."""
         natural = self.free.at(place)
         medium, beam = self.medium, self.incidence
@@ -131,36 +144,41 @@ class OfRuns:
             else:
                 medium = with_value(medium, name, float(natural[row]))
         found = spectrophotometer(
-            medium, self.wavelengths, beam, error, self.seed, jacobian=names, threads=self.threads
-        )
+            medium, self.wavelengths, beam, error, seed, jacobian=names,
+            progress=self._way.run(error, 1 + len(names)),
+        )  # fmt: skip
         return found, 1.0 if self._level is None else float(natural[self._level])
 
-    def values(self, place: np.ndarray, error: float) -> np.ndarray:
-        """Return what would be measured at a place, shape (n,)."""
-        found, level = self.looked(place, error, [])
-        values: np.ndarray = level * (self.operator @ found.reflectance.values)
-        return values
-
-    def seen(self, place: np.ndarray, error: float) -> Seen:
-        """Return what would be measured at a place, with slopes; each is run once."""
-        key = (place.tobytes(), error)
+    def noisy(self, place: np.ndarray, stage: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return what would be measured, shape (n,), and the covariance of the runs' noise."""
+        key = (place.tobytes(), stage)
         if key not in self._known:
-            slope_run, level = self.looked(place, max(error, SLOPES), self.axes)
-            found = slope_run if error >= SLOPES else self.looked(place, error, [])[0]
-            values = self.operator @ found.reflectance.values
-            slopes = np.zeros((values.size, len(self.free.names)))
-            per_unit = self._per_coordinate(place)
-            for i, row in enumerate(self._rows):
-                along = self.operator @ slope_run.reflectance_jacobian.values[i]
-                slopes[:, row] = level * per_unit[row] * along
-            if self._level is not None:
-                slopes[:, self._level] = values * (self.free.high - self.free.low)[self._level]
+            found, level = self.looked(place, self.error_of(stage), [], self.seed)
+            values = level * (self.operator @ found.reflectance.values)
             groups = level * found.reflectance_groups.values @ self.operator.T
             own = level * np.abs(self.operator) @ found.reflectance_stderr.values
             covariance = groups.T @ groups
             covariance += np.diag(np.maximum(own**2 - np.diag(covariance), 0.0))
-            self._known[key] = Seen(place, level * values, slopes, covariance)
+            self._known[key] = values, covariance
         return self._known[key]
+
+    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+        """Return what would be measured, shape (n,)."""
+        return self.noisy(place, stage)[0]
+
+    def slopes(self, place: np.ndarray, stage: int, seed: int | None = None) -> np.ndarray:
+        """Return its derivatives to the coordinates, shape (n, parameters)."""
+        error = max(self.error_of(stage), SLOPES)
+        found, level = self.looked(place, error, self.axes, self.seed if seed is None else seed)
+        slopes = np.zeros((len(self.operator), len(self.free.names)))
+        per_unit = self._per_coordinate(place)
+        for i, row in enumerate(self._rows):
+            along = self.operator @ found.reflectance_jacobian.values[i]
+            slopes[:, row] = level * per_unit[row] * along
+        if self._level is not None:
+            values = self.operator @ found.reflectance.values
+            slopes[:, self._level] = values * (self.free.high - self.free.low)[self._level]
+        return slopes
 
     def _per_coordinate(self, place: np.ndarray) -> np.ndarray:
         """Return how fast parameters change with their coordinates."""
@@ -169,67 +187,29 @@ class OfRuns:
         rate: np.ndarray = (self.free.at(high) - self.free.at(low)) / (high - low)
         return rate
 
-    def _downhill(self, seen: Seen) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return the sum of squares at a place, the way downhill, and the curvature."""
-        free = self.free
-        inverse = np.linalg.inv(self.measurement.covariance + seen.covariance)
-        off = self.measurement.values - seen.values
-        pull = (free.prior_mean - seen.place) * free.precision
-        cost = float(off @ inverse @ off + ((free.prior_mean - seen.place) * pull).sum())
-        way = seen.slopes.T @ inverse @ off + pull
-        bend = seen.slopes.T @ inverse @ seen.slopes + np.diag(free.precision)
-        return cost, way, bend
+    def _aim(self, place: np.ndarray, stage: int) -> Aim:
+        """Return what counts near a place: noise of the measurement, and of the runs."""
+        if not self.measurement.told:
+            return Aim.least_squares(self.measurement.values, self.free)
+        covariance = self.measurement.covariance + self.noisy(place, stage)[1]
+        return Aim(self.measurement.values, np.linalg.cholesky(covariance), self.free)
 
-    def descend(self, start: np.ndarray, error: float) -> tuple[float, Seen]:
-        """Return the sum of squares and the place at which a descent ends (Levenberg-Marquardt)."""
-        best = self.seen(np.clip(start, 1e-3, 1.0 - 1e-3), error)
-        cost, way, bend = self._downhill(best)
-        damping = 1e-2
-        for _ in range(STEPS):
-            # Along what light does not depend on, no step is larger than the range.
-            scale = np.diag(damping * np.diag(bend) + 1e-3)
-            inside = ~(((best.place < 2e-3) & (way < 0.0)) | ((best.place > 0.998) & (way > 0.0)))
-            step = np.zeros_like(way)
-            step[inside] = np.linalg.solve((bend + scale)[np.ix_(inside, inside)], way[inside])
-            place = np.clip(best.place + np.clip(step, -0.4, 0.4), 1e-3, 1.0 - 1e-3)
-            spread = 1.0 / np.sqrt(np.diag(bend) + 1.0 / self.free.prior_variance)
-            if (np.abs(place - best.place) < ENOUGH * spread).all():
-                break
-            other = self.seen(place, error)
-            lower, *more = self._downhill(other)
-            if lower < cost:
-                best, cost, (way, bend), damping = other, lower, more, 0.2 * damping
-            else:
-                damping *= 8.0
-        return cost, best
-
-    def settled(self) -> tuple[Around, list[Seen]]:
-        """Return a straight line through the best end of several descents, and other good ends."""
+    def settled(self) -> tuple[Around, list[np.ndarray]]:
+        """Return a straight line through the best end of all descents, and other good ends."""
         from scipy.stats import qmc
 
         free = self.free
         places = qmc.Sobol(len(free.names), seed=self.seed).random(SURVEY)
         known = np.isfinite(free.prior_sd)
         places[:, known] = free.prior_mean[known] + (places[:, known] - 0.5) * free.prior_sd[known]
-        places = np.clip(places, 0.02, 0.98)
-        rough = max(ROUGHLY, self.error)
-        off = np.array([self.values(p, rough) for p in places]) - self.measurement.values
-        spread = np.sqrt(np.diag(self.measurement.covariance))
-        misfit = ((off / spread) ** 2).sum(axis=1)
-        starts: list[np.ndarray] = []
-        for row in np.argsort(misfit, kind="stable"):
-            if len(starts) < STARTS and all(np.abs(places[row] - s).max() > 0.2 for s in starts):
-                starts.append(places[row])
-        ends = sorted((self.descend(s, rough) for s in starts), key=lambda end: end[0])
-        # Ends of rough descents that are as good as the best may be one and the same in the end.
-        good = [seen.place for cost, seen in ends if cost < ends[0][0] + RIVAL]
-        ends = sorted((self.descend(s, self.error) for s in good), key=lambda end: end[0])
-        least, last = ends[0]
+        best, *others = search(self, self._aim, np.clip(places, 0.02, 0.98), STAGES)[-1]
+        values, covariance = self.noisy(best.place, LAST)
+        seen = Seen(best.place, values, self.slopes(best.place, LAST), covariance)
         rivals = [
-            seen for cost, seen in ends[1:]
-            if cost < least + RIVAL and np.abs(seen.place - last.place).max() > APART
+            end.place for end in others
+            if end.cost < best.cost + RIVAL and np.abs(end.place - best.place).max() > APART
         ]  # fmt: skip
-        return Around(free, last), rivals
+        return Around(free, seen), rivals
 
     def bent(self, around: Around, place: np.ndarray, covariance: np.ndarray) -> float:
         """Return how far light is off a straight line, a standard deviation away, in its noise.
@@ -247,9 +227,35 @@ class OfRuns:
         most = 0.0
         for sign in (-1.0, 1.0):
             there = np.clip(place + sign * np.sqrt(sizes[-1]) * ways[:, -1], 1e-3, 1.0 - 1e-3)
-            off = self.values(there, self.error) - around.values(there[np.newaxis])[0]
+            off = self.values(there, LAST) - around.values(there[np.newaxis])[0]
             most = max(most, float(np.linalg.norm(np.linalg.solve(noise, off))))
         return most
+
+
+class _Way:
+    """How far a retrieval has got, as far as the runs so far tell."""
+
+    def __init__(self, report: Report, error: float, parameters: int) -> None:
+        self.report, self.error = report, error
+        # Each descent takes slopes twice, and some steps.
+        rough = SURVEY + STAGES[0].starts * 2 * (2 + parameters)
+        self.left = rough + STAGES[1].starts * (2 + parameters) * (ROUGHLY / error) ** 2
+        self.done, self.begun = 0.0, time.perf_counter()
+
+    def run(self, error: float, runs: int) -> Report:
+        """Return what receives the progress of so many runs of an error."""
+        if not callable(self.report):
+            return None
+        cost = runs * (ROUGHLY / error) ** 2
+        self.done, self.left = self.done + cost, max(self.left - cost, 0.0)
+        still = (time.perf_counter() - self.begun) * self.left / self.done
+        report = self.report
+
+        def show(one: Progress) -> None:
+            spent = time.perf_counter() - self.begun
+            report(Progress(one.rays, one.stderr, self.error, spent, one.seconds_left + still))
+
+        return show
 
 
 def wavelengths_of(measurement: Measurement) -> np.ndarray:

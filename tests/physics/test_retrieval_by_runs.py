@@ -56,6 +56,19 @@ def test_runs_and_a_table_say_the_same():
 
 
 @NEEDS_JIT
+def test_runs_tell_errors_where_noise_is_not_known():
+    spectrum, noise = measured(snow(200.0), 5)
+    told = []
+    found = splits.retrieve(spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, progress=told.append)
+    known = splits.retrieve(spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, noise)
+    assert abs(found.values[SIZE] - 200.0) < 4.0 * found.stderr[SIZE]
+    # Nine values know their noise to 25 %; how alike they are, not so well.
+    assert 0.4 < found.stderr[SIZE] / known.stderr[SIZE] < 3.0
+    assert told[-1].target == pytest.approx(0.002)
+    assert told[0].seconds_left > told[-1].seconds_left
+
+
+@NEEDS_JIT
 def test_layers_of_a_stack_can_be_free():
     def stack(depth):
         top = splits.Snow.natural(optical_radius_um=80, depth_m=depth)

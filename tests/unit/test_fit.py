@@ -7,8 +7,10 @@ import pytest
 from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
-from splits.experiments.fit import Effort, check_measured, descend, fit
+from splits.experiments.fit import Effort, central, check_measured, fit
 from splits.experiments.parameters import RANGES, Cube, checked_ranges
+from splits.retrieval.coordinates import Free, Widest
+from splits.retrieval.search import Aim, descend
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 LITTLE = Effort(
@@ -112,14 +114,22 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
     wanted = smooth(np.array([*truth, 0.0]))
     calls = []
 
-    def model(x):
-        calls.append(x)
-        assert (x >= 0.0).all() and (x <= 1.0).all()
-        return smooth(x)
+    class Smooth:
+        free = Free.of(("a", "b", "c"), None, dict.fromkeys("abc", Widest(0.0, 1.0, "itself")))
+        margin = 0.0
 
-    misfit, place = descend(model, np.full(3, 0.5), wanted, 60, 0.3)
-    assert misfit < 1e-3
-    assert len(calls) < 70
+        def values(self, place, stage):
+            calls.append(place)
+            assert (place >= 0.0).all() and (place <= 1.0).all()
+            return smooth(place)
+
+        def slopes(self, place, stage):
+            return central(lambda x: self.values(x, stage), place)
+
+    aim = Aim.least_squares(wanted, Smooth.free)
+    cost, place = descend(Smooth(), 1, np.full(3, 0.5), aim, 60, 0.3)
+    assert np.sqrt(cost / len(wanted)) < 1e-3
+    assert len(calls) < 100
     np.testing.assert_allclose(place[:2], truth, atol=0.02)
 
 

@@ -12,7 +12,7 @@ from splits.instruments.progress import shows_progress
 
 WITH_PROGRESS = (
     "spectrophotometer", "spectra", "goniophotometer", "bssrdf", "deep_transmittance", "profile",
-    "albedo", "hdrf", "light_inside",
+    "albedo", "hdrf", "light_inside", "retrieve",
 )  # fmt: skip
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 

@@ -157,6 +157,40 @@ def test_a_misfit_enlarges_the_errors(table):
     assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
 
+def test_unknown_noise_is_found_from_the_misfit(table):
+    """Least squares, off by what their errors say, with noise that is alike over 100 nm."""
+    random = np.random.default_rng(11)
+    alike = 0.01**2 * np.exp(-np.abs(W[:, np.newaxis] - W) / 100.0)
+    factor = np.linalg.cholesky(alike)
+    off, stated = [], []
+    for number in range(100):
+        measured = spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), table, [SIZE], at={**AT, DIRT: 50.0}, seed=number)
+        own = np.log(found.dataset.draws.values[:, 0])
+        off.append(own.mean() - np.log(200.0))
+        stated.append(own.std())
+    # 100 fits know an rms to 7 %: three of these; from few values errors are rather too large.
+    assert 0.6 < np.sqrt(np.mean((np.array(off) / np.array(stated)) ** 2)) < 1.21
+    assert "as no noise was told" in repr(found)
+    least = np.sqrt(np.mean((found.dataset.fitted - found.dataset.measured) ** 2))
+    assert found.dataset.attrs["rmse"] == pytest.approx(float(least))
+
+
+def test_priors_count_where_noise_is_not_known(table):
+    measured = spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(W.size)
+    free, at = [SIZE], {**AT, DIRT: 50.0}
+    plain = splits.retrieve((W, measured), table, free, at=at)
+    held = splits.retrieve((W, measured), table, free, at=at, prior={SIZE: (300.0, 1.0)})
+    assert held.values[SIZE] == pytest.approx(300.0, abs=4.0)
+    assert held.stderr[SIZE] < plain.stderr[SIZE]
+    assert any("prior and measurement are" in line for line in held.warnings)
+
+
+def test_too_few_values_do_not_tell_noise(table):
+    with pytest.raises(Refusal, match=r"noise = None: must be given .*too few"):
+        splits.retrieve((W[:2], spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**AT, DIRT: 50.0})
+
+
 def test_a_prior_that_excludes_the_truth_is_said(table):
     found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE], 0.01,
                             at={**AT, DIRT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip

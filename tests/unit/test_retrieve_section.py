@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 import splits
 from splits.checks import Refusal
+from splits.experiments.check_retrieve import check_spectra
 from splits.experiments.model import Experiment
 from splits.experiments.retrieve_section import Noise, RetrieveSection
 from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
@@ -219,6 +220,26 @@ def test_samples_that_are_not_there_are_refused():
         RetrieveSection.model_validate(SECTION).spectra(measured().drop(columns="wavelength_nm"), W)
     with pytest.raises(Refusal, match="as the table has them"):
         RetrieveSection.model_validate(SECTION).spectra(measured(), 1100.0 + W)
+
+
+SPECTRA = {
+    "per cent": ("some", [50.0, 60.0], "not per cent"),
+    "a gap": ("some", [0.5, np.nan], "gaps"),
+    "an angle beyond the table": ("some@80", [0.5, 0.6], "incidence_deg = 80"),
+}
+
+
+@pytest.mark.parametrize("name", SPECTRA)
+def test_spectra_are_checked_before_anything_runs(name):
+    sample, values, message = SPECTRA[name]
+    grid = {**TABLE["grid"], "incidence_deg": [0, 60]}
+    at = {} if "@" in sample else {"incidence_deg": 30}
+    experiment = Experiment.model_validate(
+        TABLE | {"grid": grid, "retrieve": {**SECTION, "at": at}}
+    )
+    table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
+    with pytest.raises(Refusal, match=message):
+        check_spectra(experiment, table)
 
 
 def test_an_angle_that_is_none_is_refused():

@@ -1,0 +1,122 @@
+"""How far least squares may be off where noise is not known: what the misfit itself says.
+
+What a model cannot follow is smooth: neighbouring wavelengths miss alike and tell the same thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+CORRELATIONS = np.linspace(0.0, 0.98, 50)
+"""Correlations between neighbouring wavelengths that a misfit may have."""
+_UNKNOWN = 100.0
+"""Variance of what the spectrum does not tell: far beyond the cube."""
+
+
+class Left(NamedTuple):
+    """What a fit leaves open.
+
+    Attributes
+    ----------
+    of_place : float, shape (coordinates, coordinates)
+        Covariance of the coordinates.
+    of_values : float, shape (wavelengths, wavelengths)
+        Covariance of what the misfit was drawn from.
+    """
+
+    of_place: np.ndarray
+    of_values: np.ndarray
+
+
+def misfit_variances(misfit: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+    """Return the variance of a misfit, in parts for each of `CORRELATIONS`.
+
+    The misfit is taken for a first-order autoregressive series, from which the fit has taken what
+    it could.  How much alike neighbours are is not well known from a short spectrum, so every
+    correlation counts by its restricted likelihood: that of what the fit leaves.
+
+    Parameters
+    ----------
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, not all 0.
+    fitted : float, shape (wavelengths, columns)
+        What the fit could add to the spectrum, fewer columns than wavelengths.
+
+    References
+    ----------
+    Harville (1974), Biometrika 61, 383-385.
+    """
+    columns = np.linalg.qr(fitted)[0]
+    count = len(misfit) - columns.shape[1]
+    squares, likelihood = np.empty((2, len(CORRELATIONS)))
+    for i, r in enumerate(CORRELATIONS):
+        sharp = _unlike(columns, r)
+        inner, outer = columns.T @ sharp, sharp.T @ misfit
+        square = misfit @ _unlike(misfit, r) - outer @ np.linalg.solve(inner, outer)
+        squares[i] = max(square, np.finfo(float).tiny)
+        likelihood[i] = -np.linalg.slogdet(inner)[1] - (len(misfit) - 1) * np.log(1.0 - r**2)
+    likelihood = 0.5 * (likelihood - count * np.log(squares))
+    weights = np.exp(likelihood - likelihood.max())
+    return weights / weights.sum() * squares / count
+
+
+def _unlike(series: np.ndarray, r: float) -> np.ndarray:
+    """Return a series times the inverse of its correlations r, r², … between wavelengths."""
+    found = (1.0 + r**2) * series
+    found[[0, -1]] -= r**2 * series[[0, -1]]
+    found[1:] -= r * series[:-1]
+    found[:-1] -= r * series[1:]
+    return found / (1.0 - r**2)
+
+
+def alike(variances: np.ndarray, count: int) -> np.ndarray:
+    """Return the covariance of so many wavelengths whose misfit has these `misfit_variances`."""
+    apart = np.arange(count)
+    of_lag = (variances[:, np.newaxis] * CORRELATIONS[:, np.newaxis] ** apart).sum(axis=0)
+    found: np.ndarray = of_lag[np.abs(apart[:, np.newaxis] - apart)]
+    return found
+
+
+def left_open(jacobians: Sequence[np.ndarray], misfit: np.ndarray, own: np.ndarray) -> Left:
+    """Return what a least-squares fit leaves open, as the misfit says.
+
+    Noise in a Jacobian would pass for information about coordinates that do nothing, or for an
+    error of them.  Products of different, independent Jacobians are free of that on average.
+    Directions whose effect is below the misfit of a wavelength, or below that noise, are unknown.
+
+    Parameters
+    ----------
+    jacobians : sequence of float, shape (wavelengths, coordinates)
+        Independent ones, at least two.
+    misfit : float, shape (wavelengths,)
+        Model minus measurement, see `misfit_variances`.
+    own : float, shape (wavelengths, wavelengths)
+        Covariance of the runs' own noise.  Every run of a fit shares its random numbers, so that
+        it ends where they move the whole.
+    """
+    values, vectors = np.linalg.eigh(_crossed(jacobians, jacobians))
+    both = np.mean([((j @ vectors) ** 2).sum(axis=0) for j in jacobians], axis=0)
+    known = values > np.maximum(np.mean(misfit**2), both - values)
+    unknown = vectors[:, ~known]
+    scale = vectors[:, known] / np.sqrt(values[known])
+    moved = [j @ scale for j in jacobians]
+    variances = misfit_variances(misfit, np.mean(moved, axis=0))
+    errors = alike(variances, len(misfit))
+    spread = _crossed(moved, [(errors + own) @ m for m in moved])
+    # At least that of as many independent wavelengths.
+    sizes, axes = np.linalg.eigh(spread)
+    spread = (axes * np.maximum(sizes, variances.sum())) @ axes.T
+    return Left(scale @ spread @ scale.T + _UNKNOWN * unknown @ unknown.T, errors)
+
+
+def _crossed(left: Sequence[np.ndarray], right: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean product of one on the left and another, independent one on the right."""
+    count = len(left)
+    same = np.sum([a.T @ b for a, b in zip(left, right, strict=True)], axis=0)
+    found: np.ndarray = (np.sum(left, axis=0).T @ np.sum(right, axis=0) - same) / (
+        count * (count - 1)
+    )
+    return 0.5 * (found + found.T)

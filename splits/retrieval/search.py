@@ -1,0 +1,211 @@
+"""The place that comes nearest to a measurement, by runs: a survey, then descents by stages.
+
+All runs of a stage share their random numbers, so that what they say is a smooth function of the
+place, bent a little towards the noise of that stage.  Later stages take more rays, and where the
+runs say so other numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from splits.retrieval.coordinates import Free
+
+FIRST_RADIUS = 0.3
+"""Half the edge of the first trust region."""
+LEAST_RADIUS = 0.02
+LEAST_GAIN = 0.003
+"""A descent ends once its trust region, or the relative gain foretold, falls below these."""
+FAR = 0.2
+"""Distance of coordinates from which starts are different."""
+
+
+class Runs(Protocol):
+    """Runs of a medium at places of the unit cube.
+
+    Attributes
+    ----------
+    free : Free
+    margin : float
+        Places stay so far away from the ends.
+    """
+
+    free: Free
+    margin: float
+
+    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+        """Return what would be measured, shape (n,), with the random numbers of a stage."""
+        ...
+
+    def slopes(self, place: np.ndarray, stage: int) -> np.ndarray:
+        """Return its derivatives to the coordinates, shape (n, parameters)."""
+        ...
+
+
+class Stage(NamedTuple):
+    """A stage of descents.
+
+    Attributes
+    ----------
+    starts : int
+        Descents at most, from the best places of the stage before.
+    evaluations : int
+        Runs that each may take, about; derivatives count as one for each coordinate.
+    within : float
+        By how much more than the best a sum of squares may be for a place to be one of these.
+    """
+
+    starts: int
+    evaluations: int
+    within: float = np.inf
+
+
+class Aim(NamedTuple):
+    """What runs are held against.
+
+    Attributes
+    ----------
+    wanted : float, shape (n,)
+    lower : float, shape (n, n)
+        Lower triangle of the covariance of errors.
+    free : Free
+        With the priors that count.
+    """
+
+    wanted: np.ndarray
+    lower: np.ndarray
+    free: Free
+
+    @classmethod
+    def least_squares(cls, wanted: np.ndarray, free: Free) -> Aim:
+        """Return the aim of a misfit as small as can be, where nothing is known of noise."""
+        return cls(wanted, np.eye(len(wanted)), free)
+
+    def off(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Return how far values and the place are off, in standard deviations."""
+        free = self.free
+        known = np.isfinite(free.prior_sd)
+        prior = (place - free.prior_mean)[known] / free.prior_sd[known]
+        return np.concatenate([np.linalg.solve(self.lower, values - self.wanted), prior])
+
+    def along(self, slopes: np.ndarray) -> np.ndarray:
+        """Return the derivatives of `off` to the coordinates."""
+        pull = np.diag(1.0 / self.free.prior_sd)[np.isfinite(self.free.prior_sd)]
+        return np.vstack([np.linalg.solve(self.lower, slopes), pull])
+
+
+class End(NamedTuple):
+    """Where a descent ended, and the sum of squares there."""
+
+    cost: float
+    place: np.ndarray
+
+
+def search(
+    runs: Runs,
+    aim: Callable[[np.ndarray, int], Aim],
+    places: np.ndarray,
+    stages: Sequence[Stage],
+    say: Callable[[int, float], None] = lambda stage, cost: None,
+) -> list[list[End]]:
+    """Return where the descents of every stage ended, best first.
+
+    Parameters
+    ----------
+    runs : Runs
+    aim : callable
+        What counts near a place, at a stage.
+    places : float, shape (many, parameters)
+        Of the survey, which is stage 0.
+    stages : sequence of Stage
+    say : callable
+        Receives the number of every stage that begins, from 1 on, and the least sum of squares.
+    """
+    places = np.clip(places, runs.margin, 1.0 - runs.margin)
+    first = aim(places[0], 0)
+    found = [End(_square(first.off(runs.values(x, 0), x)), x) for x in places]
+    ends: list[list[End]] = []
+    for number, stage in enumerate(stages, 1):
+        found = _different(found, stage, FAR if number == 1 else 0.0)
+        say(number, found[0].cost)
+        # A later stage begins near its goal: it may trust its linear model less far.
+        radius = FIRST_RADIUS / 2 ** (number - 1)
+        near = aim(found[0].place, number)
+        found = [descend(runs, number, end.place, near, stage.evaluations, radius) for end in found]
+        found.sort(key=lambda end: end.cost)
+        ends.append(found)
+    return ends
+
+
+def _different(found: Sequence[End], stage: Stage, apart: float) -> list[End]:
+    """Return the best of so many ends that are apart."""
+    kept: list[End] = []
+    for end in sorted(found, key=lambda end: end.cost):
+        if len(kept) == stage.starts or (kept and end.cost > kept[0].cost + stage.within):
+            break
+        if all(np.abs(end.place - one.place).max() > apart for one in kept):
+            kept.append(end)
+    return kept
+
+
+def descend(
+    runs: Runs, stage: int, start: np.ndarray, aim: Aim, evaluations: int, radius: float
+) -> End:
+    """Return the nearest place found, by Gauss-Newton steps in a box.
+
+    Every step minimises the linear model within the unit cube and a trust region around the best
+    place so far.  Derivatives are updated after Broyden (1965) as long as they foretell the
+    misfit, because runs cost the same as what they save.
+
+    Parameters
+    ----------
+    runs : Runs
+    stage : int
+    start : float, shape (parameters,)
+    aim : Aim
+    evaluations : int
+    radius : float
+        Half the edge of the first trust region, 0 to 1.
+    """
+    from scipy.optimize import lsq_linear
+
+    least, most = runs.margin, 1.0 - runs.margin
+    x = np.clip(start, least, most)
+    off = aim.off(runs.values(x, stage), x)
+    best = _square(off)
+    used, stale = 1, True
+    slopes = np.empty((len(off), len(x)))
+    while used < evaluations and radius >= LEAST_RADIUS:
+        fresh = stale
+        if stale:
+            slopes = aim.along(runs.slopes(x, stage))
+            used += len(x)
+            stale = False
+        low, high = np.maximum(least - x, -radius), np.minimum(most - x, radius)
+        step = lsq_linear(slopes, -off, (low - 1e-9, high + 1e-9)).x
+        step = np.clip(x + step, least, most) - x
+        foretold = best - _square(off + slopes @ step)
+        if foretold < LEAST_GAIN * best:
+            if fresh:
+                break
+            stale = True
+            continue
+        there = aim.off(runs.values(x + step, stage), x + step)
+        used += 1
+        gained = best - _square(there)
+        slopes += np.outer(there - off - slopes @ step, step) / (step @ step)
+        if gained < 0.25 * foretold:
+            radius *= 0.5
+        elif gained > 0.75 * foretold:
+            radius = min(2.0 * radius, 0.5)
+        stale = gained < 0.5 * foretold and not (fresh and gained <= 0.0)
+        if gained > 0.0:
+            x, off, best = x + step, there, best - gained
+    return End(best, x)
+
+
+def _square(off: np.ndarray) -> float:
+    return float(off @ off)

@@ -23,7 +23,7 @@ FITTING = (
     "experiments/parameters.py",
     "experiments/run_fit.py",
     "retrieval/coordinates.py", "retrieval/estimation.py", "retrieval/least_squares.py",
-    "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/search.py",
+    "retrieval/line.py", "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/search.py",
 )  # fmt: skip
 """Files behind a fit besides."""
 RETRIEVING = (
@@ -31,8 +31,8 @@ RETRIEVING = (
     "lookup/interpolation.py", "lookup/reading.py", "materials/impurities.csv",
     "materials/impurities.py", "retrieval/coordinates.py", "retrieval/cubics.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
-    "retrieval/least_squares.py", "retrieval/measurement.py", "retrieval/misfit.py",
-    "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "retrieval/least_squares.py", "retrieval/line.py", "retrieval/measurement.py",
+    "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
 )  # fmt: skip
 """Files behind retrievals from a table."""
 

@@ -22,6 +22,7 @@ from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
 from splits.retrieval.least_squares import estimated
+from splits.retrieval.misfit import left_open
 from splits.retrieval.search import Aim, End, Stage, search
 
 STEP = 0.05
@@ -201,9 +202,8 @@ def fit(
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
     off = modelled - wanted
-    draws = estimated(
-        cube.free, best, runs.jacobians(best), off, runs.noise(best), seed
-    ).draws.places  # fmt: skip
+    left = left_open(runs.jacobians(best), off, runs.noise(best))
+    draws = estimated(cube.free, best, left.of_place, seed).draws.places
     value, value_stderr = _rms(off), _rms(stderr)
     seconds = time.perf_counter() - begun
     say(f"{runs.count} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")

@@ -7,7 +7,7 @@ they do where noise is known.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +16,19 @@ from splits.checks import refuse
 from splits.retrieval.coordinates import Free
 from splits.retrieval.estimation import APART, RIVAL, Optimum, Told, optima, told
 from splits.retrieval.forward import OfTable
+from splits.retrieval.line import Around, Seen, bent
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.misfit import left_open
+from splits.retrieval.misfit import Left, left_open
 from splits.retrieval.posterior import Draws, draws_of
 from splits.retrieval.result import Found, tension_of
-from splits.retrieval.runs import LAST, Around, OfRuns, Seen
+from splits.retrieval.runs import LAST, OfRuns
 
 JACOBIANS = 2
 """Independent ones behind the errors of retrievals by runs."""
 
 
 class Estimated(NamedTuple):
-    """What a place of least misfit tells, within ranges and with priors.
+    """What an estimate tells, within ranges and with priors.
 
     Attributes
     ----------
@@ -35,8 +36,6 @@ class Estimated(NamedTuple):
         The most probable one.
     told : Told
     draws : Draws
-    covariance : float, shape (n, n)
-        Of what the misfit was drawn from.
     tension : float, shape (parameters,)
         See `splits.retrieval.result.Found`.
     """
@@ -44,52 +43,28 @@ class Estimated(NamedTuple):
     place: np.ndarray
     told: Told
     draws: Draws
-    covariance: np.ndarray
     tension: np.ndarray
 
 
-def estimated(
-    free: Free,
-    place: np.ndarray,
-    jacobians: Sequence[np.ndarray],
-    misfit: np.ndarray,
-    own: np.ndarray,
-    seed: int,
-) -> Estimated:
-    """Return what a place of least misfit tells.
+def estimated(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) -> Estimated:
+    """Return what an estimate of the coordinates tells.
 
     Parameters
     ----------
     free : Free
     place : float, shape (parameters,)
-    jacobians : sequence of float, shape (n, parameters)
-        Independent ones, two at least.
-    misfit : float, shape (n,)
-        Model minus measurement.
-    own : float, shape (n, n)
-        Covariance of the noise that all runs, or cells of a table, share.
+    covariance : float, shape (parameters, parameters)
+        See `splits.retrieval.misfit.left_open`.
     seed : int
         Of the draws.
     """
-    left = left_open(jacobians, misfit, own)
-    model, itself = _itself(free, place, left.of_place)
-    ends = optima(model, itself, *model.nodes())
-    draws = draws_of(model, itself, ends, seed)
-    tension = tension_of(free, place, np.diag(left.of_place))
-    return Estimated(ends[0].place, told(ends[0], model), draws, left.of_values, tension)
-
-
-def draws_around(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) -> Draws:
-    """Return draws around an estimate with a covariance, within ranges and with priors."""
-    model, itself = _itself(free, place, covariance)
-    return draws_of(model, itself, optima(model, itself, *model.nodes()), seed)
-
-
-def _itself(free: Free, place: np.ndarray, covariance: np.ndarray) -> tuple[Around, Measurement]:
-    """Return an estimate of the coordinates as a measurement of these."""
     many = len(place)
     measurement = Measurement(place, np.arange(many, dtype=float), covariance, {})
-    return Around(free, Seen(place, place, np.eye(many), np.zeros((many, many)))), measurement
+    itself = Around(free, Seen(place, place, np.eye(many), np.zeros((many, many))))
+    ends = optima(itself, measurement, *itself.nodes())
+    draws = draws_of(itself, measurement, ends, seed)
+    tension = tension_of(free, place, np.diag(covariance))
+    return Estimated(ends[0].place, told(ends[0], itself), draws, tension)
 
 
 def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
@@ -100,12 +75,10 @@ def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found
     best, *others = optima(model, measurement, *model.nodes())
     own = model.covariance(best.place)
     model.free = free
-    off = best.values - measurement.values
-    found = estimated(free, best.place, [best.slopes] * 2, off, own, seed)
-    values, slopes = model.with_slopes(found.place)
-    rivals = [free.at(end.place) for end in _rivals(others, best, found)]
-    seen = Seen(found.place, values, slopes, own)
-    return _found(seen, found, measurement, rivals)
+    left = left_open([best.slopes] * 2, best.values - measurement.values, own)
+    around = Around(free, Seen(best.place, best.values, best.slopes, own))
+    rivals = [free.at(end.place) for end in _rivals(others, best, left)]
+    return _found(lambda x: model.with_slopes(x)[0], around, measurement, left, rivals, seed)
 
 
 def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
@@ -113,14 +86,13 @@ def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, M
     _check(runs.free, measurement)
     free = runs.free
     runs.free = _flat(free)
-    around, others = runs.settled()
+    line, others = runs.settled()
     runs.free = free
-    best = around.seen
+    best = line.seen
     jacobians = [runs.slopes(best.place, LAST, seed + 1 + n) for n in range(JACOBIANS)]
-    off = best.values - measurement.values
-    found = estimated(free, best.place, jacobians, off, best.covariance, seed)
-    seen = best._replace(place=found.place, values=around.values(found.place[np.newaxis])[0])
-    return _found(seen, found, measurement, [free.at(place) for place in others])
+    left = left_open(jacobians, best.values - measurement.values, best.covariance)
+    rivals = [free.at(place) for place in others]
+    return _found(runs.last, Around(free, best), measurement, left, rivals, seed)
 
 
 def _check(free: Free, measurement: Measurement) -> None:
@@ -136,9 +108,9 @@ def _flat(free: Free) -> Free:
     return free._replace(prior_sd=np.full(len(free.names), np.inf))
 
 
-def _rivals(others: Sequence[Optimum], best: Optimum, found: Estimated) -> list[Optimum]:
+def _rivals(others: Sequence[Optimum], best: Optimum, left: Left) -> list[Optimum]:
     """Return other ends that explain a measurement nearly as well."""
-    variance = float(found.covariance[0, 0])
+    variance = float(left.of_values[0, 0])
     return [
         end for end in others
         if end.cost < best.cost + RIVAL * variance and np.abs(end.place - best.place).max() > APART
@@ -146,13 +118,22 @@ def _rivals(others: Sequence[Optimum], best: Optimum, found: Estimated) -> list[
 
 
 def _found(
-    seen: Seen, found: Estimated, measurement: Measurement, rivals: Sequence[np.ndarray]
+    values: Callable[[np.ndarray], np.ndarray],
+    around: Around,
+    measurement: Measurement,
+    left: Left,
+    rivals: Sequence[np.ndarray],
+    seed: int,
 ) -> tuple[Found, Measurement]:
     """Return what was found as where noise is known, and the measurement with the noise found."""
-    whole = found.covariance + seen.covariance
-    off = seen.values - measurement.values
+    best = around.seen
+    found = estimated(around.free, best.place, left.of_place, seed)
+    there = values(found.place)
+    whole = left.of_values + best.covariance
+    off = there - measurement.values
     chi2 = float(off @ np.linalg.solve(whole, off))
-    end = Optimum(seen.place, seen.values, seen.slopes, whole, chi2, chi2)
-    own = np.sqrt(np.diag(seen.covariance))
-    plain = Found([end], found.told, found.draws, 1.0, found.tension, own, tuple(rivals))
-    return plain, measurement._replace(covariance=found.covariance)
+    end = Optimum(found.place, there, best.slopes, whole, chi2, chi2)
+    own = np.sqrt(np.diag(best.covariance))
+    curved = bent(values, around, found.place, found.told.covariance, whole)
+    plain = Found([end], found.told, found.draws, 1.0, found.tension, own, tuple(rivals), curved)
+    return plain, measurement._replace(covariance=left.of_values)

@@ -15,6 +15,7 @@ from splits.retrieval.coordinates import Free
 from splits.retrieval.estimation import Optimum, optima, optimum, told
 from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.least_squares import by_runs, in_table
+from splits.retrieval.line import Around, bent
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import free_of, runs_of
 from splits.retrieval.posterior import draws_of
@@ -26,7 +27,6 @@ from splits.retrieval.result import (
     result_of,
     tension_of,
 )
-from splits.retrieval.runs import Around
 
 
 @known_arguments
@@ -147,9 +147,10 @@ def retrieve(
         return result_of(which, measurement, found)
     around, rivals = runs.settled()
     found = _found(around, measurement, seed)
-    bent = runs.bent(around, found.ends[0].place, found.told.covariance)
+    noise = measurement.covariance + around.seen.covariance
+    off = bent(runs.last, around, found.ends[0].place, found.told.covariance, noise)
     others = tuple(which.at(place) for place in rivals)
-    return result_of(which, measurement, found._replace(bent=bent, rivals=others))
+    return result_of(which, measurement, found._replace(bent=off, rivals=others))
 
 
 def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:

@@ -9,7 +9,7 @@ coordinates.
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from splits.media.turbid import Medium
 from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.estimation import APART, RIVAL
 from splits.retrieval.forward import Operator
+from splits.retrieval.line import MARGIN, Around, Seen
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.search import Aim, Stage, search
 
@@ -42,50 +43,6 @@ STEP_NM = 10.0
 """Between the wavelengths of a band."""
 
 
-class Seen(NamedTuple):
-    """A medium that was looked at.
-
-    Attributes
-    ----------
-    place : float, shape (parameters,)
-        Coordinates.
-    values : float, shape (n,)
-        What would be measured.
-    slopes : float, shape (n, parameters)
-    covariance : float, shape (n, n)
-        Of the runs' noise.
-    """
-
-    place: np.ndarray
-    values: np.ndarray
-    slopes: np.ndarray
-    covariance: np.ndarray
-
-
-class Around:
-    """A measurement as a straight line through one place has it; see `splits.retrieval.forward`."""
-
-    def __init__(self, free: Free, seen: Seen) -> None:
-        self.free, self.seen = free, seen
-
-    def values(self, places: np.ndarray) -> np.ndarray:
-        """Return what would be measured, shape (places, n)."""
-        found: np.ndarray = self.seen.values + (places - self.seen.place) @ self.seen.slopes.T
-        return found
-
-    def with_slopes(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what would be measured, shape (n,), and slopes, shape (n, parameters)."""
-        return self.values(place[np.newaxis])[0], self.seen.slopes
-
-    def covariance(self, place: np.ndarray) -> np.ndarray:
-        """Return the covariance of the runs' noise, shape (n, n)."""
-        return self.seen.covariance
-
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where descents begin, and what would be measured there."""
-        return self.seen.place[np.newaxis], self.seen.values[np.newaxis]
-
-
 class OfRuns:
     """A measurement as runs have it; see `splits.retrieval.search.Runs`.
 
@@ -102,8 +59,7 @@ class OfRuns:
     progress : callable, optional
     """
 
-    margin = 1e-3
-    """At the very ends of ranges slopes may be infinite."""
+    margin = MARGIN
 
     def __init__(
         self,
@@ -126,7 +82,7 @@ class OfRuns:
         self._rows = [free.names.index(name) for name in self.axes]
         self._level = free.names.index(LEVEL) if LEVEL in free.names else None
         self._known: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._way = _Way(progress, self.error, len(free.names))
+        self._way = Way(progress, self.error, len(free.names), measurement.told)
 
     def error_of(self, stage: int) -> float:
         """Return the error of the runs of a stage, the last of which is exact."""
@@ -165,6 +121,10 @@ class OfRuns:
     def values(self, place: np.ndarray, stage: int) -> np.ndarray:
         """Return what would be measured, shape (n,)."""
         return self.noisy(place, stage)[0]
+
+    def last(self, place: np.ndarray) -> np.ndarray:
+        """Return what would be measured, shape (n,), as exactly as runs say it."""
+        return self.values(place, LAST)
 
     def slopes(self, place: np.ndarray, stage: int, seed: int | None = None) -> np.ndarray:
         """Return its derivatives to the coordinates, shape (n, parameters)."""
@@ -211,51 +171,50 @@ class OfRuns:
         ]  # fmt: skip
         return Around(free, seen), rivals
 
-    def bent(self, around: Around, place: np.ndarray, covariance: np.ndarray) -> float:
-        """Return how far light is off a straight line, a standard deviation away, in its noise.
 
-        Parameters
-        ----------
-        around : Around
-        place : float, shape (parameters,)
-            The most probable one.
-        covariance : float, shape (parameters, parameters)
-            Of coordinates, after; the widest way is looked along.
-        """
-        sizes, ways = np.linalg.eigh(covariance)
-        noise = np.linalg.cholesky(self.measurement.covariance + around.seen.covariance)
-        most = 0.0
-        for sign in (-1.0, 1.0):
-            there = np.clip(place + sign * np.sqrt(sizes[-1]) * ways[:, -1], 1e-3, 1.0 - 1e-3)
-            off = self.values(there, LAST) - around.values(there[np.newaxis])[0]
-            most = max(most, float(np.linalg.norm(np.linalg.solve(noise, off))))
-        return most
+class Way:
+    """How far a retrieval has got, as far as the runs so far tell.
 
+    Parameters
+    ----------
+    report : callable, optional
+    error : float
+        Of the last runs.
+    parameters : int
+    told : bool
+        Whether noise is known.
+    """
 
-class _Way:
-    """How far a retrieval has got, as far as the runs so far tell."""
-
-    def __init__(self, report: Report, error: float, parameters: int) -> None:
+    def __init__(self, report: Report, error: float, parameters: int, told: bool) -> None:
         self.report, self.error = report, error
-        # Each descent takes slopes twice, and some steps.
+        fine, slopes = _cost(error), (1 + parameters) * _cost(max(error, SLOPES))
+        # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
+        # end.  Slopes once more, and two runs besides, say what is told, more slopes the noise.
         rough = SURVEY + STAGES[0].starts * 2 * (2 + parameters)
-        self.left = rough + STAGES[1].starts * (2 + parameters) * (ROUGHLY / error) ** 2
+        self.whole = rough + STAGES[1].starts * (2 * fine + slopes) + slopes + 2 * fine
+        if not told:
+            self.whole += 2 * slopes
         self.done, self.begun = 0.0, time.perf_counter()
 
     def run(self, error: float, runs: int) -> Report:
         """Return what receives the progress of so many runs of an error."""
         if not callable(self.report):
             return None
-        cost = runs * (ROUGHLY / error) ** 2
-        self.done, self.left = self.done + cost, max(self.left - cost, 0.0)
-        still = (time.perf_counter() - self.begun) * self.left / self.done
-        report = self.report
+        cost, before, report = runs * _cost(error), self.done, self.report
+        self.done += cost
 
         def show(one: Progress) -> None:
             spent = time.perf_counter() - self.begun
-            report(Progress(one.rays, one.stderr, self.error, spent, one.seconds_left + still))
+            done = before + one.share * cost
+            left = max(self.whole - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
+            report(Progress(one.rays, one.stderr, self.error, spent, max(left, one.seconds_left)))
 
         return show
+
+
+def _cost(error: float) -> float:
+    """Return what a run of an error costs, in rough ones."""
+    return (ROUGHLY / error) ** 2
 
 
 def wavelengths_of(measurement: Measurement) -> np.ndarray:

@@ -8,9 +8,11 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.checks import Refusal
+from splits.instruments.progress import Progress
+from splits.retrieval.line import Around, Seen, bent
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import free_of
-from splits.retrieval.runs import Around, Seen, wavelengths_of
+from splits.retrieval.runs import Way, wavelengths_of
 
 W = np.arange(500.0, 1400.0, 100.0)
 SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
@@ -65,7 +67,24 @@ def test_runs_tell_errors_where_noise_is_not_known():
     # Nine values know their noise to 25 %; how alike they are, not so well.
     assert 0.4 < found.stderr[SIZE] / known.stderr[SIZE] < 3.0
     assert told[-1].target == pytest.approx(0.002)
-    assert told[0].seconds_left > told[-1].seconds_left
+
+
+def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
+    """On a clock that every rough run moves by a second."""
+    clock, told = [0.0], []
+    monkeypatch.setattr("splits.retrieval.runs.time.perf_counter", lambda: clock[0])
+    way = Way(told.append, 0.005, 2, told=True)
+    for _ in range(4):
+        show = way.run(0.01, 1)
+        for half in (0.5, 1.0):
+            clock[0] += 0.5
+            show(Progress(100, 0.01, 0.01, half, 1.0 - half))
+    assert [one.seconds + one.seconds_left for one in told] == pytest.approx([way.whole] * 8)
+    assert told[-1].seconds == 4.0 and told[-1].target == 0.005
+    # Beyond what was foretold, a run tells its own.
+    way.run(0.001, 10)
+    way.run(0.01, 1)(Progress(100, 0.01, 0.01, 0.5, 0.25))
+    assert told[-1].seconds_left == 0.25
 
 
 @NEEDS_JIT
@@ -92,6 +111,20 @@ def test_a_straight_line_is_read_as_one():
     np.testing.assert_array_equal(slopes, seen.slopes)
     np.testing.assert_array_equal(line.values(place[np.newaxis])[0], value)
     assert free.laws == ("logarithm", "itself")
+
+
+def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
+    """By the square of a standard deviation along the widest way, over the noise."""
+    free = free_of(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.01]), np.array([0.02, 0.02, 0.01])
+    line = Around(free, Seen(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3))))
+
+    def curved(x):
+        return (x - place).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - place[0]) ** 2
+
+    covariance = np.diag(spread**2), np.diag(noise**2)
+    assert bent(curved, line, place, *covariance) == pytest.approx(3.0 * spread[0] ** 2 / noise[2])
+    assert bent(lambda x: line.values(x[np.newaxis])[0], line, place, *covariance) < 1e-12
 
 
 WRONG = {

@@ -8,7 +8,7 @@ import pytest
 from splits.experiments.fit import parameter_errors
 from splits.experiments.parameters import Cube
 from splits.retrieval.coordinates import Free, Widest
-from splits.retrieval.least_squares import draws_around
+from splits.retrieval.least_squares import estimated
 from splits.retrieval.misfit import CORRELATIONS, left_open, misfit_variances
 
 UNIFORM = np.sqrt(1.0 / 12.0)
@@ -19,7 +19,7 @@ def draws_of(best, covariance):
     """Return draws around a best place of the unit cube."""
     names = [f"x{i}" for i in range(len(best))]
     free = Free.of(names, None, dict.fromkeys(names, Widest(0.0, 1.0, "itself")))
-    return draws_around(free, best, covariance, 1).places
+    return estimated(free, best, covariance, 1).draws.places
 
 
 def covariance_of(jacobians, misfit, own):

@@ -43,6 +43,10 @@ ROWS = 3
 """Rows at most: samples, evenly among all, and what is known of them."""
 FEWEST = 3
 """Samples from which on a slope is told."""
+MARKERS = "os^D"
+"""Of models, against what is known."""
+ASIDE = 0.012
+"""How far models' points stand beside each other there, as a part of the axis."""
 FITTING = 4
 """Parameters of an averaging kernel whose numbers fit at the usual size."""
 _ROW_INCHES = 3.3
@@ -104,39 +108,43 @@ def retrievals(
 def _against(
     axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float], group: str
 ) -> Axes:
-    """Draw what was found of a parameter against what is known of it."""
+    """Draw what was found of a parameter against what is known of it, models side by side."""
     samples = _shown(dataset, known, group)
     x = np.array([known[s] for s in samples])
-    top = float(x.max())
-    for model, colour in _models(dataset):
+    top = highest = float(x.max())
+    models = _models(dataset)
+    for number, (model, colour) in enumerate(models):
         own = dataset.sel(model=model, sample=samples)
+        aside = x + (number - 0.5 * (len(models) - 1)) * ASIDE * top
         part = own.quantiles.sel(parameter=name).transpose("quantile", "sample")
         widest, low, y, high, most = part.values
         if not np.isfinite(y).all():
             continue
         for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
-            axes.vlines(x, *ends, color=colour, lw=width)
+            axes.vlines(aside, *ends, color=colour, lw=width)
         told = [value_label(model, "model")] if model else []
         if len(samples) >= FEWEST:
             line = proportion(x, y)
-            slope = f"slope {line.slope:.2f} ± {line.stderr:.2f}"
-            told.append(f"{slope}, scatter {line.scatter:.2g}")
+            told.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
+            told.append(f"scatter {line.scatter:.2g}")
             misfit = own.chi2_where_known.values
             if model and np.isfinite(misfit).all():
                 expected = float(own.chi2_expected.sum())
-                told.append(f"χ² {misfit.sum():.0f} at what is known, {expected:.0f} expected")
-        axes.plot(x, y, "o", color=colour, ms=3, label="\n".join(told) or None)
-        top = max(top, float(most.max()))
-    top *= 1.08
+                told.append(f"χ² at what is known {misfit.sum():.0f}")
+                told.append(f"expected {expected:.0f}")
+        marker = MARKERS[number % len(MARKERS)]
+        axes.plot(aside, y, marker, color=colour, ms=3, label="\n".join(told) or None)
+        highest = max(highest, float(most.max()))
+    top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
     axes.set_title(group.strip() or "against what is known")
     axes.set_xlabel(f"{parameter_label(name)}, known")
     axes.set_ylabel(f"{parameter_label(name)}, retrieved")
     axes.set_xlim(0.0, top)
-    # Room for a legend above the points.
-    axes.set_ylim(0.0, top * (1.0 if dataset.sizes["model"] == 1 else 1.6))
+    axes.set_ylim(0.0, top)
+    axes.set_aspect("equal", anchor="W")
     if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
-        axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left")
+        axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
     return axes
 

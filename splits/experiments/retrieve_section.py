@@ -139,9 +139,9 @@ class RetrieveSection(Section):
             if not any(name.startswith(first.of) for name in later):
                 allowed = f"how the name of another sample begins: {', '.join(later)}"
                 raise refuse("retrieve.prior_from.of", first.of, allowed)
-        for values in self.known.values():
+        for parameter, values in self.known.items():
             for sample in values:
-                one_of("retrieve.known", sample, names)
+                one_of(f"retrieve.known.{parameter}", sample, names)
         return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
 
     def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:

@@ -10,6 +10,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
+from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.proportion import proportion
 from splits.figures.notes import finished
@@ -49,7 +50,8 @@ ASIDE = 0.012
 """How far models' points stand beside each other there, as a part of the axis."""
 FITTING = 4
 """Parameters of an averaging kernel whose numbers fit at the usual size."""
-_ROW_INCHES = 3.3
+_ROW_INCHES, _KNOWN_INCHES = 3.3, 2.4
+"""Of a sample, and of what is known."""
 
 
 def retrievals(
@@ -75,8 +77,11 @@ def retrievals(
     samples = every[some]
     rows = len(samples) + bool(known)
     with style():
-        figure = Drawing(TWO_COLUMNS, _ROW_INCHES * rows)
-        grid = figure.add_gridspec(rows, 3, width_ratios=[1.3, 1.6, 0.6])
+        heights = [_ROW_INCHES] * len(samples) + [_KNOWN_INCHES] * bool(known)
+        figure = Drawing(TWO_COLUMNS, sum(heights))
+        grid = figure.add_gridspec(
+            rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
+        )  # fmt: skip
         tops = []
         for row, sample in enumerate(samples):
             part = dataset.sel(sample=sample)
@@ -143,6 +148,8 @@ def _against(
     axes.set_xlim(0.0, top)
     axes.set_ylim(0.0, top)
     axes.set_aspect("equal", anchor="W")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
     if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
         axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     axes.spines[["top", "right"]].set_visible(False)

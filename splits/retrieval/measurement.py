@@ -90,7 +90,14 @@ def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
             raise refuse("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
         pair: Any = (measured.wavelength.values, measured.values)
+    elif isinstance(measured, pd.DataFrame):
+        hint = "one column, with wavelengths (nm) for an index: pandas.read_csv(file, index_col=0)"
+        raise refuse("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
     elif isinstance(measured, pd.Series):
+        if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
+            hint = "pandas.read_csv(file, index_col=0), where the first column has them"
+            raise refuse("measured", "a Series that is only counted",
+                         "one over wavelengths (nm)", hint)  # fmt: skip
         pair = (measured.index.to_numpy(), measured.to_numpy())
     elif isinstance(measured, tuple | list) and len(measured) == 2:
         pair = measured

@@ -225,7 +225,8 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
     if result.bent > STRAIGHT:
         found.append(
             f"errors take reflectance to be linear in the coordinates, but a standard deviation "
-            f"away it is off by {result.bent:.1f} times the noise: a table, and noise, give better ones"
+            f"away it is off by {result.bent:.1f} times the noise: a table and a known noise give "
+            f"better ones"
         )
     if draws.effective < ENOUGH:
         found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")

@@ -237,6 +237,8 @@ WRONG = {
     "gap": ({"measured": (W, np.where(W == 700.0, np.nan, 0.5))}, "1 gaps, the first at 700 nm"),
     "per cent": ({"measured": (W, 100.0 * GOOD[1])}, "not per cent"),
     "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),
+    "columns": ({"measured": pd.DataFrame({"a": GOOD[1]})}, "a DataFrame of 1 columns.*index_col"),
+    "counted": ({"measured": pd.Series(GOOD[1])}, "only counted.*index_col"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),

@@ -6,17 +6,21 @@
    random numbers of their own to half the error, for each of so many seeds.  Wavelengths share
    rays, so rms z of one parameter scatters; that of all is what counts.
 2. What those that leave the paths as they are cost beside the spectrum alone.
-3. Of the others: variance times seconds of one core, in units of that of independent runs at their
-   best step, for runs that share random numbers, and, where attenuation is all that changes, for
-   likelihood ratios (a path of n legs of total length l has d ln p / d ln μ = n − μ l).
+3. Of the others: variance times seconds of one core, for runs that share random numbers, and,
+   where attenuation is all that changes, for likelihood ratios (a path of n legs of total length l
+   has d ln p / d ln μ = n − μ l).  In units of that of independent runs twice: with five points, a
+   step so small that the rule is off by less than noise; and at their best, the better of two
+   rules at the best of some steps, which is known afterwards only: what these are off by, from
+   noise and from the step, in as much time.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,6 +74,12 @@ MEDIA: dict[str, Any] = {
     ),
 }  # fmt: skip
 """Media, and steps of the differences of long runs."""
+FACTORS = (0.5, 1.0, 2.0, 4.0)
+"""Of these steps, for differences of independent runs."""
+SEEDS = range(101, 109)
+"""Of what these are off by."""
+RULES = {2: {-1: -0.5, 1: 0.5}, 5: {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}}
+"""Weights of central differences, by distance in steps, for rules of so many points."""
 KEPT = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
 """Legs as likelihood ratios take them: exponential, whatever fits."""
 FREE = {
@@ -101,11 +111,11 @@ def at(medium: Any, name: str, by: float) -> tuple[Any, float]:
 def long_difference(medium: Any, name: str, step: float, error: float, seed: int) -> Any:
     """Return a five-point difference of runs with random numbers of their own, and its error."""
     value, square = 0.0, 0.0
-    for number, (place, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items()):
+    for number, (place, weight) in enumerate(RULES[5].items()):
         other, incidence = at(medium, name, place * step)
         run, _ = measured(other, error, seed + number, incidence)
-        value = value + weight / (12.0 * step) * run.reflectance.values
-        square = square + (weight / (12.0 * step) * run.reflectance_stderr.values) ** 2
+        value = value + weight / step * run.reflectance.values
+        square = square + (weight / step * run.reflectance_stderr.values) ** 2
     return value, np.sqrt(square)
 
 
@@ -186,19 +196,96 @@ def likelihood(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
     return mean, variance, time.process_time() - begun
 
 
+class Independent(NamedTuple):
+    """Differences of independent runs, at their best.
+
+    Attributes
+    ----------
+    square : float, shape (wavelengths,)
+        Mean square of what they are off by.
+    points : int
+        Of the rule.
+    step : float
+    cautious : float, shape (wavelengths,)
+        The same with five points at the step first thought of.
+    """
+
+    square: np.ndarray
+    points: int
+    step: float
+    cautious: np.ndarray
+
+    def beside(self, square: np.ndarray) -> str:
+        """Return how large another mean square is, beside both."""
+        best, cautious = (np.median(square / own) for own in (self.square, self.cautious))
+        return f"{cautious:.2f} ({best:.2f})"
+
+
+def independent(medium: Any, name: str, step: float, error: float, spent: float) -> Independent:
+    """Return what differences of independent runs are off by, after so many seconds.
+
+    What a step is off by comes from runs that share random numbers with a derivative, of several
+    seeds: products of different seeds' estimates of it are right on average where squares are not.
+    """
+    around = [_around(medium, name, step, error, seed) for seed in SEEDS]
+    truth = [
+        measured(medium, error, seed, jacobian=[name])[0].reflectance_jacobian.values[0]
+        for seed in SEEDS
+    ]
+    every, cautious = [], np.empty(0)
+    for factor, (points, rule) in itertools.product(FACTORS, RULES.items()):
+        if not all(factor * place in around[0] for place in rule):
+            continue
+        terms = [[(runs[factor * x], w / (factor * step)) for x, w in rule.items()]
+                 for runs in around]  # fmt: skip
+        off = np.stack([sum(w * run.values for run, w in term) for term in terms]) - truth
+        apart = (off.sum(axis=0) ** 2 - (off**2).sum(axis=0)) / (len(SEEDS) * (len(SEEDS) - 1))
+        noise = np.mean([sum((w * run.stderr) ** 2 for run, w in term) for term in terms], axis=0)
+        seconds = np.mean([sum(run.seconds for run, _ in term) for term in terms])
+        square = noise * seconds / spent + np.maximum(apart, 0.0)
+        every.append(Independent(square, points, factor * step, square))
+        if factor == 1.0 and points == 5:
+            cautious = noise * seconds / spent
+    best = min(every, key=lambda one: float(np.median(one.square)))
+    return best._replace(cautious=cautious)
+
+
+class Run(NamedTuple):
+    """A spectrum, its standard errors, and the seconds that it took."""
+
+    values: np.ndarray
+    stderr: np.ndarray
+    seconds: float
+
+
+def _around(medium: Any, name: str, step: float, error: float, seed: int) -> dict[float, Run]:
+    """Return runs around a value, by distance in steps, as far as its range goes."""
+    found = {}
+    for distance in sorted({f * x for f in FACTORS for rule in RULES.values() for x in rule}):
+        try:
+            other, incidence = at(medium, name, distance * step)
+            run, seconds = measured(other, error, seed, incidence)
+        except ValueError:
+            continue
+        found[distance] = Run(run.reflectance.values, run.reflectance_stderr.values, seconds)
+    return found
+
+
 def ways(chosen: list[str], error: float) -> None:
-    """Print variance times seconds of every way, independent runs at their best step as 1."""
+    """Print variance times seconds of every way beside independent runs, these at best in ()."""
     for label in chosen:
         medium, steps = MEDIA[label]
         for name, step in steps.items():
             found, seconds = measured(medium, error, 1, jacobian=[name])
             if found.parameter_method.values[0] == "paths":
                 continue
-            _, alone = measured(medium, error, 1)
-            own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
-            _, stderr = long_difference(medium, name, step, error, 100)
-            other = stderr**2 * 4.0 * alone
-            print(f"{label:13} {name:28} common random numbers {np.median(own / other):.2f}")
+            spent = seconds - measured(medium, error, 1)[1]
+            own = found.reflectance_jacobian_stderr.values[0] ** 2
+            other = independent(medium, name, step, error, spent)
+            print(
+                f"{label:13} {name:28} common random numbers {other.beside(own)}, "
+                f"the best: {other.points} points, step {other.step:g}", flush=True,
+            )  # fmt: skip
     attenuation(error)
     similarity(error)
 
@@ -208,16 +295,16 @@ def similarity(error: float) -> None:
     medium, steps = MEDIA["natural snow"]
     size, depth = "optical_radius_um", "depth_m"
     ratio = value_of(medium, depth) / value_of(medium, size)
-    _, alone = measured(medium, error, 1)
+    alone = measured(medium, error, 1)[1]
     found, seconds = measured(medium, error, 1, jacobian=[size])
     of_depth, seconds_depth = measured(medium, error, 1, jacobian=[depth])
-    own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
-    other = (ratio * of_depth.reflectance_jacobian_stderr.values[0]) ** 2 * (seconds_depth - alone)
-    _, stderr = long_difference(medium, size, steps[size], error, 100)
-    independent = stderr**2 * 4.0 * alone
+    other = independent(medium, size, steps[size], error, seconds - alone)
+    own = found.reflectance_jacobian_stderr.values[0] ** 2
+    similar = (ratio * of_depth.reflectance_jacobian_stderr.values[0]) ** 2
+    similar *= (seconds_depth - alone) / (seconds - alone)
     print(
-        f"natural snow, size: common random numbers {np.median(own / independent):.2f}, similarity "
-        f"at least {np.median(other / independent):.2f} (its depth alone)"
+        f"natural snow, size: common random numbers {other.beside(own)}, similarity "
+        f"at least {other.beside(similar)}: its depth alone"
     )
 
 
@@ -229,20 +316,19 @@ def attenuation(error: float) -> None:
                                      impurities_ng_g=soot, readings=KEPT)  # fmt: skip
         measured(medium, 0.02, 1)
         found, seconds = measured(medium, error, 1, jacobian=["density_kg_m3"])
-        _, alone = measured(medium, error, 1)
-        other, stderr = long_difference(medium, "density_kg_m3", 20.0, error, 100)
+        spent = seconds - measured(medium, error, 1)[1]
+        long, stderr = long_difference(medium, "density_kg_m3", 20.0, error, 100)
+        other = independent(medium, "density_kg_m3", 20.0, error, spent)
         # Grains stay as they are: attenuation goes as density over pores.
         legs = [1.0 / mean_leg_m(with_value(medium, "density_kg_m3", x)) for x in (199.0, 201.0)]
         rate = 0.5 * np.log(legs[1] / legs[0])
-        mean, variance, spent = likelihood(medium, 100_000)
-        own = found.reflectance_jacobian_stderr.values[0] ** 2 * (seconds - alone)
-        ratio = rate**2 * variance * spent
-        z = (rate * mean - other) / np.hypot(rate * np.sqrt(variance), stderr)
-        independent = stderr**2 * 4.0 * alone
+        mean, variance, took = likelihood(medium, 100_000)
+        own = found.reflectance_jacobian_stderr.values[0] ** 2
+        ratio = rate**2 * variance * took / spent
+        z = (rate * mean - long) / np.hypot(rate * np.sqrt(variance), stderr)
         print(
-            f"{label}, density: common random numbers {np.median(own / independent):.2f}, "
-            f"likelihood ratio {np.median(ratio / independent):.2f} (rms z of it "
-            f"{np.sqrt((z**2).mean()):.2f})"
+            f"{label}, density: common random numbers {other.beside(own)}, likelihood ratio "
+            f"{other.beside(ratio)}, rms z of it {np.sqrt((z**2).mean()):.2f}"
         )
 
 
@@ -251,12 +337,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--max-stderr", type=float, default=0.002)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--ways-only", action="store_true", help="part 3 alone")
     parser.add_argument("--media", nargs="+", default=list(MEDIA), choices=list(MEDIA))
     given = parser.parse_args()
     for label in given.media:
         measured(MEDIA[label][0], 0.05, 1)
-    compare(given.media, given.max_stderr, given.seeds)
-    cost_of_free(given.max_stderr)
+    if not given.ways_only:
+        compare(given.media, given.max_stderr, given.seeds)
+        cost_of_free(given.max_stderr)
     ways(given.media, given.max_stderr)
 
 

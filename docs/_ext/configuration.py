@@ -18,7 +18,8 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from splits.experiments.sections import ESTIMATORS, FIGURES, ONLY_FOR, QUANTITIES, REQUIRED
+from splits.experiments.instrument_section import ESTIMATORS, ONLY_FOR, REQUIRED
+from splits.experiments.sections import FIGURES, QUANTITIES
 from splits.experiments.study_kinds import FILES, PRODUCTS, ROLES
 
 LOG = logging.getLogger(__name__)

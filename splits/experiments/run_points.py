@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes
-from splits.experiments.sections import SURFACES, Instrument
+from splits.experiments.instrument_section import SURFACES, Instrument
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments import (

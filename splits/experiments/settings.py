@@ -11,9 +11,10 @@ from pydantic import Field, field_validator, model_validator
 
 from splits.checks import one_of, refuse, suggestion
 from splits.crate import ORCID, Author
+from splits.experiments.check_studies import check_studies
 from splits.experiments.model import Experiment
 from splits.experiments.sections import Section
-from splits.experiments.studies import Study, check_studies
+from splits.experiments.studies import Study
 from splits.experiments.texts import LONGEST_TITLE, check_text
 from splits.experiments.yaml_files import ConfigError
 

@@ -19,7 +19,8 @@ from pydantic import Field, field_validator, model_validator
 
 from splits.checks import Refusal, keywords_taken, named, one_of, refuse, unknown_key
 from splits.experiments.grids import MOST_POINTS, labelled
-from splits.experiments.sections import SEVERAL, SURFACES, FitSection, Instrument, Section
+from splits.experiments.instrument_section import SEVERAL, SURFACES, Instrument
+from splits.experiments.sections import FitSection, Section
 from splits.experiments.stacks import (
     LAYERS,
     MAKERS,

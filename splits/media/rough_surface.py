@@ -3,100 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from numbers import Integral
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
-from splits.extras import optional
-from splits.transport.numerics.rng import start_stream, table_probabilities
+from splits.media.surface_laws import (
+    CORRELATIONS,
+    LAWS,
+    QUANTILES,
+    integral,
+    mean_of_cells,
+    quantiles_of,
+    sum_of_cells,
+)
+from splits.transport.numerics.rng import start_stream
 from splits.transport.rough import waves as kernels
 
 MOST_WAVES = 100_000
-QUANTILES = 4097
 _SPECTRUM = ("wave_number_per_m", "density")
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-
-
-class Law(NamedTuple):
-    """How wave numbers are distributed, all in units of k0.
-
-    Attributes
-    ----------
-    code : int
-        What kernels call it.
-    share : callable
-        Probability of wave numbers below λ.
-    density : callable
-        Its derivative.
-    square : callable
-        Mean of λ² below a limit.
-    correlation : callable
-        Of heights at a distance, without a limit.
-    """
-
-    code: int
-    share: Callable[[float], float]
-    density: Callable[[np.ndarray], np.ndarray]
-    square: Callable[[float], float]
-    correlation: Callable[[np.ndarray], np.ndarray]
-
-
-def _special() -> ModuleType:
-    return optional("scipy.special", "retrieval", "correlations of heights need")
-
-
-def _printed_correlation(r: np.ndarray) -> np.ndarray:
-    """Return ∫ J0(λr) (1 + λ²)^(−3/2) dλ = x (I0(x) K1(x) − I1(x) K0(x)) with x = r/2."""
-    special = _special()
-    x = np.where(r > 0.0, 0.5 * r, 1.0)
-    products = special.i0e(x) * special.k1e(x) - special.i1e(x) * special.k0e(x)
-    return np.where(r > 0.0, x * products, 1.0)
-
-
-def _exponential_share(limit: float) -> float:
-    """Return 1 − 1/√(1 + λ²) without cancellation."""
-    root = math.hypot(1.0, limit)
-    return 1.0 if math.isinf(limit) else limit / root * (limit / (1.0 + root))
-
-
-def _gaussian_square(limit: float) -> float:
-    if math.isinf(limit):
-        return 4.0
-    e = 0.25 * limit * limit
-    share = -math.expm1(-e)
-    return 4.0 * (1.0 - e * math.exp(-e) / share)
-
-
-LAWS = {
-    "exponential": Law(
-        kernels.EXPONENTIAL,
-        _exponential_share,
-        lambda k: k * (1.0 + k * k) ** -1.5,
-        lambda limit: math.hypot(1.0, limit) - 1.0,
-        lambda r: np.exp(-r),
-    ),
-    "exponential_printed": Law(
-        kernels.PRINTED,
-        lambda limit: 1.0 if math.isinf(limit) else limit / math.hypot(1.0, limit),
-        lambda k: (1.0 + k * k) ** -1.5,
-        lambda limit: math.asinh(limit) * math.hypot(1.0 / limit, 1.0) - 1.0,
-        _printed_correlation,
-    ),
-    "gaussian": Law(
-        kernels.GAUSSIAN,
-        lambda limit: -math.expm1(-0.25 * limit * limit),
-        lambda k: 0.5 * k * np.exp(-0.25 * k * k),
-        _gaussian_square,
-        lambda r: np.exp(-r * r),
-    ),
-}
-CORRELATIONS = (*LAWS, "spectrum")
 
 
 @known_keywords
@@ -179,25 +108,25 @@ class SurfaceField:
     def quantiles(self) -> np.ndarray:
         """Quantile function of a spectrum's wave numbers (1/m), see `rng.table_probabilities`."""
         assert self.spectrum is not None
-        return _quantiles(*(np.array(self.spectrum[key]) for key in _SPECTRUM))
+        return quantiles_of(*(np.array(self.spectrum[key]) for key in _SPECTRUM))
 
     def correlation_at(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
         r = np.asarray(r_m, dtype=float)
         if self.correlation == "spectrum":
-            return np.array([_sum_of_cells(self.quantiles, x) for x in r.ravel()]).reshape(r.shape)
+            return np.array([sum_of_cells(self.quantiles, x) for x in r.ravel()]).reshape(r.shape)
         law = LAWS[self.correlation]
         assert self.wave_number_per_m is not None
         r = self.wave_number_per_m * r
         if law.share(self._limit) == 1.0:
             return law.correlation(r)
-        found = [_integral(law.density, self._limit, x) for x in r.ravel()]
+        found = [integral(law.density, self._limit, x) for x in r.ravel()]
         return np.array(found).reshape(r.shape) / law.share(self._limit)
 
     def mean_square_wave_number(self) -> float:
         """Return the expected λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
-            return _mean_of_cells(self.quantiles, lambda k: k * k)
+            return mean_of_cells(self.quantiles, lambda k: k * k)
         assert self.wave_number_per_m is not None
         return self.wave_number_per_m**2 * LAWS[self.correlation].square(self._limit)
 
@@ -344,57 +273,3 @@ def _columns(given: Any) -> dict[str, tuple[float, ...]]:
     if (density < 0.0).any() or not density[k > 0.0].any():
         raise refuse("spectrum.density", density.tolist(), "0 or more, and more somewhere")
     return dict(zip(_SPECTRUM, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
-
-
-def _quantiles(k: np.ndarray, density: np.ndarray) -> np.ndarray:
-    """Return the quantile function of the density p(λ) λ, p linear between its points."""
-    slope = np.diff(density) / np.diff(k)
-
-    def mass(cell: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """∫ p λ dλ from the beginning of a cell, exact: p(λ) λ is a parabola."""
-        step = upper - k[cell]
-        p, a = density[cell], k[cell]
-        return step * (p * a + step * (0.5 * (p + slope[cell] * a) + step * slope[cell] / 3.0))
-
-    cells = np.arange(k.size - 1)
-    cumulative = np.concatenate([[0.0], np.cumsum(mass(cells, k[1:]))])
-    wanted = table_probabilities(QUANTILES) * cumulative[-1]
-    # Cells without mass hold no quantile but those at the very ends.
-    cell = np.clip(np.searchsorted(cumulative, wanted, side="left") - 1, 0, k.size - 2)
-    first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
-    cell = np.maximum(cell, first)
-    low, high = k[cell], k[cell + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        below = cumulative[cell] + mass(cell, middle) < wanted
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return 0.5 * (low + high)
-
-
-def _mean_of_cells(
-    table: np.ndarray, function: Callable[[np.ndarray], np.ndarray], pieces: int = 1
-) -> float:
-    """Return the mean of a function of what a quantile table, linear in its cells, stands for."""
-    points = (table.size - 1) * pieces
-    x = (np.arange(points)[:, None] + 0.5 * (1.0 + _NODES)) / points
-    # Derivative of the probabilities of `table_probabilities`.
-    weight = 2.0 * np.minimum(x, 1.0 - x) * _WEIGHTS / points
-    where = np.linspace(0.0, 1.0, table.size)
-    return float((weight * function(np.interp(x, where, table))).sum())
-
-
-def _sum_of_cells(table: np.ndarray, r: float) -> float:
-    """Return the mean of J0(λ r), in pieces of less than a period."""
-    widest = float(np.diff(table).max())
-    j0 = _special().j0
-    return _mean_of_cells(table, lambda k: j0(k * r), 1 + int(widest * r / math.pi))
-
-
-def _integral(density: Callable[[np.ndarray], np.ndarray], limit: float, r: float) -> float:
-    """Return ∫ J0(λr) density dλ from 0 to the limit, in pieces of less than a period."""
-    octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
-    edges = [np.array([0.0]), octaves, np.arange(0.0, limit, 2.0 * math.pi / max(r, 1e-300))[1:]]
-    edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
-    half = 0.5 * np.diff(edge)[:, None]
-    k = edge[:-1, None] + half * (1.0 + _NODES)
-    return float((half * _WEIGHTS * _special().j0(k * r) * density(k)).sum())

@@ -11,9 +11,10 @@ import pytest
 
 import splits
 from splits.experiments import load_settings
+from splits.experiments.instrument_section import Instrument
 from splits.experiments.model import Experiment
 from splits.experiments.retrieve_section import Noise, RetrieveSection
-from splits.experiments.sections import FigureSection, FitSection, Instrument
+from splits.experiments.sections import FigureSection, FitSection
 from splits.experiments.settings import Accuracy, Settings
 from splits.experiments.studies import SensitivityPair, Study
 from splits.experiments.yaml_files import read_yaml

@@ -12,9 +12,9 @@ import pytest
 from splits import Snow
 from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
 from splits.experiments.grids import label_of
+from splits.experiments.instrument_section import WavelengthGrid
 from splits.experiments.load import read_yaml
 from splits.experiments.model import RULES
-from splits.experiments.sections import WavelengthGrid
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")

@@ -10,7 +10,8 @@ import yaml
 from rough_surfaces import GAUSSIAN, PRINTED, SPECTRUM, TABLE
 from scipy import integrate, special
 
-from splits.media.rough_surface import LAWS, RoughSurface, SurfaceField
+from splits.media.rough_surface import RoughSurface, SurfaceField
+from splits.media.surface_laws import LAWS
 from splits.transport.rough import waves as kernels
 
 BAD = [

@@ -107,6 +107,8 @@ def retrievals(
             note += "; lines: 16, 50 and 84 %."
         else:
             note += f". Averaging kernels: {value_label(str(dataset.model.values[0]), 'model')}."
+            if known and np.isfinite(dataset.chi2_where_known).any():
+                note += " Beside what is known: χ² with that held, of what is expected."
         return finished(figure, tops, note)
 
 
@@ -135,8 +137,7 @@ def _against(
             misfit = own.chi2_where_known.values
             if model and np.isfinite(misfit).all():
                 expected = float(own.chi2_expected.sum())
-                told.append(f"χ² at what is known {misfit.sum():.0f}")
-                told.append(f"expected {expected:.0f}")
+                told.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
         marker = MARKERS[number % len(MARKERS)]
         axes.plot(aside, y, marker, color=colour, ms=3, label="\n".join(told) or None)
         highest = max(highest, float(most.max()))

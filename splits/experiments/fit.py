@@ -21,8 +21,9 @@ from splits.experiments.parameters import Cube, FitResult, Fitted
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
+from splits.retrieval.estimation import held_at
 from splits.retrieval.least_squares import estimated
-from splits.retrieval.misfit import left_open
+from splits.retrieval.misfit import SPARE, left_open
 from splits.retrieval.search import Aim, End, Stage, search
 
 STEP = 0.05
@@ -165,7 +166,7 @@ def fit(
     base_settings : mapping
         Keywords of `splits.Sand` that stay fixed, for example ``refractive_index``.
     wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm), more than there are coordinates.
+        Strictly increasing vacuum wavelengths (nm), two more than coordinates at least.
     measured : array_like
         Hemispherical reflectance there, 0 to 1.
     incidence_deg : float or "diffuse"
@@ -189,10 +190,9 @@ def fit(
     wavelengths = check_wavelengths(wavelength_nm)
     wanted = check_measured(measured, len(wavelengths))
     cube = Cube(base_settings, ranges)
-    if len(wavelengths) <= len(cube.names):
-        raise refuse(
-            "wavelength_nm", wavelengths.tolist(), f"more than {len(cube.names)} wavelengths"
-        )
+    least = len(cube.names) + SPARE
+    if len(wavelengths) < least:
+        raise refuse("wavelength_nm", wavelengths.tolist(), f"{least} wavelengths at least")
     beam, seed = check_incidence(incidence_deg), check_whole("seed", seed, 0)
     runs = OfSands(cube, wavelengths, beam, effort, seed, threads)
     ends = _ends(runs, wanted, effort, say)
@@ -202,7 +202,9 @@ def fit(
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
     off = modelled - wanted
-    left = left_open(runs.jacobians(best), off, runs.noise(best))
+    jacobians = runs.jacobians(best)
+    held = held_at(best, np.mean(jacobians, axis=0).T @ off)
+    left = left_open(jacobians, off, runs.noise(best), held)
     draws = estimated(cube.free, best, left.of_place, seed).draws.places
     value, value_stderr = _rms(off), _rms(stderr)
     seconds = time.perf_counter() - begun

@@ -104,6 +104,10 @@ class Free(NamedTuple):
             raise refuse(key, pair, allowed, "leave it out: it says less than the range does")
         return middle, float(np.mean(sides))
 
+    def flat(self) -> Free:
+        """Return the same without priors."""
+        return self._replace(prior_sd=np.full(len(self.names), np.inf))
+
     def coordinates(self, values: np.ndarray) -> np.ndarray:
         """Return coordinates of values, shape (..., parameters)."""
         found = [self.coordinates_of(i, values[..., i]) for i in range(len(self.names))]

@@ -71,6 +71,10 @@ def best_bands(
     if not isinstance(table, Table):
         raise refuse("table", type(table).__name__, "a Table", "splits.open_table(…)")
     measurement, names = _measurement(bands, noise)
+    covariance = measurement.check_told().covariance
+    if (covariance != np.diag(np.diag(covariance))).any():
+        hint = "bands are chosen one by one"
+        raise refuse("noise", "errors that are alike", "standard errors, independent", hint)
     most = check_whole("most", most, 1, len(names))
     which = Free.of(free, prior, ranges_of(table))
     model = OfTable(table, measurement, which, at or {})

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.retrieval.coordinates import Free
 from splits.retrieval.forward import Model
 from splits.retrieval.measurement import Measurement
 
@@ -20,6 +21,8 @@ APART = 0.05
 """Distance of coordinates from which two ends are different."""
 RIVAL = 9.0
 """How much larger a sum of squares may be for its place to count as another answer."""
+HELD = 2e-3
+"""Distance of coordinates from an end of a range at which it may hold them."""
 
 
 class Optimum(NamedTuple):
@@ -37,6 +40,8 @@ class Optimum(NamedTuple):
         Sum of squares: of the measurement, and of the priors.
     chi2 : float
         That of the measurement alone.
+    held : bool, shape (parameters,)
+        Coordinates that go no further because their range ends.
     """
 
     place: np.ndarray
@@ -45,6 +50,15 @@ class Optimum(NamedTuple):
     covariance: np.ndarray
     cost: float
     chi2: float
+    held: np.ndarray
+
+    @property
+    def improbability(self) -> float:
+        """Twice the negative logarithm of its probability, but for a constant.
+
+        Where a model knows less, the sum of squares is smaller for no merit of the place.
+        """
+        return self.cost + float(np.linalg.slogdet(self.covariance)[1])
 
 
 class Told(NamedTuple):
@@ -108,9 +122,19 @@ def optimum(
     covariance = excess * (measurement.covariance + model.covariance(place))
     values, along = model.with_slopes(place)
     off = values - measurement.values
-    chi2 = float(off @ np.linalg.solve(covariance, off))
-    prior = float((((place - free.prior_mean) / free.prior_sd) ** 2).sum())
-    return Optimum(place, values, along, covariance, chi2 + prior, chi2)
+    sharp = np.linalg.solve(covariance, off)
+    chi2 = float(off @ sharp)
+    pulls = (place - free.prior_mean) / free.prior_sd
+    held = held_at(place, along.T @ sharp + pulls / free.prior_sd)
+    return Optimum(place, values, along, covariance, chi2 + float(pulls @ pulls), chi2, held)
+
+
+def held_at(place: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Return which coordinates an end of their range holds, as a sum of squares falls beyond it."""
+    found: np.ndarray = ((place < HELD) & (gradient > 0.0)) | (
+        (place > 1.0 - HELD) & (gradient < 0.0)
+    )
+    return found
 
 
 def optima(
@@ -140,21 +164,31 @@ def optima(
             starts.append(places[row])
         if len(starts) == STARTS:
             break
-    ends = sorted((optimum(model, measurement, s, excess) for s in starts), key=lambda e: e.cost)
+    ends = [optimum(model, measurement, start, excess) for start in starts]
+    ends.sort(key=lambda end: end.improbability)
     found = ends[:1]
     for end in ends[1:]:
         different = all(np.abs(end.place - one.place).max() > APART for one in found)
-        if different and end.cost < found[0].cost + RIVAL:
+        if different and end.improbability < found[0].improbability + RIVAL:
             found.append(end)
     return found
 
 
-def told(end: Optimum, model: Model) -> Told:
+def told(end: Optimum, free: Free) -> Told:
     """Return what a measurement tells around an optimum (Rodgers 2000, Eqs 2.27, 2.78, 2.80)."""
     fisher = end.slopes.T @ np.linalg.solve(end.covariance, end.slopes)
-    before = np.diag(1.0 / model.free.prior_variance)
+    before = np.diag(1.0 / free.prior_variance)
     after = np.linalg.inv(fisher + before)
     kernel = after @ fisher
-    scaled = np.eye(len(fisher)) + fisher * model.free.prior_variance[:, np.newaxis]
+    scaled = np.eye(len(fisher)) + fisher * free.prior_variance[:, np.newaxis]
     bits = 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0))
     return Told(after, kernel, float(np.trace(kernel)), bits)
+
+
+def fitted(end: Optimum, free: Free) -> float:
+    """Return how many values a fit has used up: the trace over coordinates that are not held."""
+    loose = ~end.held
+    slopes = end.slopes[:, loose]
+    fisher = slopes.T @ np.linalg.solve(end.covariance, slopes)
+    before = np.diag(1.0 / free.prior_variance[loose])
+    return float(np.trace(np.linalg.solve(fisher + before, fisher)))

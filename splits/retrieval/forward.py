@@ -211,6 +211,8 @@ def _fixed(table: Table, free: Free, at: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of the axes that are not free, or refuse them."""
     found = dict(at)
     if "sza" in found:
+        if INCIDENCE in found:
+            raise refuse("at.sza", found["sza"], f"left out beside at.{INCIDENCE}, the same")
         found[INCIDENCE] = found.pop("sza")
     for name in found:
         if name not in table.axes[:-1]:

@@ -7,24 +7,21 @@ they do where noise is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from splits.checks import refuse
 from splits.retrieval.coordinates import Free
-from splits.retrieval.estimation import APART, RIVAL, Optimum, Told, optima, told
+from splits.retrieval.estimation import RIVAL, Optimum, Told, held_at, optima, told
 from splits.retrieval.forward import OfTable
 from splits.retrieval.line import Around, Seen, bent
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.misfit import Left, left_open
+from splits.retrieval.misfit import SPARE, Left, left_open
 from splits.retrieval.posterior import Draws, draws_of
 from splits.retrieval.result import Found, tension_of
-from splits.retrieval.runs import LAST, OfRuns
-
-JACOBIANS = 2
-"""Independent ones behind the errors of retrievals by runs."""
+from splits.retrieval.runs import OfRuns
 
 
 class Estimated(NamedTuple):
@@ -64,20 +61,21 @@ def estimated(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) 
     ends = optima(itself, measurement, *itself.nodes())
     draws = draws_of(itself, measurement, ends, seed)
     tension = tension_of(free, place, np.diag(covariance))
-    return Estimated(ends[0].place, told(ends[0], itself), draws, tension)
+    return Estimated(ends[0].place, told(ends[0], free), draws, tension)
 
 
 def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
     """Return what a measurement of unknown noise tells in a table, and the noise found."""
     _check(model.free, measurement)
     free = model.free
-    model.free = _flat(free)
-    best, *others = optima(model, measurement, *model.nodes())
+    model.free = free.flat()
+    best, *others = sorted(optima(model, measurement, *model.nodes()), key=lambda end: end.cost)
     own = model.covariance(best.place)
     model.free = free
-    left = left_open([best.slopes] * 2, best.values - measurement.values, own)
+    left = left_open([best.slopes] * 2, best.values - measurement.values, own, best.held)
     around = Around(free, Seen(best.place, best.values, best.slopes, own))
-    rivals = [free.at(end.place) for end in _rivals(others, best, left)]
+    within = RIVAL * float(left.of_values[0, 0])
+    rivals = tuple(end.place for end in others if end.cost < best.cost + within)
     return _found(lambda x: model.with_slopes(x)[0], around, measurement, left, rivals, seed)
 
 
@@ -85,36 +83,23 @@ def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, M
     """Return what a measurement of unknown noise tells by runs, and the noise found."""
     _check(runs.free, measurement)
     free = runs.free
-    runs.free = _flat(free)
-    line, others = runs.settled()
+    runs.free = free.flat()
+    settled = runs.settled()
     runs.free = free
-    best = line.seen
-    jacobians = [runs.slopes(best.place, LAST, seed + 1 + n) for n in range(JACOBIANS)]
-    left = left_open(jacobians, best.values - measurement.values, best.covariance)
-    rivals = [free.at(place) for place in others]
+    best = settled.seen(measurement.covariance)
+    off = best.values - measurement.values
+    held = held_at(best.place, best.slopes.T @ off)
+    left = left_open(settled.jacobians, off, best.covariance, held)
+    rivals = settled.rivals(RIVAL * float(left.of_values[0, 0]))
     return _found(runs.last, Around(free, best), measurement, left, rivals, seed)
 
 
 def _check(free: Free, measurement: Measurement) -> None:
     """Refuse too few values to tell noise."""
-    least, count = len(free.names) + 2, measurement.values.size
+    least, count = len(free.names) + SPARE, measurement.values.size
     if count < least:
         hint = f"{count} values are too few to find it from the misfit, {least} are needed"
         raise refuse("noise", None, "given", hint)
-
-
-def _flat(free: Free) -> Free:
-    """Return what is free without priors."""
-    return free._replace(prior_sd=np.full(len(free.names), np.inf))
-
-
-def _rivals(others: Sequence[Optimum], best: Optimum, left: Left) -> list[Optimum]:
-    """Return other ends that explain a measurement nearly as well."""
-    variance = float(left.of_values[0, 0])
-    return [
-        end for end in others
-        if end.cost < best.cost + RIVAL * variance and np.abs(end.place - best.place).max() > APART
-    ]  # fmt: skip
 
 
 def _found(
@@ -122,7 +107,7 @@ def _found(
     around: Around,
     measurement: Measurement,
     left: Left,
-    rivals: Sequence[np.ndarray],
+    rivals: tuple[np.ndarray, ...],
     seed: int,
 ) -> tuple[Found, Measurement]:
     """Return what was found as where noise is known, and the measurement with the noise found."""
@@ -132,8 +117,9 @@ def _found(
     whole = left.of_values + best.covariance
     off = there - measurement.values
     chi2 = float(off @ np.linalg.solve(whole, off))
-    end = Optimum(found.place, there, best.slopes, whole, chi2, chi2)
+    held = held_at(found.place, best.slopes.T @ np.linalg.solve(whole, off))
+    end = Optimum(found.place, there, best.slopes, whole, chi2, chi2, held)
     own = np.sqrt(np.diag(best.covariance))
     curved = bent(values, around, found.place, found.told.covariance, whole)
-    plain = Found([end], found.told, found.draws, 1.0, found.tension, own, tuple(rivals), curved)
+    plain = Found([end], found.told, found.draws, 1.0, found.tension, own, rivals, curved)
     return plain, measurement._replace(covariance=left.of_values)

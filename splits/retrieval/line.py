@@ -1,14 +1,19 @@
-"""A measurement as a straight line through one place has it, and how far light is off that line."""
+"""A measurement as a straight line through one place has it: its slopes, how far light is off."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from splits.retrieval.coordinates import Free
+from splits.retrieval.misfit import crossed
 
+TELLING = 12.0
+"""Information that says as much as the range does."""
+SURELY = 10.0
+"""How many times what noise feigns it must be to be trusted."""
 MARGIN = 1e-3
 """At the very ends of ranges slopes may be infinite."""
 
@@ -24,7 +29,7 @@ class Seen(NamedTuple):
         What would be measured.
     slopes : float, shape (n, parameters)
     covariance : float, shape (n, n)
-        Of the runs' noise.
+        Of what the model itself is off by.
     """
 
     place: np.ndarray
@@ -49,7 +54,7 @@ class Around:
         return self.values(place[np.newaxis])[0], self.seen.slopes
 
     def covariance(self, place: np.ndarray) -> np.ndarray:
-        """Return the covariance of the runs' noise, shape (n, n)."""
+        """Return the covariance of what the model is off by, shape (n, n)."""
         return self.seen.covariance
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -74,16 +79,55 @@ def bent(
     place : float, shape (parameters,)
         The most probable one.
     covariance : float, shape (parameters, parameters)
-        Of coordinates, after; the widest way is looked along.
+        Of coordinates, after; all of its axes are looked along.
     noise : float, shape (n, n)
         Covariance of measurement and model.
     """
     sizes, ways = np.linalg.eigh(covariance)
     lower = np.linalg.cholesky(noise)
     most = 0.0
-    for sign in (-1.0, 1.0):
-        there = place + sign * np.sqrt(sizes[-1]) * ways[:, -1]
-        there = np.clip(there, MARGIN, 1.0 - MARGIN)
+    for step in np.concatenate([np.sqrt(sizes) * ways, -np.sqrt(sizes) * ways], axis=1).T:
+        there = np.clip(place + step, MARGIN, 1.0 - MARGIN)
         off = values(there) - around.values(there[np.newaxis])[0]
         most = max(most, float(np.linalg.norm(np.linalg.solve(lower, off))))
     return most
+
+
+def without_noise(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> np.ndarray:
+    """Return slopes that tell as much as independent Jacobians do, less what their noise feigns.
+
+    The mean of the Jacobians is K, with the information M = Kᵀ S⁻¹ K in it.  Products of different
+    ones give F, which noise does not enlarge on average.  K M^(-1/2) F^(1/2) has this information.
+
+    Parameters
+    ----------
+    jacobians : sequence of float, shape (n, parameters)
+        Two at least.
+    noise : float, shape (n, n)
+        Covariance S of measurement and model.
+    """
+    values, vectors, feigned = _information(jacobians, noise)
+    mean: np.ndarray = np.mean(jacobians, axis=0)
+    root = (vectors * np.sqrt(np.where(values > feigned, values, 0.0))) @ vectors.T
+    sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(noise, mean))
+    some = sizes > 1e-12 * max(sizes[-1], 1e-300)
+    inverse = (axes[:, some] / np.sqrt(sizes[some])) @ axes[:, some].T
+    found: np.ndarray = mean @ inverse @ root
+    return found
+
+
+def doubtful(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> bool:
+    """Tell whether noise of the Jacobians may decide what counts as told."""
+    values, _, feigned = _information(jacobians, noise)
+    return bool(((values + feigned > TELLING) & (values < SURELY * feigned)).any())
+
+
+def _information(
+    jacobians: Sequence[np.ndarray], noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return information along its axes, these axes, and what noise feigns along them in a mean."""
+    lower = np.linalg.cholesky(noise)
+    white = [np.linalg.solve(lower, one) for one in jacobians]
+    values, vectors = np.linalg.eigh(crossed(white, white))
+    both = np.mean([((one @ vectors) ** 2).sum(axis=0) for one in white], axis=0)
+    return values, vectors, np.maximum(both - values, 0.0) / len(jacobians)

@@ -119,7 +119,7 @@ def retrieve_map(
     if LEVEL in which.names:
         raise refuse("free", LEVEL, "left out of maps")
     w = image.wavelength.values
-    measurement = Measurement.of((w, np.full(w.size, 0.5)), noise)
+    measurement = Measurement.of((w, np.full(w.size, 0.5)), noise).check_told()
     model = OfTable(table, measurement, which, at or {})
     random = np.random.default_rng(1)
     own = [model.covariance(place) for place in random.random((PLACES, len(which.names)))]

@@ -82,6 +82,12 @@ class Measurement(NamedTuple):
             return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
         return cls(values, w, _covariance(noise, w), some)
 
+    def check_told(self) -> Measurement:
+        """Return it, or refuse noise that is not known."""
+        if not self.told:
+            raise refuse("noise", None, "given", "only splits.retrieve finds it from the misfit")
+        return self
+
 
 def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths and reflectances, or refuse them."""
@@ -104,7 +110,10 @@ def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     else:
         raise refuse("measured", type(measured).__name__, allowed)
     w = row_of("measured (wavelengths)", pair[0])
-    values = np.asarray(pair[1], dtype=float)
+    try:
+        values = np.asarray(pair[1], dtype=float)
+    except (TypeError, ValueError):
+        raise refuse("measured", pair[1], "numbers") from None
     if values.shape != w.shape:
         found = f"{w.size} wavelengths, {values.size} values"
         raise refuse("measured", found, "as many of both")
@@ -121,6 +130,8 @@ def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
         length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
         apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
         own = _covariance(noise["independent"], wavelength_nm) if "independent" in noise else 0.0
+        if np.ndim(noise["stderr"]) > 1:
+            raise refuse("noise.stderr", "a matrix", f"one standard error or {count} of them")
         stderr = np.sqrt(np.diag(_covariance(noise["stderr"], wavelength_nm)))
         together: np.ndarray = np.exp(-apart / length) * stderr[:, np.newaxis] * stderr + own
         return together
@@ -128,11 +139,14 @@ def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
         given = np.asarray(noise, dtype=float)
     except (TypeError, ValueError):
         raise refuse("noise", noise, allowed) from None
-    if given.shape == (count, count) and count > 1:
+    if given.shape == (count, count):
         if not np.allclose(given, given.T, rtol=1e-9, atol=0.0):
             raise refuse("noise", "a matrix that is not symmetric", allowed)
         if not np.linalg.eigvalsh(given)[0] > 0.0:
             raise refuse("noise", "a matrix that is not positive definite", allowed)
+        if np.diag(given).max() >= LARGEST**2:
+            largest = float(np.diag(given).max())
+            raise refuse("noise", f"a variance of {largest:g}", f"below {LARGEST**2:g}")
         return given
     if given.shape not in ((), (count,)):
         raise refuse("noise", f"of shape {given.shape}", allowed)

@@ -63,23 +63,31 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     return Free.of(dict(ranges), prior, known)
 
 
+def incidence_of(at: Mapping[str, Any], ranges: Any) -> float | str:
+    """Return the incidence that a measurement of a medium was made under, or refuse it."""
+    for name in at:
+        if name not in (INCIDENCE, "sza"):
+            raise unknown_key(f"at.{name}", [INCIDENCE])
+        if isinstance(ranges, Mapping) and INCIDENCE in ranges:
+            raise refuse(f"at.{name}", at[name], "left out, as it is free")
+    if len(at) > 1:
+        raise refuse("at.sza", at["sza"], f"left out beside at.{INCIDENCE}, the same")
+    return check_incidence(at.get(INCIDENCE, at.get("sza", 0.0)))
+
+
 def runs_of(
     medium: Medium,
     measurement: Measurement,
     free: Free,
-    at: Mapping[str, Any],
+    incidence: float | str,
     error: float | None,
     seed: int,
     progress: Report = None,
 ) -> OfRuns:
-    """Return a measurement as runs have it, or refuse what is known of it."""
-    for name in at:
-        if name not in (INCIDENCE, "sza"):
-            raise unknown_key(f"at.{name}", [INCIDENCE])
-    beam = check_incidence(at.get(INCIDENCE, at.get("sza", 0.0)))
+    """Return a measurement as runs have it, or refuse an error of theirs."""
     if error is not None:
         error = in_range("max_stderr", error, 1e-6, 0.5)
-    return OfRuns(medium, measurement, free, beam, error, seed, progress)
+    return OfRuns(medium, measurement, free, incidence, error, seed, progress)
 
 
 def _pair(name: str, pair: Any) -> tuple[Any, Any]:

@@ -1,6 +1,7 @@
 """How far least squares may be off where noise is not known: what the misfit itself says.
 
-What a model cannot follow is smooth: neighbouring wavelengths miss alike and tell the same thing.
+What a model cannot follow is smooth: neighbouring values, however far apart their wavelengths are,
+miss alike and tell the same thing.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 
 CORRELATIONS = np.linspace(0.0, 0.98, 50)
 """Correlations between neighbouring wavelengths that a misfit may have."""
+SPARE = 2
+"""Values at least beyond the number of parameters."""
 _UNKNOWN = 100.0
 """Variance of what the spectrum does not tell: far beyond the cube."""
 
@@ -80,7 +83,9 @@ def alike(variances: np.ndarray, count: int) -> np.ndarray:
     return found
 
 
-def left_open(jacobians: Sequence[np.ndarray], misfit: np.ndarray, own: np.ndarray) -> Left:
+def left_open(
+    jacobians: Sequence[np.ndarray], misfit: np.ndarray, own: np.ndarray, held: np.ndarray
+) -> Left:
     """Return what a least-squares fit leaves open, as the misfit says.
 
     Noise in a Jacobian would pass for information about coordinates that do nothing, or for an
@@ -96,23 +101,31 @@ def left_open(jacobians: Sequence[np.ndarray], misfit: np.ndarray, own: np.ndarr
     own : float, shape (wavelengths, wavelengths)
         Covariance of the runs' own noise.  Every run of a fit shares its random numbers, so that
         it ends where they move the whole.
+    held : bool, shape (coordinates,)
+        Those that an end of their range holds: a fit has taken nothing from the misfit by these.
     """
-    values, vectors = np.linalg.eigh(_crossed(jacobians, jacobians))
-    both = np.mean([((j @ vectors) ** 2).sum(axis=0) for j in jacobians], axis=0)
-    known = values > np.maximum(np.mean(misfit**2), both - values)
-    unknown = vectors[:, ~known]
-    scale = vectors[:, known] / np.sqrt(values[known])
+    scale, unknown = _known(jacobians, misfit)
     moved = [j @ scale for j in jacobians]
-    variances = misfit_variances(misfit, np.mean(moved, axis=0))
+    loose = [j[:, ~held] for j in jacobians]
+    taken = np.mean([j @ _known(loose, misfit)[0] for j in loose], axis=0)
+    variances = misfit_variances(misfit, taken)
     errors = alike(variances, len(misfit))
-    spread = _crossed(moved, [(errors + own) @ m for m in moved])
+    spread = crossed(moved, [(errors + own) @ m for m in moved])
     # At least that of as many independent wavelengths.
     sizes, axes = np.linalg.eigh(spread)
     spread = (axes * np.maximum(sizes, variances.sum())) @ axes.T
     return Left(scale @ spread @ scale.T + _UNKNOWN * unknown @ unknown.T, errors)
 
 
-def _crossed(left: Sequence[np.ndarray], right: Sequence[np.ndarray]) -> np.ndarray:
+def _known(jacobians: Sequence[np.ndarray], misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return known directions, so long that each moves light by 1, and unknown ones, as columns."""
+    values, vectors = np.linalg.eigh(crossed(jacobians, jacobians))
+    both = np.mean([((j @ vectors) ** 2).sum(axis=0) for j in jacobians], axis=0)
+    known = values > np.maximum(np.mean(misfit**2), both - values)
+    return vectors[:, known] / np.sqrt(values[known]), vectors[:, ~known]
+
+
+def crossed(left: Sequence[np.ndarray], right: Sequence[np.ndarray]) -> np.ndarray:
     """Return the mean product of one on the left and another, independent one on the right."""
     count = len(left)
     same = np.sum([a.T @ b for a, b in zip(left, right, strict=True)], axis=0)

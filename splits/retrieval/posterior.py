@@ -77,13 +77,12 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
     model : Model
     measurement : Measurement
     ends : sequence of Optimum
-        Best first; the covariance of errors is that at the best.
+        Best first; the covariance of errors at a place is that at the nearest of them.
     seed : int
     """
     random = np.random.default_rng([seed, 20])
-    parts = [_Part.of(end.place, 1.5 * told(end, model).covariance) for end in ends]
+    parts = [_Part.of(end.place, 1.5 * told(end, model.free).covariance) for end in ends]
     constant = _student(len(ends[0].place))
-    lower = np.linalg.cholesky(ends[0].covariance)
     best = (0.0, np.zeros(0), np.zeros(0), parts)
     for _ in range(ROUNDS):
         places = _drawn(parts, random)
@@ -91,7 +90,7 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
         places = places[inside]
         height = np.logaddexp.reduce([part.density(places) for part in parts], axis=0)
         height += constant - np.log(len(parts)) + np.log1p(-DEFENCE)
-        log = _probable(model, measurement, places, lower) - np.logaddexp(height, np.log(DEFENCE))
+        log = _probable(model, measurement, places, ends) - np.logaddexp(height, np.log(DEFENCE))
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         effective = float(1.0 / (weight**2).sum())
@@ -121,12 +120,19 @@ def _student(many: int) -> float:
 
 
 def _probable(
-    model: Model, measurement: Measurement, places: np.ndarray, lower: np.ndarray
+    model: Model, measurement: Measurement, places: np.ndarray, ends: Sequence[Optimum]
 ) -> np.ndarray:
     """Return the logarithm of the posterior, but for a constant."""
-    off = np.linalg.solve(lower, (model.values(places) - measurement.values).T)
+    off = model.values(places) - measurement.values
+    nearest = np.argmin([np.abs(places - end.place).max(axis=1) for end in ends], axis=0)
+    misfit = np.empty(len(places))
+    for number, end in enumerate(ends):
+        rows = nearest == number
+        lower = np.linalg.cholesky(end.covariance)
+        squares = (np.linalg.solve(lower, off[rows].T) ** 2).sum(axis=0)
+        misfit[rows] = squares + 2.0 * np.log(np.diag(lower)).sum()
     prior = ((places - model.free.prior_mean) / model.free.prior_sd) ** 2
-    found: np.ndarray = -0.5 * ((off**2).sum(axis=0) + prior.sum(axis=1))
+    found: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))
     return found
 
 

@@ -12,7 +12,7 @@ from splits.dataset import attributes, provenance
 from splits.instruments.labels import wavelength_axis
 from splits.names import parameter_about
 from splits.retrieval.coordinates import LEVEL, Free
-from splits.retrieval.estimation import Optimum, Told
+from splits.retrieval.estimation import APART, Optimum, Told, fitted
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.posterior import DRAWS, ENOUGH, Draws
 from splits.uncertainty import quantity
@@ -112,7 +112,7 @@ class Found(NamedTuple):
     off : float, shape (n,)
         Standard errors of the table, or of runs, at the best end.
     rivals : tuple of float, shape (parameters,)
-        Other answers that runs have found, in the parameters' own units.
+        Coordinates of other answers.
     bent : float
         How far light is off a straight line a standard deviation away, in units of its noise.
     """
@@ -159,7 +159,7 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
         "rmse": float(np.sqrt(np.mean((best.values - measurement.values) ** 2))),
         "noise": GIVEN if measurement.told else "found from the misfit",
         "chi2": excess * best.chi2,
-        "chi2_expected": len(best.values) - told.degrees_of_freedom,
+        "chi2_expected": len(best.values) - fitted(best, free),
         "errors_enlarged_by": float(np.sqrt(excess)),
         "degrees_of_freedom": told.degrees_of_freedom,
         "information_bits": told.information_bits,
@@ -186,19 +186,19 @@ def tension_of(free: Free, alone: np.ndarray, variance: np.ndarray) -> np.ndarra
     return found
 
 
-def excess_of(best: Optimum, told: Told) -> float:
+def excess_of(best: Optimum, free: Free) -> float:
     """Return by how much variances are to be enlarged so that the misfit is no surprise."""
     from scipy.stats import chi2
 
-    left = len(best.values) - told.degrees_of_freedom
-    if left < 1.0 or chi2.sf(best.chi2, left) > IMPROBABLE:
+    left = max(len(best.values) - fitted(best, free), 1.0)
+    if chi2.sf(best.chi2, left) > IMPROBABLE:
         return 1.0
     return best.chi2 / left
 
 
 def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
     """Return what is to be known of the numbers."""
-    ends, _, draws, excess, tension, *_ = result
+    ends, told, draws, excess, tension, *_ = result
     best, found = ends[0], []
     if excess > 1.0:
         found.append(
@@ -219,9 +219,13 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
             found.append(f"{name} lies at the low end of its range, {low:g}")
         if best.place[i] > 1.0 - AT_END:
             found.append(f"{name} lies at the high end of its range, {high:g}")
-    for other in [*(free.at(end.place) for end in ends[1:2]), *result.rivals]:
-        told = ", ".join(f"{n} {v:.3g}" for n, v in zip(free.names, other, strict=True))
-        found.append(f"another answer is nearly as good: {told}")
+    # Where a parameter does nothing, its value makes no other answer.
+    near = np.sqrt(np.diag(told.covariance)) < UNTOLD * np.sqrt(free.prior_variance)
+    for other in [*(end.place for end in ends[1:2]), *result.rivals]:
+        if not near.any() or np.abs(other - best.place)[near].max() < APART:
+            continue
+        words = [f"{n} {v:.3g}" for n, v in zip(free.names, free.at(other), strict=True)]
+        found.append(f"another answer is nearly as good: {', '.join(words)}")
     if result.bent > STRAIGHT:
         found.append(
             f"errors take reflectance to be linear in the coordinates, but a standard deviation "

@@ -12,12 +12,12 @@ from splits.instruments.arguments import check_whole
 from splits.instruments.progress import Report, shows_progress
 from splits.lookup.reading import Table
 from splits.retrieval.coordinates import Free
-from splits.retrieval.estimation import Optimum, optima, optimum, told
+from splits.retrieval.estimation import RIVAL, Optimum, optima, optimum, told
 from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.least_squares import by_runs, in_table
 from splits.retrieval.line import Around, bent
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import free_of, runs_of
+from splits.retrieval.media import free_of, incidence_of, runs_of
 from splits.retrieval.posterior import draws_of
 from splits.retrieval.result import (
     FAR_FROM_PRIOR,
@@ -27,6 +27,7 @@ from splits.retrieval.result import (
     result_of,
     tension_of,
 )
+from splits.retrieval.runs import OfRuns
 
 
 @known_arguments
@@ -140,37 +141,41 @@ def retrieve(
         raise refuse("model", given, "a Table, or a medium", hint)
     one_of("quantity", quantity, ["reflectance"])
     measurement = Measurement.of(measured, noise, bands)
-    which = free_of(model, free, prior, (at or {}).get("incidence_deg", 0.0))
-    runs = runs_of(model, measurement, which, at or {}, max_stderr, seed, progress)
-    if not measurement.told:
-        found, measurement = by_runs(runs, measurement, seed)
-        return result_of(which, measurement, found)
-    around, rivals = runs.settled()
+    beam = incidence_of(at or {}, free)
+    which = free_of(model, free, prior, beam)
+    runs = runs_of(model, measurement, which, beam, max_stderr, seed, progress)
+    found, measurement = (_by_runs if measurement.told else by_runs)(runs, measurement, seed)
+    return result_of(which, measurement, found)
+
+
+def _by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
+    """Return what a measurement of known noise tells by runs."""
+    settled = runs.settled()
+    around = Around(runs.free, settled.seen(measurement.covariance))
     found = _found(around, measurement, seed)
-    noise = measurement.covariance + around.seen.covariance
+    noise = found.excess * (measurement.covariance + settled.own)
     off = bent(runs.last, around, found.ends[0].place, found.told.covariance, noise)
-    others = tuple(which.at(place) for place in rivals)
-    return result_of(which, measurement, found._replace(bent=off, rivals=others))
+    return found._replace(bent=off, rivals=settled.rivals(RIVAL)), measurement
 
 
 def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:
     """Return the most probable places, and draws around them."""
-    which, nodes = model.free, model.nodes()
+    free, nodes = model.free, model.nodes()
     ends = optima(model, measurement, *nodes)
     # A prior that contradicts the measurement is no fault of the model.
     alone = _without_priors(model, measurement, ends[0])
     fair = ends[0] if ends[0].chi2 <= alone.chi2 else alone
-    excess = excess_of(fair, told(fair, model))
+    excess = excess_of(fair, free)
     if excess > 1.0:
         ends = optima(model, measurement, *nodes, excess)
-    spread = np.diag(told(alone._replace(covariance=excess * alone.covariance), model).covariance)
-    tension = tension_of(which, alone.place, spread)
+    spread = told(alone._replace(covariance=excess * alone.covariance), free.flat()).covariance
+    tension = tension_of(free, alone.place, np.diag(spread))
     if ends[0].chi2 - fair.chi2 / excess < FAR_FROM_PRIOR**2:
         # As well followed with the priors as without: they do not contradict it.
         tension = np.zeros_like(tension)
     draws = draws_of(model, measurement, ends, seed)
     off = np.sqrt(np.diag(model.covariance(ends[0].place)))
-    return Found(ends, told(ends[0], model), draws, excess, tension, off)
+    return Found(ends, told(ends[0], free), draws, excess, tension, off)
 
 
 def _without_priors(model: OfTable | Around, measurement: Measurement, end: Optimum) -> Optimum:
@@ -178,7 +183,7 @@ def _without_priors(model: OfTable | Around, measurement: Measurement, end: Opti
     free = model.free
     if not np.isfinite(free.prior_sd).any():
         return end
-    model.free = free._replace(prior_sd=np.full(len(free.names), np.inf))
+    model.free = free.flat()
     alone = optimum(model, measurement, end.place)
     model.free = free
     return alone

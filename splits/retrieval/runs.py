@@ -9,7 +9,7 @@ coordinates.
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from splits.media.turbid import Medium
 from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.estimation import APART, RIVAL
 from splits.retrieval.forward import Operator
-from splits.retrieval.line import MARGIN, Around, Seen
+from splits.retrieval.line import MARGIN, Seen, doubtful, without_noise
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.search import Aim, Stage, search
+from splits.retrieval.search import Aim, End, Stage, search
 
 SURVEY = 16
 """Media looked at first."""
@@ -38,9 +38,42 @@ FINEST, COARSEST = 1e-3, 0.01
 PLAIN = 2e-3
 """Error of these where noise is not known."""
 SLOPES = 0.004
-"""Least error of the runs that derivatives come from: they cost most, and need not be as exact."""
+"""Least error of the runs that derivatives come from, of which there are several."""
+JACOBIANS = (2, 6)
+"""Independent ones behind errors: at least, and at most where their noise may decide."""
 STEP_NM = 10.0
 """Between the wavelengths of a band."""
+
+
+class Settled(NamedTuple):
+    """Where descents have ended.
+
+    Attributes
+    ----------
+    ends : list of End
+        Best first, all of them apart.
+    values : float, shape (n,)
+        What would be measured at the best.
+    own : float, shape (n, n)
+        Covariance of the runs' noise.
+    jacobians : list of float, shape (n, parameters)
+        Independent ones there.
+    """
+
+    ends: list[End]
+    values: np.ndarray
+    own: np.ndarray
+    jacobians: list[np.ndarray]
+
+    def seen(self, noise: np.ndarray) -> Seen:
+        """Return the best end, with slopes for measurements of some noise."""
+        slopes = without_noise(self.jacobians, noise + self.own)
+        return Seen(self.ends[0].place, self.values, slopes, self.own)
+
+    def rivals(self, within: float) -> tuple[np.ndarray, ...]:
+        """Return the other ends whose sums of squares are not so much larger."""
+        best, *others = self.ends
+        return tuple(end.place for end in others if end.cost < best.cost + within)
 
 
 class OfRuns:
@@ -82,7 +115,7 @@ class OfRuns:
         self._rows = [free.names.index(name) for name in self.axes]
         self._level = free.names.index(LEVEL) if LEVEL in free.names else None
         self._known: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._way = Way(progress, self.error, len(free.names), measurement.told)
+        self._way = Way(progress, self.error, len(free.names))
 
     def error_of(self, stage: int) -> float:
         """Return the error of the runs of a stage, the last of which is exact."""
@@ -154,8 +187,8 @@ class OfRuns:
         covariance = self.measurement.covariance + self.noisy(place, stage)[1]
         return Aim(self.measurement.values, np.linalg.cholesky(covariance), self.free)
 
-    def settled(self) -> tuple[Around, list[np.ndarray]]:
-        """Return a straight line through the best end of all descents, and other good ends."""
+    def settled(self) -> Settled:
+        """Return where the descents end, and Jacobians at the best."""
         from scipy.stats import qmc
 
         free = self.free
@@ -163,13 +196,16 @@ class OfRuns:
         known = np.isfinite(free.prior_sd)
         places[:, known] = free.prior_mean[known] + (places[:, known] - 0.5) * free.prior_sd[known]
         best, *others = search(self, self._aim, np.clip(places, 0.02, 0.98), STAGES)[-1]
-        values, covariance = self.noisy(best.place, LAST)
-        seen = Seen(best.place, values, self.slopes(best.place, LAST), covariance)
-        rivals = [
-            end.place for end in others
-            if end.cost < best.cost + RIVAL and np.abs(end.place - best.place).max() > APART
-        ]  # fmt: skip
-        return Around(free, seen), rivals
+        ends = [best] + [end for end in others if np.abs(end.place - best.place).max() > APART]
+        values, own = self.noisy(best.place, LAST)
+        least, most = JACOBIANS
+        jacobians = [self.slopes(best.place, LAST, self.seed + 1 + n) for n in range(least)]
+        while self.measurement.told and len(jacobians) < most:
+            if not doubtful(jacobians, self.measurement.covariance + own):
+                break
+            seed = self.seed + 1 + len(jacobians)
+            jacobians.append(self.slopes(best.place, LAST, seed))
+        return Settled(ends, values, own, jacobians)
 
 
 class Way:
@@ -181,19 +217,16 @@ class Way:
     error : float
         Of the last runs.
     parameters : int
-    told : bool
-        Whether noise is known.
     """
 
-    def __init__(self, report: Report, error: float, parameters: int, told: bool) -> None:
+    def __init__(self, report: Report, error: float, parameters: int) -> None:
         self.report, self.error = report, error
         fine, slopes = _cost(error), (1 + parameters) * _cost(max(error, SLOPES))
         # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
-        # end.  Slopes once more, and two runs besides, say what is told, more slopes the noise.
+        # end.  Then come Jacobians, and runs that tell how far light is off a straight line.
         rough = SURVEY + STAGES[0].starts * 2 * (2 + parameters)
-        self.whole = rough + STAGES[1].starts * (2 * fine + slopes) + slopes + 2 * fine
-        if not told:
-            self.whole += 2 * slopes
+        last = STAGES[1].starts * (2 * fine + slopes)
+        self.whole = rough + last + JACOBIANS[0] * slopes + 2 * parameters * fine
         self.done, self.begun = 0.0, time.perf_counter()
 
     def run(self, error: float, runs: int) -> Report:

@@ -19,6 +19,8 @@ FIRST_RADIUS = 0.3
 LEAST_RADIUS = 0.02
 LEAST_GAIN = 0.003
 """A descent ends once its trust region, or the relative gain foretold, falls below these."""
+LEAST_SHARE = 0.1
+"""Nor may the gain be more than this part of the mean square: a third of a standard error."""
 FAR = 0.2
 """Distance of coordinates from which starts are different."""
 
@@ -188,7 +190,7 @@ def descend(
         step = lsq_linear(slopes, -off, (low - 1e-9, high + 1e-9)).x
         step = np.clip(x + step, least, most) - x
         foretold = best - _square(off + slopes @ step)
-        if foretold < LEAST_GAIN * best:
+        if foretold < best * min(LEAST_GAIN, LEAST_SHARE / len(off)):
             if fresh:
                 break
             stale = True

@@ -73,7 +73,7 @@ def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
     """On a clock that every rough run moves by a second."""
     clock, told = [0.0], []
     monkeypatch.setattr("splits.retrieval.runs.time.perf_counter", lambda: clock[0])
-    way = Way(told.append, 0.005, 2, told=True)
+    way = Way(told.append, 0.005, 2)
     for _ in range(4):
         show = way.run(0.01, 1)
         for half in (0.5, 1.0):

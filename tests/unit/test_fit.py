@@ -93,7 +93,7 @@ def test_bad_measurements_are_refused():
         check_measured([0.1, np.nan], 2)
     with pytest.raises(ValueError, match="measured"):
         check_measured(["dark", "bright"], 2)
-    with pytest.raises(ValueError, match="more than 7 wavelengths"):
+    with pytest.raises(ValueError, match="9 wavelengths at least"):
         fit({}, WAVELENGTHS[:7], np.full(7, 0.3), 10.0)
     with pytest.raises(ValueError, match="seed = -1"):
         fit({}, WAVELENGTHS, np.full(13, 0.3), 10.0, seed=-1)

@@ -24,7 +24,8 @@ def draws_of(best, covariance):
 
 def covariance_of(jacobians, misfit, own):
     """Return the covariance of coordinates."""
-    return left_open(jacobians, misfit, own).of_place
+    held = np.zeros(jacobians[0].shape[1], dtype=bool)
+    return left_open(jacobians, misfit, own, held).of_place
 
 
 def columns(count, coordinates):

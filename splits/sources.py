@@ -22,17 +22,21 @@ FITTING = (
     "experiments/fit.py",
     "experiments/parameters.py",
     "experiments/run_fit.py",
+    "lookup/interpolation.py",
     "retrieval/coordinates.py", "retrieval/estimation.py", "retrieval/least_squares.py",
-    "retrieval/line.py", "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/search.py",
+    "retrieval/line.py", "retrieval/measurement.py", "retrieval/misfit.py",
+    "retrieval/posterior.py", "retrieval/result.py", "retrieval/search.py",
 )  # fmt: skip
 """Files behind a fit besides."""
 RETRIEVING = (
     "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
-    "lookup/interpolation.py", "lookup/reading.py", "materials/impurities.csv",
-    "materials/impurities.py", "retrieval/coordinates.py", "retrieval/cubics.py",
+    "lookup/formats.py", "lookup/interpolation.py", "lookup/reading.py",
+    "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
+    "retrieval/coordinates.py", "retrieval/cubics.py", "retrieval/design.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
     "retrieval/least_squares.py", "retrieval/line.py", "retrieval/measurement.py",
     "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "skies/bands.py",
 )  # fmt: skip
 """Files behind retrievals from a table."""
 

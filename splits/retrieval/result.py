@@ -213,7 +213,7 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
             found.append(f"{name}: prior and measurement are {off:.1f} standard deviations apart")
     for i, name in enumerate(free.names):
         low, high = (float(free.at(np.full(len(free.names), x))[i]) for x in (0.0, 1.0))
-        if not determined[i]:
+        if not (determined[i] or best.held[i]):
             continue
         if best.place[i] < AT_END and low != 0.0:
             found.append(f"{name} lies at the low end of its range, {low:g}")

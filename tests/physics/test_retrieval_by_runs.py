@@ -114,9 +114,9 @@ def test_a_straight_line_is_read_as_one():
 
 
 def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
-    """By the square of a standard deviation along the widest way, over the noise."""
+    """By the square of a standard deviation along any way, over the noise."""
     free = free_of(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
-    place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.01]), np.array([0.02, 0.02, 0.01])
+    place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
     line = Around(free, Seen(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3))))
 
     def curved(x):
@@ -134,6 +134,11 @@ WRONG = {
     "contradictory": ({"free": {SIZE: (100, 50)}}, "low < high"),
     "one number": ({"free": {SIZE: 100}}, r"\(low, high\)"),
     "other axes": ({"at": {"depth_m": 1}}, "incidence_deg"),
+    "an angle that is free": (
+        {"free": {"incidence_deg": (0, 60)}, "at": {"sza": "diffuse"}},
+        "at.sza.*left out, as it is free",
+    ),
+    "two angles": ({"at": {"sza": 10, "incidence_deg": 20}}, "left out beside"),
     "no medium": ({"model": 3}, "a Table, or a medium"),
     "error": ({"max_stderr": 0.9}, "max_stderr"),
     "per cent": ({"measured": (W, np.full(W.size, 50.0))}, "not per cent"),

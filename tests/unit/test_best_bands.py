@@ -46,6 +46,8 @@ def test_bands_of_a_sensor():
 WRONG = {
     "too many": ({"most": W.size + 1}, "1 to 11"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
+    "unknown noise": ({"noise": None}, "noise = None: must be given"),
+    "alike": ({"noise": 1e-4 + 1e-4 * np.eye(W.size)}, "independent"),
     "outside": ({"bands": [300.0, 600.0], "most": 1}, "500 to 1500"),
     "no table": ({"table": 1}, "a Table"),
 }

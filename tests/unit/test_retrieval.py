@@ -239,6 +239,13 @@ WRONG = {
     "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),
     "columns": ({"measured": pd.DataFrame({"a": GOOD[1]})}, "a DataFrame of 1 columns.*index_col"),
     "counted": ({"measured": pd.Series(GOOD[1])}, "only counted.*index_col"),
+    "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
+    "errors of errors": (
+        {"noise": {"stderr": 1e-4 * np.eye(W.size), "correlation_nm": 100.0}},
+        "one standard error or 11",
+    ),
+    "huge": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
+    "two angles": ({"at": {**AT, "sza": 20.0}}, "left out beside"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),

@@ -133,6 +133,7 @@ WRONG = {
     "no image": ({"image": np.zeros((2, 2, W.size))}, "a DataArray over wavelength"),
     "level": ({"free": [SIZE, "level"]}, "left out of maps"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
+    "unknown noise": ({"noise": None}, "noise = None: must be given"),
 }
 
 

@@ -1,0 +1,153 @@
+"""Retrievals that may be confidently wrong: valleys, ends of ranges, priors, noisy slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from formula_tables import W, snowlike, spectrum, table_of
+
+import splits
+from splits.retrieval.coordinates import Free, Widest
+from splits.retrieval.line import doubtful, without_noise
+from splits.retrieval.search import Aim, descend
+
+SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+AT = {"incidence_deg": 30.0}
+STEEP = np.linspace(0.5, 1.5, W.size)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return snowlike()
+
+
+def cube(*names):
+    """Return what is free where coordinates are the values themselves."""
+    return Free.of(list(names), None, {name: Widest(0.0, 1.0, "itself") for name in names})
+
+
+def test_a_valley_of_which_less_is_known_is_no_better():
+    """Two valleys, both 0.1 from the middle; in the wrong one cells are known 100 times worse."""
+    nodes = np.linspace(0.0, 1.0, 21)
+    # Wrong by a slope, so that noise of cells explains it there.
+    off = 0.02 * np.linspace(-1.0, 1.0, W.size)
+    plain = table_of(lambda a: 0.5 + (a - 0.5) ** 2 + off * (a < 0.5), {"a": nodes}, 0.001)
+    stderr = np.where(nodes < 0.5, 0.1, 0.001)[:, np.newaxis] + np.zeros(W.size)
+    worse = plain.dataset.assign(
+        reflectance_stderr=(("a", "wavelength"), stderr.astype(np.float32))
+    )
+    random = np.random.default_rng(8)
+    for _ in range(10):
+        measured = 0.5 + 0.3**2 + 0.003 * random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), splits.Table(worse), ["a"], 0.003)
+        assert found.dataset.value.values[0] == pytest.approx(0.8, abs=0.02)
+        assert found.dataset.quantiles.values[1:4, 0] == pytest.approx([0.8] * 3, abs=0.02)
+
+
+def test_what_noise_of_slopes_feigns_is_taken_out():
+    """One coordinate is told, one does nothing; slopes are known to 0.3 of those of the first."""
+    random = np.random.default_rng(3)
+    slopes = np.stack([STEEP, np.zeros(W.size)], axis=1)
+    noise = 0.01 * np.eye(W.size)
+    information, feigned = [], []
+    for _ in range(200):
+        jacobians = [slopes + 0.3 * random.standard_normal(slopes.shape) for _ in range(4)]
+        clean, plain = without_noise(jacobians, noise), np.mean(jacobians, axis=0)
+        information.append(clean.T @ np.linalg.solve(noise, clean))
+        feigned.append((plain.T @ np.linalg.solve(noise, plain))[1, 1])
+    exact = float(STEEP @ STEEP) / 0.01
+    found = np.array(information)
+    spread = found[:, 0, 0].std(ddof=1) / np.sqrt(len(found))
+    assert abs(found[:, 0, 0].mean() - exact) < 4.0 * spread
+    # As the range knows 12, what is feigned would make its spread 0.6 of that before.
+    left = [np.sqrt(12.0 / (12.0 + one)).mean() for one in (np.array(feigned), found[:, 1, 1])]
+    assert left[0] < 0.65 and left[1] > 0.9
+
+
+def test_more_jacobians_are_asked_for_only_where_noise_decides():
+    noise, random = 1e-4 * np.eye(W.size), np.random.default_rng(4)
+    told, nothing = STEEP[:, np.newaxis], np.zeros((W.size, 1))
+    scatter = random.standard_normal((2, W.size, 1))
+    assert not doubtful([told + 0.01 * one for one in scatter], noise)
+    assert not doubtful([nothing + 1e-3 * one for one in scatter], noise)
+    assert doubtful([nothing + 0.03 * one for one in scatter], noise)
+
+
+def test_slopes_without_noise_stay_as_they_are():
+    slopes = np.stack([STEEP, STEEP**2, np.zeros(W.size)], axis=1)
+    clean = without_noise([slopes, slopes], np.diag(0.01 * STEEP))
+    np.testing.assert_allclose(clean, slopes, atol=1e-9)
+
+
+@pytest.mark.parametrize("wavelengths", [[1200.0], [1000.0, 1200.0]])
+def test_a_gross_misfit_is_said_of_as_few_values_as_parameters(table, wavelengths):
+    w = np.array(wavelengths)
+    free = [SIZE, DIRT][: w.size]
+    at = AT if w.size > 1 else {**AT, DIRT: 50.0}
+    found = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, at=at)
+    assert any("does not follow" in line for line in found.warnings)
+
+
+def test_a_prior_of_what_is_hardly_told_contradicts_nothing():
+    """One prior is wrong; the other, of what the measurement hardly tells, is right."""
+    rows = np.stack([np.ones(W.size), 0.02 * np.linspace(-1.0, 1.0, W.size)])
+    nodes = np.linspace(-1.0, 1.0, 6)
+    linear = table_of(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+                      {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
+    random = np.random.default_rng(5)
+    for _ in range(6):
+        measured = 0.5 + 0.1 * 0.5 * rows[0] + 0.01 * random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), linear, ["a", "b"], 0.01,
+                                prior={"a": (-0.5, 0.05), "b": (0.0, 0.05)})  # fmt: skip
+        said = [line for line in found.warnings if "standard deviations apart" in line]
+        assert len(said) == 1 and said[0].startswith("a:")
+
+
+def test_least_squares_know_what_an_end_keeps_them_from(table):
+    """A range that excludes the truth leaves a misfit that counts as one, and in the errors."""
+    measured = spectrum(400.0, 50.0) + 0.002 * np.random.default_rng(6).standard_normal(W.size)
+    free, at = {SIZE: (50.0, 150.0)}, {**AT, DIRT: 50.0}
+    found = splits.retrieve((W, measured), table, free, at=at)
+    about = found.dataset.attrs
+    assert about["chi2"] < 3.0 * about["chi2_expected"]
+    assert about["chi2_expected"] == W.size
+    assert any("lies at the high end" in line for line in found.warnings)
+
+
+def test_what_does_nothing_makes_no_other_answer(table):
+    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"],
+                            at={DIRT: 50.0})  # fmt: skip
+    assert not any("another answer" in line for line in found.warnings)
+
+
+class Lines:
+    """Runs of a straight line without noise of their own."""
+
+    margin = 0.0
+
+    def __init__(self, slopes):
+        self.slopes_, self.free = slopes, cube(*(f"x{i}" for i in range(slopes.shape[1])))
+
+    def values(self, place, stage):
+        return self.slopes_ @ place + 0.3 * (place**2).sum()
+
+    def slopes(self, place, stage):
+        return self.slopes_ + 0.6 * place
+
+
+def test_descents_of_many_values_end_near_the_optimum():
+    """Within half a standard error of independent noise, of 1001 values as of 11."""
+    random = np.random.default_rng(7)
+    for count in (11, 1001):
+        x = np.linspace(0.0, 1.0, count)
+        runs = Lines(np.stack([np.ones(count), x], axis=1))
+        truth = np.array([0.4, 0.6])
+        wanted = runs.values(truth, 1) + 0.02 * random.standard_normal(count)
+        aim = Aim.least_squares(wanted, runs.free)
+        rough = descend(runs, 1, np.array([0.5, 0.4]), aim, 60, 0.3)
+        exact = rough.place.copy()
+        for _ in range(20):
+            exact += np.linalg.lstsq(runs.slopes(exact, 1), wanted - runs.values(exact, 1))[0]
+        slopes = runs.slopes(exact, 1)
+        off = slopes @ (rough.place - exact)
+        assert np.sqrt(off @ off) < 0.5 * 0.02

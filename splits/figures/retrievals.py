@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import EngFormatter
 
-from splits.analysis.proportion import proportion
+from splits.figures.known import FEWEST, against, models_of, shown
 from splits.figures.notes import finished
 from splits.figures.style import (
     BAND,
     SMALLEST,
     TWO_COLUMNS,
     Drawing,
-    colours,
     parameter_label,
     style,
     value_label,
@@ -40,14 +38,10 @@ SHORT = {
     "magnetite": "magnetite",
 }
 """What corners and kernels, which have little room, call parameters."""
+MANY = 1e4
+"""Numbers from which on ticks of corners say k for a thousand."""
 ROWS = 3
 """Rows at most: samples, evenly among all, and what is known of them."""
-FEWEST = 3
-"""Samples from which on a slope is told."""
-MARKERS = "os^D"
-"""Of models, against what is known."""
-ASIDE = 0.012
-"""How far models' points stand beside each other there, as a part of the axis."""
 FITTING = 4
 """Parameters of an averaging kernel whose numbers fit at the usual size."""
 _ROW_INCHES, _KNOWN_INCHES = 3.3, 2.4
@@ -71,7 +65,7 @@ def retrievals(
         How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values
-    known = {name: values for name, values in (known or {}).items() if _shown(dataset, values, "")}
+    known = {name: values for name, values in (known or {}).items() if shown(dataset, values, "")}
     most = min(len(every), ROWS - bool(known))
     some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
     samples = every[some]
@@ -88,85 +82,35 @@ def retrievals(
             tops.append(_spectrum(figure, grid[row, 0], part, value_label(sample, "sample")))
             _corner(figure, grid[row, 1], part)
             _kernel(figure.add_subplot(grid[row, 2]), part)
+        several = False
         if known:
             panels = [
                 (name, group) for name, values in known.items() for group in groups
-                if _shown(dataset, values, group)
+                if shown(dataset, values, group)
             ]  # fmt: skip
             below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
+            several = any(len(shown(dataset, known[name], g)) >= FEWEST for name, g in panels)
             for column, (name, group) in enumerate(panels):
                 axes = figure.add_subplot(below[column])
-                tops.append(_against(axes, dataset, name, known[name], group))
-        note = (
-            "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
-            "Dots: draws from what the spectrum allows"
-        )
-        if len(samples) < len(every):
-            note = f"{len(samples)} of {len(every)} samples, evenly among all. " + note
-        if dataset.sizes["model"] == 1:
-            note += "; lines: 16, 50 and 84 %."
-        else:
-            note += f". Averaging kernels: {value_label(str(dataset.model.values[0]), 'model')}."
-            if known and np.isfinite(dataset.chi2_where_known).any():
-                note += " Beside what is known: χ² with that held, of what is expected."
+                tops.append(against(axes, dataset, name, known[name], group))
+        note = _note(dataset, len(samples), several)
         return finished(figure, tops, note)
 
 
-def _against(
-    axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float], group: str
-) -> Axes:
-    """Draw what was found of a parameter against what is known of it, models side by side."""
-    samples = _shown(dataset, known, group)
-    x = np.array([known[s] for s in samples])
-    top = highest = float(x.max())
-    models = _models(dataset)
-    for number, (model, colour) in enumerate(models):
-        own = dataset.sel(model=model, sample=samples)
-        aside = x + (number - 0.5 * (len(models) - 1)) * ASIDE * top
-        part = own.quantiles.sel(parameter=name).transpose("quantile", "sample")
-        widest, low, y, high, most = part.values
-        if not np.isfinite(y).all():
-            continue
-        for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
-            axes.vlines(aside, *ends, color=colour, lw=width)
-        told = [value_label(model, "model")] if model else []
-        if len(samples) >= FEWEST:
-            line = proportion(x, y)
-            told.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
-            told.append(f"scatter {line.scatter:.2g}")
-            misfit = own.chi2_where_known.values
-            if model and np.isfinite(misfit).all():
-                expected = float(own.chi2_expected.sum())
-                told.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
-        marker = MARKERS[number % len(MARKERS)]
-        axes.plot(aside, y, marker, color=colour, ms=3, label="\n".join(told) or None)
-        highest = max(highest, float(most.max()))
-    top = 1.08 * highest
-    axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    axes.set_title(group.strip() or "against what is known")
-    axes.set_xlabel(f"{parameter_label(name)}, known")
-    axes.set_ylabel(f"{parameter_label(name)}, retrieved")
-    axes.set_xlim(0.0, top)
-    axes.set_ylim(0.0, top)
-    axes.set_aspect("equal", anchor="W")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(5))
-    if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
-        axes.legend(frameon=False, fontsize=SMALLEST, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    axes.spines[["top", "right"]].set_visible(False)
-    return axes
-
-
-def _shown(dataset: xr.Dataset, known: Mapping[str, float], group: str) -> list[str]:
-    """Return the samples of a group of which something is known."""
-    return [s for s in known if s in dataset.sample.values and s.startswith(group)]
-
-
-def _models(dataset: xr.Dataset) -> list[tuple[str, Any]]:
-    """Return the names of the models, with their colours."""
-    names = list(map(str, dataset.model.values))
-    return list(zip(names, colours(len(names), "medium") if len(names) > 1 else colours(1),
-                    strict=True))  # fmt: skip
+def _note(dataset: xr.Dataset, rows: int, several: bool) -> str:
+    """Return what the foot of the figure says."""
+    note = (
+        "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
+        "Dots: draws from what the spectrum allows"
+    )
+    if rows < dataset.sizes["sample"]:
+        note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
+    if dataset.sizes["model"] == 1:
+        return note + "; lines: 16, 50 and 84 %."
+    note += f". Averaging kernels: {value_label(str(dataset.model.values[0]), 'model')}."
+    if several and np.isfinite(dataset.chi2_where_known).any():
+        note += " Beside what is known: χ² with that held, of what is expected."
+    return note
 
 
 def _open(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
@@ -183,7 +127,7 @@ def _spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: str) 
     top = figure.add_subplot(inner[0])
     bottom = figure.add_subplot(inner[1], sharex=top)
     highest = 0.0
-    for number, (model, colour) in enumerate(_models(part)):
+    for number, (model, colour) in enumerate(models_of(part)):
         own = part.sel(model=model)
         x, measured, noise, fitted, error = _open(
             own.wavelength.values, own.measured.values, own.measured_stderr.values,
@@ -228,7 +172,7 @@ def _corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
     some = draws[:, :: max(1, len(draws) * draws.shape[1] // SHOWN)]
     shares = [0.16, 0.5, 0.84]
     marks = part.quantiles.sel(quantile=shares).transpose("model", "quantile", "parameter").values
-    shades = [colour for _, colour in _models(part)]
+    shades = [colour for _, colour in models_of(part)]
     # A law that does not know of a parameter has no draws of it.
     low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
     for i in range(len(names)):
@@ -257,6 +201,9 @@ def _label(axes: Axes, names: list[str], place: tuple[int, int]) -> None:
     if i != j:
         axes.locator_params(nbins=3, axis="y")
         axes.ticklabel_format(axis="y", style="plain")
+    for axis in (axes.xaxis, axes.yaxis):
+        if max(axis.get_view_interval()) >= MANY:
+            axis.set_major_formatter(EngFormatter(sep=""))
     axes.tick_params(labelsize=SMALLEST)
     if i == len(names) - 1:
         axes.set_xlabel(_short(names[j]), fontsize=SMALLEST)

@@ -63,7 +63,8 @@ def test_every_public_name_is_documented():
 )
 def test_every_key_of_a_model_has_a_meaning(model):
     page = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")
-    table = re.search(rf"```{{config-keys}} [\w.]+\.{model.__name__}\n(.*?)```", page, re.S)[1]
+    name = re.escape(f"{model.__module__}.{model.__name__}")
+    table = re.search(rf"```{{config-keys}} {name}\n(.*?)```", page, re.S)[1]
     assert set(re.findall(r"^(\w+):", table, re.M)) == set(model.model_fields)
 
 

@@ -12,8 +12,12 @@ from splits.retrieval.misfit import crossed
 
 TELLING = 12.0
 """Information that says as much as the range does."""
-SURELY = 10.0
-"""How many times what noise feigns it must be to be trusted."""
+TRUSTED, SURELY = 6.0, 10.0
+"""How many times what noise feigns it must be to count, and to need no more Jacobians.
+
+One more than this is the ratio of an F test: of six Jacobians with noise in three parts of the
+spectrum, one in 300 that tell nothing exceeds 7.
+"""
 MARGIN = 1e-3
 """At the very ends of ranges slopes may be infinite."""
 
@@ -108,7 +112,7 @@ def without_noise(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> np.ndar
     """
     values, vectors, feigned = _information(jacobians, noise)
     mean: np.ndarray = np.mean(jacobians, axis=0)
-    root = (vectors * np.sqrt(np.where(values > feigned, values, 0.0))) @ vectors.T
+    root = (vectors * np.sqrt(np.where(values > TRUSTED * feigned, values, 0.0))) @ vectors.T
     sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(noise, mean))
     some = sizes > 1e-12 * max(sizes[-1], 1e-300)
     inverse = (axes[:, some] / np.sqrt(sizes[some])) @ axes[:, some].T

@@ -11,10 +11,10 @@ from splits.checks import known_arguments, one_of, refuse
 from splits.instruments.arguments import check_whole
 from splits.instruments.progress import Report, shows_progress
 from splits.lookup.reading import Table
+from splits.retrieval import least_squares
 from splits.retrieval.coordinates import Free
 from splits.retrieval.estimation import RIVAL, Optimum, optima, optimum, told
 from splits.retrieval.forward import OfTable, ranges_of
-from splits.retrieval.least_squares import by_runs, in_table
 from splits.retrieval.line import Around, bent
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import free_of, incidence_of, runs_of
@@ -131,7 +131,7 @@ def retrieve(
         which = Free.of(free, prior, ranges_of(model))
         known = OfTable(model, measurement, which, at or {}, quantity)
         if not measurement.told:
-            found, measurement = in_table(known, measurement, seed)
+            found, measurement = least_squares.in_table(known, measurement, seed)
         else:
             found = _found(known, measurement, seed)
         return result_of(which, measurement, found)
@@ -144,18 +144,21 @@ def retrieve(
     beam = incidence_of(at or {}, free)
     which = free_of(model, free, prior, beam)
     runs = runs_of(model, measurement, which, beam, max_stderr, seed, progress)
-    found, measurement = (_by_runs if measurement.told else by_runs)(runs, measurement, seed)
+    if not measurement.told:
+        found, measurement = least_squares.by_runs(runs, measurement, seed)
+    else:
+        found = _by_runs(runs, measurement, seed)
     return result_of(which, measurement, found)
 
 
-def _by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
+def _by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> Found:
     """Return what a measurement of known noise tells by runs."""
     settled = runs.settled()
     around = Around(runs.free, settled.seen(measurement.covariance))
     found = _found(around, measurement, seed)
     noise = found.excess * (measurement.covariance + settled.own)
     off = bent(runs.last, around, found.ends[0].place, found.told.covariance, noise)
-    return found._replace(bent=off, rivals=settled.rivals(RIVAL)), measurement
+    return found._replace(bent=off, rivals=settled.rivals(RIVAL))
 
 
 def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from formula_tables import W, snowlike, spectrum, table_of
+from scipy.stats import binom, f
 
 import splits
 from splits.retrieval.coordinates import Free, Widest
@@ -62,6 +63,20 @@ def test_what_noise_of_slopes_feigns_is_taken_out():
     # As the range knows 12, what is feigned would make its spread 0.6 of that before.
     left = [np.sqrt(12.0 / (12.0 + one)).mean() for one in (np.array(feigned), found[:, 1, 1])]
     assert left[0] < 0.65 and left[1] > 0.9
+
+
+def test_noise_of_slopes_however_large_is_no_information():
+    """Of what does nothing, seen by six Jacobians whose noise is far beyond that of the values."""
+    random = np.random.default_rng(9)
+    noise = 1e-6 * np.eye(W.size)
+    told = 0
+    for _ in range(200):
+        # Alike in three parts of the spectrum, as runs that share rays are.
+        scatter = np.repeat(random.standard_normal((6, 3, 1)), 4, axis=1)[:, : W.size]
+        clean = without_noise(list(scatter), noise)
+        told += bool((clean.T @ np.linalg.solve(noise, clean) > 36.0).any())
+    # F(3, 15) is above 7 with a probability of 0.0036; binomial bound of 0.1 %.
+    assert told <= binom.isf(0.001, 200, f.sf(7.0, 3, 15))
 
 
 def test_more_jacobians_are_asked_for_only_where_noise_decides():

@@ -70,11 +70,17 @@ def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
     if section is None:
         return
     rows = dict(zip(*experiment.axes(), strict=True))
+    first = {one.sample: one.at for one in section.prior_from}
     for name, spectrum in section.spectra(measured, experiment.instrument.wavelengths()).items():
         with under(f"retrieve ({name})"):
-            Measurement.of(spectrum, section.noise.of(spectrum.to_numpy()))
-        for axis, value in section.where(name, list(rows)).items():
+            Measurement.of(spectrum, section.noise_of(spectrum.to_numpy()))
+        where = section.where(name, list(rows))
+        for axis, value in where.items():
             check_within(f"retrieve ({name}): {axis}", value, rows.get(axis))
+        given = {*where, *section.free, *first.get(name, {})}
+        if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in given:
+            hint = f"its angle in the name, {name}@50, or retrieve.at.{INCIDENCE}"
+            raise refuse(f"retrieve ({name}): {INCIDENCE}", None, "given", hint)
 
 
 def _check_models(section: RetrieveSection, rows: Rows) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from splits.checks import in_range, refuse
 from splits.experiments.parameters import Cube, FitResult, Fitted
+from splits.extras import optional
 from splits.instruments import spectrophotometer
 from splits.instruments.arguments import check_incidence, check_wavelengths, check_whole
 from splits.instruments.fixed import fixed_spectrum, spread_rows
@@ -233,7 +234,8 @@ def _ends(
     runs: OfSands, wanted: np.ndarray, effort: Effort, say: Callable[[str], None]
 ) -> list[list[End]]:
     """Return where the descents of every stage ended, best first."""
-    from scipy.stats import qmc  # a second, which every start of the workflow would take
+    # Imported here: it takes a second, which every start of the workflow would take.
+    qmc = optional("scipy.stats", "retrieval", "fits need").qmc
 
     places = qmc.Sobol(len(runs.cube.names), seed=runs.streams[0]).random(effort.points)
     stages = [Stage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]

@@ -72,7 +72,8 @@ class RetrieveSection(Section):
     sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
     incidence.  `free`, `at` and `prior` are as for `splits.retrieve`; `left_out_nm` are intervals
     that do not count, such as those where water vapour lets no light through.  `known` are values
-    by parameter and sample that were found otherwise, to be drawn beside.  `models` is an axis of
+    by parameter and sample that were found otherwise, to be drawn beside.  Without `noise` the
+    misfit tells the errors.  `models` is an axis of
     texts, whose light is compared: every sample is read with each of them.  `beside` is a published
     law of snow, with which they are read, too.
     """
@@ -81,7 +82,7 @@ class RetrieveSection(Section):
 
     measured: str
     free: dict[str, tuple[float, float]] | tuple[str, ...]
-    noise: Noise
+    noise: Noise | None = None
     samples: tuple[str, ...] = ()
     at: dict[str, float | str] = Field(default_factory=dict)
     prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
@@ -95,6 +96,14 @@ class RetrieveSection(Section):
     @classmethod
     def _file(cls, value: str) -> str:
         return check_file("retrieve.measured", value)
+
+    @field_validator("noise", mode="before")
+    @classmethod
+    def _of_keys(cls, value: Any) -> Any:
+        if value is None or isinstance(value, dict | Noise):
+            return value
+        allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
+        raise refuse("retrieve.noise", value, allowed, "without it the misfit tells the errors")
 
     @field_validator("prior_from", mode="before")
     @classmethod
@@ -120,6 +129,9 @@ class RetrieveSection(Section):
             columns = list(measured.columns)
             raise refuse("retrieve.measured", columns, f"a table with column {WAVELENGTH}")
         known = [str(c) for c in measured.columns if c != WAVELENGTH]
+        if any(name.startswith("Unnamed") for name in known):
+            hint = "numbers of rows? write it with index=False"
+            raise refuse("retrieve.measured", "a column without a name", "names for all", hint)
         w = measured[WAVELENGTH].to_numpy(dtype=float)
         inside = (w >= wavelengths[0]) & (w <= wavelengths[-1])
         for low, high in self.left_out_nm:
@@ -143,6 +155,10 @@ class RetrieveSection(Section):
             for sample in values:
                 one_of(f"retrieve.known.{parameter}", sample, names)
         return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
+
+    def noise_of(self, values: np.ndarray) -> Any:
+        """Return the noise of reflectances as `splits.retrieve` takes it."""
+        return None if self.noise is None else self.noise.of(values)
 
     def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:
         """Return what is known of a sample: `at`, and the angle that its name tells."""

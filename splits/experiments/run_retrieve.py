@@ -114,7 +114,7 @@ class _Task(NamedTuple):
         at = {**self.section.where(name, axes), **self.at, **known}
         with under(f"retrieve ({name})"):
             return retrieve(
-                spectrum, self.table, free, self.section.noise.of(spectrum.to_numpy()),
+                spectrum, self.table, free, self.section.noise_of(spectrum.to_numpy()),
                 at={n: value for n, value in at.items() if n in (*axes, LEVEL)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
             )  # fmt: skip
@@ -123,7 +123,7 @@ class _Task(NamedTuple):
         """Return the misfit left where what is known of a sample is so."""
         known = {n: values[name] for n, values in self.section.known.items() if name in values}
         others = [n for n in self.section.free if n not in known and n != LEVEL]
-        if not known or not others or LEVEL in known:
+        if not known or not others or LEVEL in known or self.section.noise is None:
             return np.nan
         return float(self._one(name, prior, known).dataset.attrs["chi2"])
 
@@ -166,7 +166,7 @@ def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float
                     "chi2 where known": one.misfit,
                     "chi2 expected": ds.attrs["chi2_expected"],
                     "errors enlarged by": ds.attrs["errors_enlarged_by"],
-                    "to be known": ds.attrs["warnings"],
+                    "warnings": ds.attrs["warnings"],
                 }
             )
     return pd.DataFrame(rows)

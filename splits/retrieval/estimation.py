@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.extras import optional
 from splits.retrieval.coordinates import Free
 from splits.retrieval.forward import Model
 from splits.retrieval.measurement import Measurement
@@ -94,7 +95,7 @@ def optimum(
     excess : float
         By so much all variances are enlarged.
     """
-    from scipy.optimize import least_squares
+    least_squares = optional("scipy.optimize", "retrieval", "retrievals need").least_squares
 
     free = model.free
     known = np.isfinite(free.prior_sd)

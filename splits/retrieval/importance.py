@@ -14,6 +14,7 @@ import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
 from splits.dataset import attributes, provenance
+from splits.extras import optional
 from splits.instruments.arguments import check_whole
 from splits.instruments.labels import wavelength_axis
 from splits.lookup.reading import Table
@@ -123,9 +124,7 @@ class _Shares(NamedTuple):
 
 def _shares(model: OfTable, points: int, seed: int) -> _Shares:
     """Return the shares of the variance, 0 where nothing varies."""
-    from scipy.stats import sobol_indices as indices
-    from scipy.stats import uniform
-
+    stats = optional("scipy.stats", "retrieval", "Sobol indices need")
     many, count = len(model.free.names), model.cells.shape[1]
     varying = model.cells.std(axis=0) > LEAST_SD
     first, total = np.zeros((2, REPEATS, many, count))
@@ -139,7 +138,7 @@ def _shares(model: OfTable, points: int, seed: int) -> _Shares:
 
     for number in range(REPEATS):
         random = np.random.default_rng([seed, number])
-        found = indices(func=look, n=points, dists=[uniform()] * many, rng=random)
+        found = stats.sobol_indices(func=look, n=points, dists=[stats.uniform()] * many, rng=random)
         first[number][:, varying] = np.reshape(found.first_order, (-1, many)).T
         total[number][:, varying] = np.reshape(found.total_order, (-1, many)).T
     places = np.random.default_rng(seed).random((many, 4 * points))

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
 from splits.dataset import attributes, provenance
+from splits.extras import optional
 from splits.instruments.arguments import check_threads
 from splits.lookup.reading import Table
 from splits.names import parameter_about
@@ -189,7 +190,7 @@ class _Work(NamedTuple):
 
     def limit(self) -> float:
         """Return the misfit that one in a thousand exceeds."""
-        from scipy.stats import chi2
+        chi2 = optional("scipy.stats", "retrieval", "retrievals need").chi2
 
         return float(chi2.isf(IMPROBABLE, self.expected()))
 

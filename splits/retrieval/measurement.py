@@ -80,7 +80,7 @@ class Measurement(NamedTuple):
             w = np.array([_middle(band) for band in some.values()])
         if noise is None:
             return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
-        return cls(values, w, _covariance(noise, w), some)
+        return cls(values, w, _covariance(_aligned(noise, w), w), some)
 
     def check_told(self) -> Measurement:
         """Return it, or refuse noise that is not known."""
@@ -92,16 +92,18 @@ class Measurement(NamedTuple):
 def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths and reflectances, or refuse them."""
     allowed = "a DataArray over wavelength, a Series, or (wavelengths, reflectances)"
+    if isinstance(measured, pd.DataFrame):
+        if measured.shape[1] != 1:
+            hint = "choose one: frame['name'], with wavelengths (nm) for an index"
+            raise refuse("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
+        measured = measured.iloc[:, 0]
     if isinstance(measured, xr.DataArray):
         if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
             raise refuse("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
         pair: Any = (measured.wavelength.values, measured.values)
-    elif isinstance(measured, pd.DataFrame):
-        hint = "one column, with wavelengths (nm) for an index: pandas.read_csv(file, index_col=0)"
-        raise refuse("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
     elif isinstance(measured, pd.Series):
         if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
-            hint = "pandas.read_csv(file, index_col=0), where the first column has them"
+            hint = "pandas.read_csv(file, index_col=0)['name'], where the first column has them"
             raise refuse("measured", "a Series that is only counted",
                          "one over wavelengths (nm)", hint)  # fmt: skip
         pair = (measured.index.to_numpy(), measured.to_numpy())
@@ -118,6 +120,18 @@ def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         found = f"{w.size} wavelengths, {values.size} values"
         raise refuse("measured", found, "as many of both")
     return increasing("measured (wavelengths)", w), values
+
+
+def _aligned(noise: Any, wavelength_nm: np.ndarray) -> Any:
+    """Return noise; of standard errors that have wavelengths, their values, or refuse others."""
+    if isinstance(noise, xr.DataArray) and noise.dims == ("wavelength",):
+        noise = noise.to_series()
+    if not isinstance(noise, pd.Series):
+        return noise
+    own = noise.index.to_numpy()
+    if own.shape != wavelength_nm.shape or (own != wavelength_nm).any():
+        raise refuse("noise", "a Series over other wavelengths", "over those that were measured")
+    return noise.to_numpy()
 
 
 def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -9,10 +9,11 @@ import numpy as np
 import xarray as xr
 
 from splits.dataset import attributes, provenance
+from splits.extras import optional
 from splits.instruments.labels import wavelength_axis
 from splits.names import parameter_about
 from splits.retrieval.coordinates import LEVEL, Free
-from splits.retrieval.estimation import APART, Optimum, Told, fitted
+from splits.retrieval.estimation import RIVAL, Optimum, Told, fitted
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.posterior import DRAWS, ENOUGH, Draws
 from splits.uncertainty import quantity
@@ -188,7 +189,7 @@ def tension_of(free: Free, alone: np.ndarray, variance: np.ndarray) -> np.ndarra
 
 def excess_of(best: Optimum, free: Free) -> float:
     """Return by how much variances are to be enlarged so that the misfit is no surprise."""
-    from scipy.stats import chi2
+    chi2 = optional("scipy.stats", "retrieval", "retrievals need").chi2
 
     left = max(len(best.values) - fitted(best, free), 1.0)
     if chi2.sf(best.chi2, left) > IMPROBABLE:
@@ -219,18 +220,17 @@ def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
             found.append(f"{name} lies at the low end of its range, {low:g}")
         if best.place[i] > 1.0 - AT_END:
             found.append(f"{name} lies at the high end of its range, {high:g}")
-    # Where a parameter does nothing, its value makes no other answer.
-    near = np.sqrt(np.diag(told.covariance)) < UNTOLD * np.sqrt(free.prior_variance)
     for other in [*(end.place for end in ends[1:2]), *result.rivals]:
-        if not near.any() or np.abs(other - best.place)[near].max() < APART:
+        off = other - best.place
+        if off @ np.linalg.solve(told.covariance, off) < RIVAL:
+            # Within the errors: no other answer.
             continue
         words = [f"{n} {v:.3g}" for n, v in zip(free.names, free.at(other), strict=True)]
         found.append(f"another answer is nearly as good: {', '.join(words)}")
     if result.bent > STRAIGHT:
         found.append(
             f"errors take reflectance to be linear in the coordinates, but a standard deviation "
-            f"away it is off by {result.bent:.1f} times the noise: a table and a known noise give "
-            f"better ones"
+            f"away it is off by {result.bent:.1f} times the noise: take them as rough"
         )
     if draws.effective < ENOUGH:
         found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")

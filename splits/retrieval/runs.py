@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.extras import optional
 from splits.instruments.progress import Progress, Report
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.parameters import INCIDENCE, with_value
@@ -134,7 +135,7 @@ class OfRuns:
                 medium = with_value(medium, name, float(natural[row]))
         found = spectrophotometer(
             medium, self.wavelengths, beam, error, seed, jacobian=names,
-            progress=self._way.run(error, 1 + len(names)),
+            progress=self._way.run(error, _runs(len(names))),
         )  # fmt: skip
         return found, 1.0 if self._level is None else float(natural[self._level])
 
@@ -189,7 +190,7 @@ class OfRuns:
 
     def settled(self) -> Settled:
         """Return where the descents end, and Jacobians at the best."""
-        from scipy.stats import qmc
+        qmc = optional("scipy.stats", "retrieval", "retrievals need").qmc
 
         free = self.free
         places = qmc.Sobol(len(free.names), seed=self.seed).random(SURVEY)
@@ -221,12 +222,12 @@ class Way:
 
     def __init__(self, report: Report, error: float, parameters: int) -> None:
         self.report, self.error = report, error
-        fine, slopes = _cost(error), (1 + parameters) * _cost(max(error, SLOPES))
+        fine, slopes = _cost(error), _runs(parameters) * _cost(max(error, SLOPES))
         # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
         # end.  Then come Jacobians, and runs that tell how far light is off a straight line.
-        rough = SURVEY + STAGES[0].starts * 2 * (2 + parameters)
-        last = STAGES[1].starts * (2 * fine + slopes)
-        self.whole = rough + last + JACOBIANS[0] * slopes + 2 * parameters * fine
+        rough = SURVEY + STAGES[0].starts * 2 * (2 + _runs(parameters))
+        last = STAGES[1].starts * (4 * fine + slopes)
+        self.whole = rough + last + float(np.mean(JACOBIANS)) * slopes + 2 * parameters * fine
         self.done, self.begun = 0.0, time.perf_counter()
 
     def run(self, error: float, runs: int) -> Report:
@@ -243,6 +244,11 @@ class Way:
             report(Progress(one.rays, one.stderr, self.error, spent, max(left, one.seconds_left)))
 
         return show
+
+
+def _runs(parameters: int) -> int:
+    """Return how many runs a spectrum and its derivatives take, at most as a rule."""
+    return 1 + 5 * parameters
 
 
 def _cost(error: float) -> float:

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from splits.extras import optional
 from splits.retrieval.coordinates import Free
 
 FIRST_RADIUS = 0.3
@@ -172,7 +173,7 @@ def descend(
     radius : float
         Half the edge of the first trust region, 0 to 1.
     """
-    from scipy.optimize import lsq_linear
+    lsq_linear = optional("scipy.optimize", "retrieval", "retrievals need").lsq_linear
 
     least, most = runs.margin, 1.0 - runs.margin
     x = np.clip(start, least, most)

@@ -223,6 +223,7 @@ def test_series_and_arrays_say_the_same(table):
     kinds = [
         (W, measured),
         pd.Series(measured, index=W),
+        pd.DataFrame({"reflectance": measured}, index=W),
         xr.DataArray(measured, {"wavelength": W}, "wavelength"),
     ]
     first, *others = (
@@ -237,7 +238,11 @@ WRONG = {
     "gap": ({"measured": (W, np.where(W == 700.0, np.nan, 0.5))}, "1 gaps, the first at 700 nm"),
     "per cent": ({"measured": (W, 100.0 * GOOD[1])}, "not per cent"),
     "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),
-    "columns": ({"measured": pd.DataFrame({"a": GOOD[1]})}, "a DataFrame of 1 columns.*index_col"),
+    "columns": (
+        {"measured": pd.DataFrame({"a": GOOD[1], "b": GOOD[1]}, index=W)},
+        "a DataFrame of 2 columns.*choose one",
+    ),
+    "noise elsewhere": ({"noise": pd.Series(0.01, index=W + 500.0)}, "over other wavelengths"),
     "counted": ({"measured": pd.Series(GOOD[1])}, "only counted.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (

@@ -117,6 +117,7 @@ def test_tables_and_figures_show_all_samples(tmp_path):
 
 WRONG = {
     "no noise": ({"noise": {}}, "noise.absolute"),
+    "one number": ({"noise": 0.01}, r"retrieve\.noise = 0.01: must be a mapping such as"),
     "negative noise": ({"noise": {"relative": -0.1}}, "noise.relative"),
     "interval": ({"left_out_nm": [[900, 800]]}, "low < high"),
     "folder": ({"measured": "../some.csv"}, "without folders"),
@@ -225,6 +226,8 @@ def test_samples_that_are_not_there_are_refused():
 SPECTRA = {
     "per cent": ("some", [50.0, 60.0], "not per cent"),
     "a gap": ("some", [0.5, np.nan], "gaps"),
+    "no name": ("Unnamed: 0", [0.5, 0.6], "without a name"),
+    "no angle": ("plain", [0.5, 0.6], "its angle in the name, plain@50"),
     "an angle beyond the table": ("some@80", [0.5, 0.6], "incidence_deg = 80"),
 }
 
@@ -233,13 +236,20 @@ SPECTRA = {
 def test_spectra_are_checked_before_anything_runs(name):
     sample, values, message = SPECTRA[name]
     grid = {**TABLE["grid"], "incidence_deg": [0, 60]}
-    at = {} if "@" in sample else {"incidence_deg": 30}
+    at = {} if "@" in sample or sample == "plain" else {"incidence_deg": 30}
     experiment = Experiment.model_validate(
         TABLE | {"grid": grid, "retrieve": {**SECTION, "at": at}}
     )
     table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
     with pytest.raises(Refusal, match=message):
         check_spectra(experiment, table)
+
+
+def test_without_noise_the_misfit_tells_the_errors():
+    section = RetrieveSection.model_validate({**SECTION, "noise": None})
+    for reading in run_retrieve(section, snowlike(), measured()):
+        assert reading.told.dataset.attrs["noise"] == "found from the misfit"
+        assert np.isnan(reading.misfit)
 
 
 def test_an_angle_that_is_none_is_refused():

@@ -5,8 +5,8 @@
 Truths are drawn evenly in the coordinates of the retrieval (the logarithm of a size, the root of
 an amount) and simulated with random numbers of their own, not read from the table.  The measured
 spectra have noise of 1 % and 0.003, independent between wavelengths, and are off by what their
-own simulation is, 0.001 alike at all wavelengths, which retrievals are told.  FOLDER keeps the
-tables.
+own simulation is, some 0.001, whose covariance retrievals are told.  FOLDER keeps all of these.
+Bounds are those that twelve shares stay within with a probability of 99 % (Šidák).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -47,8 +47,17 @@ SAND_TRUTH = {"iron_oxide": (0.001, 0.04), "hematite_ratio": (0.0, 1.0), "satura
 LAWS = {SIZE: "logarithm", SOOT: "root", WATER: "root", "iron_oxide": "logarithm",
         "hematite_ratio": "root", "saturation": "root"}  # fmt: skip
 RELATIVE, FLOOR = 0.01, 0.003
-OWN = {"stderr": 0.001, "correlation_nm": 400.0}
-"""What a truth's own simulation is off by."""
+EACH = 0.99 ** (1.0 / 12.0)
+"""Probability that chance keeps each of twelve shares within its bounds."""
+OWN = 0.001
+"""What a truth's own simulation is off by at most."""
+
+
+class Truths(NamedTuple):
+    """Simulated spectra, and how far groups of their rays take them off."""
+
+    values: np.ndarray
+    groups: np.ndarray
 
 
 def snow(**settings: Any) -> splits.Snow:
@@ -79,19 +88,21 @@ def drawn(random: np.random.Generator, ranges: dict[str, Any], count: int) -> di
     return found
 
 
-def simulated(
-    path: Path, media: list[Any], w: np.ndarray, incidence: float, seed: int
-) -> np.ndarray:
+def simulated(path: Path, media: list[Any], w: np.ndarray, incidence: float, seed: int) -> Truths:
     """Return spectra of media, those that share paths from one ensemble; a file keeps them."""
     if path.exists():
-        return np.load(path)
-    run = Run.checked(w, incidence, OWN["stderr"], seed, 20_000_000, None, "auto")
-    found = np.empty((len(media), w.size))
+        kept = np.load(path)
+        return Truths(kept["values"], kept["groups"])
+    run = Run.checked(w, incidence, OWN, seed, 20_000_000, None, "auto")
+    values: list[Any] = [None] * len(media)
+    groups: list[Any] = [None] * len(media)
     for members in families(media, w):
         spectra = spectra_of(members.family, run)
         for place, which in zip(members.places, members.which, strict=True):
-            found[place] = spectra[which].reflectance.values
-    np.save(path, found)
+            values[place] = spectra[which].reflectance.values
+            groups[place] = spectra[which].reflectance_groups.values
+    found = Truths(np.array(values), np.array(groups))
+    np.savez(path, **found._asdict())
     return found
 
 
@@ -110,7 +121,7 @@ def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) ->
         line = [f"  {name:32}"]
         for low, high, share in ((1, 3, 0.68), (0, 4, 0.95)):
             inside = (quantiles[:, low, i] <= truth) & (truth <= quantiles[:, high, i])
-            bounds = binom.ppf([0.005, 0.995], many, share) / many
+            bounds = binom.ppf([0.5 - 0.5 * EACH, 0.5 + 0.5 * EACH], many, share) / many
             line.append(
                 f"{inside.mean():.3f} within {share:.0%} ({bounds[0]:.3f} to {bounds[1]:.3f})"
             )
@@ -123,10 +134,13 @@ def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) ->
         print(", ".join(line), flush=True)
 
 
-def noisy(random: np.random.Generator, spectrum: np.ndarray) -> tuple[np.ndarray, Any]:
-    """Return a measured spectrum and its noise."""
+def noisy(
+    random: np.random.Generator, spectrum: np.ndarray, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a measured spectrum and the covariance of its noise."""
     noise = np.hypot(RELATIVE * spectrum, FLOOR)
-    return spectrum + noise * random.standard_normal(spectrum.size), OWN | {"independent": noise}
+    measured = spectrum + noise * random.standard_normal(spectrum.size)
+    return measured, groups.T @ groups + np.diag(noise**2)
 
 
 def snows(folder: Path, known: splits.Table, many: int, waters: int = 3) -> None:
@@ -138,9 +152,10 @@ def snows(folder: Path, known: splits.Table, many: int, waters: int = 3) -> None
         truth = drawn(random, SNOW_TRUTH, each)
         truth[WATER][:] = truth[WATER][0]
         media = [snow(**{n: float(truth[n][i]) for n in names}) for i in range(each)]
-        path = folder / f"snow_{each}_{number}.npy"
-        for i, spectrum in enumerate(simulated(path, media, W_SNOW, float(angle), 1000 + number)):
-            measured, noise = noisy(random, spectrum)
+        path = folder / f"snow_{each}_{number}.npz"
+        spectra = simulated(path, media, W_SNOW, float(angle), 1000 + number)
+        for i, pair in enumerate(zip(*spectra, strict=True)):
+            measured, noise = noisy(random, *pair)
             at = {"incidence_deg": float(angle)}
             found.append(splits.retrieve((W_SNOW, measured), known, SNOW_TRUTH, noise, at=at))
             truths.append([truth[n][i] for n in names])
@@ -154,8 +169,8 @@ def sands(folder: Path, known: splits.Table, many: int) -> None:
     truth = drawn(random, SAND_TRUTH, many)
     for i in range(many):
         sand = splits.Sand(**{n: float(truth[n][i]) for n in names})
-        (spectrum,) = simulated(folder / f"sand_{many}_{i}.npy", [sand], W_SAND, 0.0, 2000 + i)
-        measured, noise = noisy(random, spectrum)
+        own = simulated(folder / f"sand_{many}_{i}.npz", [sand], W_SAND, 0.0, 2000 + i)
+        measured, noise = noisy(random, own.values[0], own.groups[0])
         found.append(splits.retrieve((W_SAND, measured), known, SAND_TRUTH, noise))
     judge("sand", names, found, np.stack([truth[n] for n in names], axis=1))
 

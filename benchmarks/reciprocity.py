@@ -28,6 +28,8 @@ READINGS = {
     "all skipped, entry projected": {**SKIP, "entry": "projected"},
     "the set geometric": {"set": "geometric"},
     "the set geometric, lobe": {"set": "geometric", "wrong_side": "lobe"},
+    "the set radiative_transfer": {"set": "radiative_transfer"},
+    "the set radiative_transfer, lobe": {"set": "radiative_transfer", "wrong_side": "lobe"},
 }
 MEDIA = {
     "snow of Table 1, dry, 1300 nm": (splits.Snow, {"saturation": 0.0}, 1300.0),

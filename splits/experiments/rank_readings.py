@@ -38,6 +38,8 @@ HOPELESS = 100.0
 """Sum of squares (ten bars once) from which a combination is simulated no further."""
 
 BOUNDARIES = "boundaries"
+PAPER_SETS = tuple(name for name in SETS if Readings.of(name).grain_extent == "finite")
+"""Sets that can be ranked by what the papers state: the papers' grains have an extent."""
 GRAINS_THAT_DO_NOT_FIT = ("grain_on_last_leg", "grain_across_boundary")
 """Readings that ``boundaries`` stands for together."""
 FATES = {
@@ -97,7 +99,7 @@ class Combination:
     def set_name(self) -> str:
         """Return the name that these readings have as a set, nothing if they have none."""
         own = self.trial.readings
-        return next((name for name in SETS if Readings.of(name) == own), "")
+        return next((name for name in PAPER_SETS if Readings.of(name) == own), "")
 
     def choices(self, stated: Mapping[str, Statement]) -> list[Choice]:
         """Return the nearest choice with each water, of those statements that it has values for.
@@ -196,7 +198,7 @@ def rank_readings(
         for one in itertools.product(*choices.values())
     ]
     # Sets with a name may differ from all of them in readings that are not tried.
-    readings += [one for one in map(Readings.of, SETS) if one not in readings]
+    readings += [one for one in map(Readings.of, PAPER_SETS) if one not in readings]
     combinations = [Combination(Trial(one, seed, given)) for one in readings]
 
     def further(one: Combination) -> None:

@@ -19,7 +19,7 @@ def for_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: 
     """Return a table as isofit's surface model looks it up.
 
     The reflectance of diffuse light into a direction is, by reciprocity, that of a beam from there
-    to all directions.  Snow whose readings are ``geometric`` is reciprocal.
+    to all directions.  Snow whose readings are ``radiative_transfer`` is reciprocal.
 
     Parameters
     ----------

@@ -13,6 +13,9 @@ from splits.media.ground import Ground
 from splits.media.readings import TransportReadings
 from splits.transport.grains.scene import Grains
 
+PORES = 2
+"""Materials of dry and wet pores, which come first; those of other pores follow."""
+
 
 class Interface(NamedTuple):
     """Two materials that meet, and the share of all meetings of light with grains that is theirs.
@@ -74,6 +77,8 @@ class Impure(Protocol):
 def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
     """Return the absorption coefficients (1/m) of a medium's materials, impurities included.
 
+    Those of pores apply to the length of a leg (`pore_fraction`).
+
     Parameters
     ----------
     medium : Described
@@ -85,6 +90,8 @@ def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarra
     first = 0
     for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
         count = len(part.materials())
+        if isinstance(part, GranularMedium):
+            absorption[:, first : first + PORES + len(part.pores)] *= pore_fraction(part)
         if isinstance(part, Impure):
             absorption[:, first : first + count] += part.added_absorption(wavelength_nm)
         first += count
@@ -171,13 +178,26 @@ class GranularMedium(Described, Protocol):
 
 
 def mean_leg_m(medium: GranularMedium) -> float:
-    """Return the mean leg (m) that a ray goes through pores from one grain to the next.
+    """Return the mean leg (m) that a ray goes from one grain to the next.
 
     The papers' mean distance 1/(𝓔 K) is that between entries into grains (SPLITSnow Eq A.3), of
-    mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg.
+    mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg, unless grains are
+    points, among which the leg stands for both (`pore_fraction`).
     """
-    whole = medium.readings.grain_distance == "leg"
+    readings = medium.readings
+    whole = readings.grain_distance == "leg" or readings.grain_extent == "point"
     return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
+
+
+def pore_fraction(medium: GranularMedium) -> float:
+    """Return the fraction of a leg that counts as pore space when it absorbs.
+
+    It is 1 unless grains are points whose distance includes them: then 1 − 𝓔, and the coefficient
+    that applies per metre of leg is that of radiative transfer, (1 − 𝓔) times the material's.
+    """
+    readings = medium.readings
+    parted = readings.grain_distance == "leg_and_grain" and readings.grain_extent == "point"
+    return medium.porosity if parted else 1.0
 
 
 def check_room(medium: GranularMedium | LayeredMedium) -> None:

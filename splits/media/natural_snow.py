@@ -40,7 +40,7 @@ GRAINS: dict[str, Any] = {
     "facetness": (FACETNESS, FACETNESS, FACETNESS, 0.0),
     "sphericity": (SPHERICITY, SPHERICITY, SPHERICITY, 0.0),
 }
-READINGS = "geometric"
+READINGS = "radiative_transfer"
 
 
 def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from splits.checks import known_keywords, listed, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
 from splits.media.wetness import WATER
-from splits.transport.grains.scene import ENTRY, FACETS, FATE, WRONG_SIDE, Rules
+from splits.transport.grains.scene import ENTRY, EXTENT, FACETS, FATE, WRONG_SIDE, Rules
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "entry": tuple(ENTRY),
@@ -23,6 +23,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "grain_on_last_leg": tuple(FATE),
     "grain_across_boundary": tuple(FATE),
     "grain_distance": ("leg", "leg_and_grain"),
+    "grain_extent": tuple(EXTENT),
     "size_is": ("diameter", "semi_axis"),
     "struck_size": ("attenuation", "uniform"),
     "mixing": tuple(MIXING),
@@ -45,6 +46,11 @@ SETS: dict[str, dict[str, str]] = {
         "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
         "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
         "grain_distance": "leg_and_grain",
+    },
+    "radiative_transfer": {
+        "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
+        "grain_on_last_leg": "keep", "grain_across_boundary": "keep",
+        "grain_distance": "leg_and_grain", "grain_extent": "point",
     },
 }  # fmt: skip
 """Sets of readings by name; what a set does not say stays as by default."""
@@ -97,6 +103,12 @@ class TransportReadings:
         that from one entry to the next, the way through the grain included.  With the latter rays
         are in grains, and in water, for as much of their way as these fill of the volume, and
         meet as many grains per metre as their surface asks for.
+    grain_extent : {"finite", "point"}
+        The path through a grain displaces the ray, as the papers have it, or a grain is a point
+        scatterer, as radiative transfer has it.  The free path between points has the mean
+        1/(𝓔 K), of which the pore space is 1 − 𝓔 under ``grain_distance: leg_and_grain``, and all
+        of it under ``leg``.  A point overlaps neither a boundary nor the last leg, so the two
+        rules for such grains must be "keep".
     """
 
     entry: str = "uniform"
@@ -106,10 +118,16 @@ class TransportReadings:
     grain_on_last_leg: str = "reject"
     grain_across_boundary: str = "reject"
     grain_distance: str = "leg"
+    grain_extent: str = "finite"
 
     def __post_init__(self) -> None:
         for field in fields(self):
             one_of(f"readings.{field.name}", getattr(self, field.name), CHOICES[field.name])
+        for name in ("grain_on_last_leg", "grain_across_boundary"):
+            rule = getattr(self, name)
+            if self.grain_extent == "point" and rule != "keep":
+                hint = "or grain_extent finite, as in the set geometric"
+                raise refuse(f"readings.{name}", rule, "keep with grain_extent point", hint)
 
     @classmethod
     def of(cls: type[Kind], value: Any) -> Kind:
@@ -150,6 +168,7 @@ class TransportReadings:
             on_last_leg=FATE[self.grain_on_last_leg],
             across_boundary=FATE[self.grain_across_boundary],
             analog=analog,
+            point_grains=EXTENT[self.grain_extent],
         )
 
     def as_dict(self) -> dict[str, str]:

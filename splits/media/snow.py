@@ -79,7 +79,7 @@ class Snow:
         see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
     readings : Readings, str or mapping, optional
         Named readings of the papers, or the name of a set: "splitsnow_2021" (default),
-        "splits_2007" or "geometric".
+        "splits_2007", "geometric" or "radiative_transfer".
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
@@ -120,9 +120,10 @@ class Snow:
         """Return snow as it lies, by its surface area: dry, deep and clean unless said.
 
         Its grains have the absorption enhancement and the asymmetry parameter that natural snow
-        was measured to have at 900 nm (`splits.media.natural_snow`), its readings are those that
-        geometry and reciprocity ask for (``geometric``), its ice absorbs as Picard et al. (2016)
-        found below 600 nm, and its water is Segelstein's.
+        was measured to have at 900 nm (`splits.media.natural_snow`).  They are point scatterers
+        (readings ``radiative_transfer``), so that the reflectance of a half-space does not depend
+        on its density, the BRDF is reciprocal, and the mean path inside is that of equilibrium.
+        Its ice absorbs as Picard et al. (2016) found below 600 nm, and its water is Segelstein's.
 
         Parameters
         ----------

@@ -98,7 +98,7 @@ class Stack:
                 raise refuse(
                     f"layers[{number}].readings", layer.readings.as_dict(),
                     f"those of layers[{top}], {first.readings.as_dict()}",
-                    "one set holds for all: Stack(..., readings='geometric')",
+                    "one set holds for all: Stack(..., readings='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.of(self.ground))

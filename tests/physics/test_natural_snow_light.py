@@ -11,11 +11,22 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.analysis.directions import principal_plane
 from splits.analysis.grain_shape import optical_shape
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import packed
 from splits.materials import ice_density
 from splits.media.natural_snow import SHAPE
 
 B, G = (1.68, 0.02), (0.65, 0.03)
 """Mean and standard deviation of 33 samples at 900 nm (Robledano et al. 2023)."""
+
+DENSITIES = (10.0, 100.0, 300.0, 550.0)
+"""kg/m³"""
+
+
+def faint(index, absorption):
+    """Return a material of an index that absorbs so much (1/m) at 1000 nm."""
+    k = absorption * 1e-6 / (4.0 * np.pi)
+    return {"wavelength_nm": [900.0, 1100.0], "n": [index, index], "k": [k, k]}
 
 
 def snow(area=20.0, **settings):
@@ -69,16 +80,81 @@ def test_snow_is_brighter_forwards(wavelength):
         assert gap > 3.0 * math.hypot(float(ahead.brdf_stderr), float(back.brdf_stderr)), angle
 
 
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("incidence", [0.0, 60.0, 75.0, 80.0, "diffuse"])
+def test_a_half_space_does_not_depend_on_its_density(incidence):
+    """All lengths grow with the distance between grains, and no light comes from below."""
+    found = [
+        splits.spectrophotometer(snow(density_kg_m3=density), [1300.0], incidence, 0.002)
+        for density in DENSITIES
+    ]
+    assert np.ptp([one.reflectance.item() for one in found]) < 2e-4
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_dense_snow_obeys_discrete_ordinates():
+    """Half-spaces and layers over a ground, whatever their density, with the grains' own optics."""
+    pytest.importorskip("PythonicDISORT")
+    z = []
+    wavelengths = [600.0, 1030.0, 1300.0]
+    for number, (density, depth, ground) in enumerate(
+        ((550.0, 1.0, None), (550.0, 0.02, 0.5), (100.0, 0.05, None))
+    ):
+        layer = snow(density_kg_m3=density, depth_m=depth, ground=ground)
+        optics = packed(splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3))
+        for incidence in (75.0, "diffuse"):
+            expected = discrete_ordinates(optics, incidence, ground=ground)
+            found = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)
+            for name in ("reflectance", "transmittance"):
+                error = np.hypot(expected[f"{name}_stderr"], found[f"{name}_stderr"])
+                z.append(((found[name] - expected[name]) / np.maximum(error, 1e-5)).values)
+    judge_z(np.array(z), independent=6, bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [100.0, 550.0])
+def test_dense_snow_is_in_ice_for_as_much_of_the_path_as_the_laws_say(density):
+    """Mass along a straight line, and the mean path in a white slab under diffuse light."""
+    alpha, depth, rays = 0.03, 0.02, 200_000
+
+    def absorbed(index, light, scale=1.0, air=1.0):
+        tables = {"ice": faint(index, scale * alpha), "air": faint(1.0, air * scale * alpha)}
+        made = snow(density_kg_m3=density, depth_m=depth, refractive_index=tables)
+        run = splits.spectrophotometer(made, [1000.0], light, 1e-6, max_rays=rays)
+        return run.absorptance.item() / alpha, run.absorptance_stderr.item() / alpha
+
+    fraction = snow(density_kg_m3=density).ice_fraction
+    ice, error = absorbed(1.0, 0.0, air=0.0)
+    assert abs(ice - fraction * depth) < 3.0 * error + 1e-3 * fraction * depth
+    # <L> α − <L²> α²/2 at one and at two times α, by the same paths.
+    (once, error), (twice, _) = absorbed(1.31, "diffuse"), absorbed(1.31, "diffuse", 2.0)
+    path = 2.0 * once - 0.5 * twice
+    optics = splits.single_scattering(
+        snow(density_kg_m3=density, depth_m=depth, refractive_index={"ice": faint(1.31, alpha)}),
+        [1000.0], moments=1, rays=400_000,
+    ).isel(wavelength=0)  # fmt: skip
+    per_path = snow().attenuation_per_m / alpha
+    enhancement = per_path * (1.0 - optics.single_scattering_albedo.item())
+    own = per_path * optics.single_scattering_albedo_stderr.item()
+    law = 2.0 * depth * (1.0 - fraction + enhancement * fraction)
+    assert abs(path - law) < 3.0 * math.hypot(error, 2.0 * depth * fraction * own) + 1e-3 * law
+
+
 @pytest.mark.long
 @NEEDS_JIT
 @pytest.mark.slow
-def test_packed_natural_snow_is_reciprocal():
+@pytest.mark.parametrize("density", [300.0, 550.0])
+def test_packed_natural_snow_is_reciprocal(density):
     pairs = ((0, 40, 0), (20, 70, 0), (20, 70, 180), (45, 75, 90), (60, 30, 180), (10, 80, 45))
     angles = sorted({angle for pair in pairs for angle in pair[:2]})
     runs = {
         angle: splits.goniophotometer(
-            snow(depth_m=0.05), [1000.0], angle, seed=angle, relative_stderr=0.015,
-            polar_deg=angles, azimuth_deg=sorted({float(pair[2]) for pair in pairs}),
+            snow(depth_m=0.05, density_kg_m3=density), [1000.0], angle, seed=angle,
+            relative_stderr=0.015, polar_deg=angles,
+            azimuth_deg=sorted({float(pair[2]) for pair in pairs}),
         ).isel(wavelength=0)
         for angle in angles
     }  # fmt: skip

@@ -10,12 +10,18 @@ import xarray as xr
 from splits.analysis.misfit import Statement, misfit, numbers_stated
 from splits.experiments import rank_readings
 from splits.experiments.published_snow import FLOORS, NUMBERS, RANGES, STAGES, TRENDS, pairs_of
-from splits.experiments.rank_readings import FATES, TAKEN, Combination, called, spelt_out
+from splits.experiments.rank_readings import (
+    FATES,
+    PAPER_SETS,
+    TAKEN,
+    Combination,
+    called,
+    spelt_out,
+)
 from splits.experiments.ranking_tables import left_out, ranking, statements, telling
 from splits.experiments.trial import WATERS, beside, same, sectors
 from splits.materials import refractive_index
 from splits.media import Readings
-from splits.media.readings import SETS
 
 NUMBER = Statement("table3_842", "Table 3", 0.9, 0.03)
 TREND = Statement("fig19_peak_60", "Fig 19", 0.0, 0.1, trend=True)
@@ -167,9 +173,9 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
     choices = {"entry": ["uniform", "projected"], "facets": ["projected", "any"]}
     found, stated = rank_readings.rank_readings(table, choices, {"entry": "uniform"})
     # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
-    assert len(found) == 4 + len(SETS) - 1 and set(stated) == {"a"}
+    assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
     complete = [one for one in found if one.done == 2]
-    assert {one.set_name() for one in complete} == {"", *SETS}
+    assert {one.set_name() for one in complete} == {"", *PAPER_SETS}
     assert found[0].least == 0.0 and found[-1].done == 1
 
 

@@ -37,10 +37,10 @@ def test_water_by_volume_of_snow():
     assert snow.saturation == pytest.approx(0.02 / snow.porosity)
 
 
-def test_natural_snow_is_deep_dry_and_geometric():
+def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
     assert snow.depth_m == math.inf and snow.saturation == 0.0
-    assert snow.readings == splits.Readings.of("geometric")
+    assert snow.readings == splits.Readings.of("radiative_transfer")
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
     facts = snow.describe()
@@ -82,6 +82,12 @@ def test_natural_snow_is_deep_dry_and_geometric():
             ValueError, "not g/cm3",
         ),
         (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
+        (
+            lambda: splits.Snow.natural(
+                optical_radius_um=90, readings={"grain_across_boundary": "skip"}
+            ),
+            ValueError, "grain_across_boundary = 'skip': must be keep with grain_extent point",
+        ),
     ],
 )  # fmt: skip
 def test_bad_input_gets_one_line(make, error, message):
@@ -109,7 +115,7 @@ def test_in_files(tmp_path):
     )
     found = loaded(tmp_path, text)
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
-    assert all(one.readings == splits.Readings.of("geometric") for one in found)
+    assert all(one.readings == splits.Readings.of("radiative_transfer") for one in found)
     text = (
         "medium: {base: splitsnow_table1, readings: geometric}\n"
         "grid: {liquid_water_content: [0, 0.1], readings: {same: {}, other: {facets: any},"

@@ -119,7 +119,8 @@ def met(state, ray, found, scene, optics, length):
         return Ray(fate, flier, after.beam, ray.legs, ray.order + 1, ray.most)
     walked = walk(state, ray.beam, found, scene, optics, length)
     fate = TRAVELS if walked.alive else ABSORBED
-    flier = Flier(ray.flier.place, walked.way, walked.beam.d, ray.flier.last, 0.0)
+    way = ORIGIN if scene.rules.point_grains else walked.way
+    flier = Flier(ray.flier.place, way, walked.beam.d, ray.flier.last, 0.0)
     return Ray(fate, flier, walked.beam, ray.legs, ray.order + 1, ray.most)
 
 

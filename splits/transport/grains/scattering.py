@@ -18,7 +18,7 @@ from splits.transport.grains.scene import Optics, Scene
 from splits.transport.grains.spheroid import strike
 from splits.transport.grains.walk import walk
 from splits.transport.numerics.rng import start_stream, uniform
-from splits.transport.numerics.vectors import UP, dot
+from splits.transport.numerics.vectors import ORIGIN, UP, dot
 
 PARTS = 16
 """Equal parts of all rays, from which errors of what theories make of them come: to 18 %."""
@@ -105,7 +105,8 @@ def scatter(seed, work, orders, solitary, absorption):
         walked = walk(state, beam, found, solitary.scene, solitary.optics, length)
         if not walked.alive:
             continue
-        d, way = walked.beam.d, walked.way
+        d = walked.beam.d
+        way = ORIGIN if solitary.scene.rules.point_grains else walked.way
         # Rounding may carry the cosine past 1, which high orders would amplify.
         legendre(min(1.0, max(-1.0, d.z)), told[:orders])
         told[orders] = way.z

@@ -41,6 +41,9 @@ REDRAWN = 1
 SKIPPED = 2
 """A grain that does not fit is left out: the next distance counts from its place."""
 
+EXTENT = {"finite": False, "point": True}
+"""Whether the path through a grain displaces the ray, or the grain is a point scatterer."""
+
 ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
 WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
@@ -153,7 +156,8 @@ class Rules(NamedTuple):
     """Named readings of the papers as the numbers that kernels branch on (see `ENTRY` etc.).
 
     `analog` turns absorption into a coin toss on every leg; otherwise path lengths are kept and
-    turned into weights when the ray leaves.
+    turned into weights when the ray leaves.  `point_grains` makes grains point scatterers: a ray
+    leaves a grain at the point at which it entered.
     """
 
     entry: int
@@ -163,6 +167,7 @@ class Rules(NamedTuple):
     on_last_leg: int
     across_boundary: int
     analog: bool
+    point_grains: bool
 
 
 class Scene(NamedTuple):

@@ -40,7 +40,10 @@ def passing_of(scene):
     top, bottom = single(layers.face[0]), single(layers.face[layers.face.size - 1])
     space = Space(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top, top)
     mirrored = rules.wrong_side != LOBE
-    return Passing(space, fates_of(rules), single(layers.saturation[0]), rules.facets, mirrored)
+    saturation = single(layers.saturation[0])
+    return Passing(
+        space, fates_of(rules), saturation, rules.facets, mirrored, rules.point_grains
+    )  # fmt: skip
 
 
 @owner

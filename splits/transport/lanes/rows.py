@@ -99,7 +99,7 @@ class Passing(NamedTuple):
     fates : Fates
     saturation : float32
     facets : int32
-    mirrored : bool
+    mirrored, point_grains : bool
     """
 
     space: Space
@@ -107,3 +107,4 @@ class Passing(NamedTuple):
     saturation: np.float32
     facets: np.int32
     mirrored: np.bool_
+    point_grains: np.bool_

@@ -140,7 +140,7 @@ def trial(state, words, i, features, scene):
         if features.layered is not None:
             pore = state[rows.PORE + i]
             state[rows.PORE + i] = numbers.pore if keep & (not (stand.lobe & outward)) else pore
-    move(state, i, grain, after, gone, features)
+    move(state, i, grain, after, gone, features, scene.point_grains)
     put(state, rows.DX + i, chosen(after.done, after.d, d))
     state[rows.SHELL + i] = gone.stand.shell
     state[rows.SIDE + i] = gone.stand.side
@@ -154,14 +154,14 @@ def trial(state, words, i, features, scene):
 
 
 @part
-def move(state, i, grain, after, gone, features):
+def move(state, i, grain, after, gone, features, point_grains):
     """Bring a lane's ray through the coating or the core that it now crosses."""
     chord = across(grain, after.d)
     leg = chord.length if gone.core else ZERO
     put(state, rows.QX + i, chosen(gone.core, chord.grain.q, grain.q))
     way, done = vector(state, rows.GX + i), scaled(leg, after.d)
     # A direction that is no number, in a lane that waits, must not get into its way.
-    more = chosen(gone.core, done, Vector(ZERO, ZERO, ZERO))
+    more = chosen(gone.core & (not point_grains), done, Vector(ZERO, ZERO, ZERO))
     put(state, rows.GX + i, Vector(way.x + more.x, way.y + more.y, way.z + more.z))
     state[rows.CORE_PATH + i] += leg
     depth = leg * state[rows.A_CORE + i]

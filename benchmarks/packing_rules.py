@@ -1,0 +1,207 @@
+"""Laws that a dense medium of grains has to obey, by the rule for grains near boundaries.
+
+    python benchmarks/packing_rules.py [--quick] [TABLE.csv]
+
+The grains have the sizes and shapes of natural snow of 20 m²/kg.  Rules are the interpretations of
+grains that reach across a boundary or over the last path segment (`reject`, `skip`, `keep`, the
+rest as in the set ``geometric``, which has `skip`), `point`, the set ``radiative_transfer`` of
+`splits.Snow.natural`, and the sets of the papers.  The laws:
+
+similarity     Reflectance of a half-space at 1300 nm less that of the same grains at 10 kg/m³,
+               where no rule matters: 0 at every density, for beams and for diffuse light.
+ordinates      The same less discrete ordinates with the single scattering of the same grains, and
+               transmittance of 5 cm at 700 nm less theirs (`packed`).
+reciprocity    BRDF of 5 cm at 1000 nm, averaged over azimuth, from 30° to 70° over that from 70°
+               to 30°: 1.
+enhancement    Mean path in a grain under isotropic light over n² times its mean chord: 1 in
+               equilibrium.  It belongs to the facets of the grains, and no rule changes it.
+mean path      In 2 cm that absorb almost nothing, under diffuse light, over 2 H (1 − f + B f): 1
+               (f the volume fraction of ice, B = n² times the enhancement; Blanco & Fournier 2003,
+               Europhysics Letters 61, 168).
+mass           Path in ice of index 1, per depth and volume fraction, under a beam from above: 1.
+
+Standard errors stand beside every number.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+import splits
+from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.radiative_transfer import packed
+from splits.analysis.tables import write_table
+
+GEOMETRIC = "geometric"
+RULES: dict[str, Any] = {
+    rule: {"set": GEOMETRIC, "grain_on_last_leg": rule, "grain_across_boundary": rule}
+    for rule in ("reject", "skip", "keep")
+} | {
+    "point": "radiative_transfer",
+    "splits_2007": "splits_2007",
+    "splitsnow_2021": "splitsnow_2021",
+}
+DENSITIES = (10.0, 100.0, 300.0, 500.0, 550.0)
+INCIDENCES: tuple[float | str, ...] = (0.0, 30.0, 60.0, 75.0, 80.0, "diffuse")
+ICE = 1.31
+KEYS = ("rule", "density_kg_m3", "law", "light")
+GAPS = ("similarity", "ordinates R", "ordinates T")
+"""Laws that ask for 0; the others ask for 1."""
+FAINT = 0.03
+"""Absorption coefficient (1/m) of all materials that measures the mean path."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Largest standard error of reflectances, relative one of BRDFs, and rays for mean paths."""
+
+    stderr: float = 0.0007
+    brdf: float = 0.004
+    rays: int = 2_000_000
+
+
+def natural(rule: str, density: float, **settings: Any) -> splits.Snow:
+    """Return natural snow under a rule."""
+    return splits.Snow.natural(
+        specific_surface_area_m2_kg=20.0, density_kg_m3=density, readings=RULES[rule], **settings
+    )
+
+
+@cache
+def reflect_dilute(rule: str, incidence: float | str, stderr: float) -> xr.Dataset:
+    """Return what the dilute half-space reflects."""
+    return splits.spectrophotometer(natural(rule, 10.0), [1300.0], incidence, stderr, 20)
+
+
+def measure_similarity(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+    """Yield reflectances of a half-space against the dilute one and discrete ordinates."""
+    snow = natural(rule, density)
+    deep = natural(rule, density, depth_m=1e4 / density)
+    optics = packed(splits.single_scattering(deep, [1300.0], rays=500_000))
+    for number, incidence in enumerate(INCIDENCES):
+        found = splits.spectrophotometer(snow, [1300.0], incidence, effort.stderr, 10 + number)
+        other = reflect_dilute(rule, incidence, effort.stderr)
+        theory = discrete_ordinates(optics, incidence)
+        for law, expected in (("similarity", other), ("ordinates R", theory)):
+            gap = (found.reflectance - expected.reflectance).item()
+            error = np.hypot(found.reflectance_stderr, expected.reflectance_stderr).item()
+            yield law, incidence, gap, error
+
+
+def measure_transmittance(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+    """Yield transmittances against discrete ordinates."""
+    snow = natural(rule, density, depth_m=0.05)
+    optics = packed(splits.single_scattering(snow, [700.0], rays=500_000))
+    for number, incidence in enumerate((0.0, 75.0)):
+        found = splits.spectrophotometer(snow, [700.0], incidence, effort.stderr, 30 + number)
+        theory = discrete_ordinates(optics, incidence)
+        gap = (found.transmittance - theory.transmittance).item()
+        error = np.hypot(found.transmittance_stderr, theory.transmittance_stderr).item()
+        yield "ordinates T", incidence, gap, error
+
+
+def measure_reciprocity(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+    """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back."""
+    snow, means, errors = natural(rule, density, depth_m=0.05), [], []
+    for incidence, view in ((30.0, 70.0), (70.0, 30.0)):
+        found = splits.goniophotometer(
+            snow, [1000.0], incidence, relative_stderr=effort.brdf, seed=round(incidence),
+            polar_deg=[view], azimuth_deg=np.arange(0.0, 360.0, 15.0),
+        ).squeeze()  # fmt: skip
+        mean = float(found.brdf.mean())
+        means.append(mean)
+        # Directions are estimated from the same rays: their errors are taken as one.
+        errors.append(float(found.brdf_stderr.mean()) / mean)
+    ratio = means[0] / means[1]
+    yield "reciprocity", "30-70", ratio, ratio * float(np.hypot(*errors))
+
+
+def measure_paths(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+    """Yield mean path over its law, and the path in ice of index 1 over its share of the depth."""
+    white = natural(rule, density, depth_m=0.02)
+    fraction, depth = white.ice_fraction, white.depth_m
+    indices = {"ice": _faint(ICE, FAINT)}
+    optics = splits.single_scattering(
+        natural(rule, density, depth_m=depth, refractive_index=indices), [1000.0], moments=1,
+        rays=1_000_000,
+    ).squeeze()  # fmt: skip
+    per_path = white.attenuation_per_m / (FAINT * ICE**2)
+    enhancement = per_path * (1.0 - optics.single_scattering_albedo.item())
+    error = per_path * optics.single_scattering_albedo_stderr.item()
+    yield "enhancement", "diffuse", enhancement, error
+    law = 2.0 * depth * (1.0 - fraction + enhancement * ICE**2 * fraction)
+    for name, light, index, in_air, length in (
+        ("mean path", "diffuse", ICE, 1.0, law), ("mass", 0.0, 1.0, 0.0, depth * fraction),
+    ):  # fmt: skip
+        # Absorptance over the coefficient falls short by half of <L²> times it: two coefficients,
+        # whose runs have the same paths, take that out.
+        ratios = []
+        for alpha in (FAINT, 2.0 * FAINT):
+            indices = {"ice": _faint(index, alpha), "air": _faint(1.0, in_air * alpha)}
+            snow = natural(rule, density, depth_m=depth, refractive_index=indices)
+            found = splits.spectrophotometer(
+                snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays
+            ).squeeze()
+            ratios.append(found[["absorptance", "absorptance_stderr"]] / (alpha * length))
+        mean = 2.0 * ratios[0].absorptance - ratios[1].absorptance
+        yield name, light, mean.item(), ratios[0].absorptance_stderr.item()
+
+
+def _faint(index: float, absorption: float) -> dict[str, list[float]]:
+    k = absorption * 1e-6 / (4.0 * np.pi)
+    return {"wavelength_nm": [500.0, 2000.0], "n": [index, index], "k": [k, k]}
+
+
+MEASURES = (measure_similarity, measure_transmittance, measure_reciprocity, measure_paths)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", nargs="?")
+    parser.add_argument("--quick", action="store_true", help="larger errors, two densities")
+    given = parser.parse_args()
+    effort = Effort(0.004, 0.03, 100_000) if given.quick else Effort()
+    densities = (10.0, 500.0) if given.quick else DENSITIES
+    rows = []
+    for rule in RULES:
+        for density in densities:
+            rows += [
+                (rule, density, *row) for one in MEASURES for row in one(rule, density, effort)
+            ]
+            print(f"{rule} at {density:g} kg/m3 is measured", flush=True)
+    found = pd.DataFrame(rows, columns=[*KEYS, "value", "stderr"])
+    table = tabulate(found)
+    if given.table:
+        write_table(table, given.table)
+    print(found.round(4).to_string(index=False))
+    print(table.to_string(index=False))
+
+
+def tabulate(found: pd.DataFrame) -> pd.DataFrame:
+    """Return the laws at the largest density, similarity at 75° at every one, by rule."""
+    densest = found.density_kg_m3 == found.density_kg_m3.max()
+    some = found[densest | ((found.law == "similarity") & (found.light == 75.0))].copy()
+    some["value"] = [
+        f"{row.value:+.3f} ± {row.stderr:.3f}" if row.law in GAPS else
+        f"{row.value:.3f} ± {row.stderr:.3f}"
+        for row in some.itertuples()
+    ]  # fmt: skip
+    wide = some.pivot_table(
+        "value", ["law", "light", "density_kg_m3"], "rule", aggfunc="first", sort=False
+    )
+    return wide[list(dict.fromkeys(found.rule))].reset_index()
+
+
+if __name__ == "__main__":
+    main()

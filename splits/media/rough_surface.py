@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
+from splits.arrays import read_columns, read_numbers
+from splits.checks import in_range, known_keywords, one_of, refuse, snap_to_ends, suggestion, under
 from splits.media.surface_laws import (
     CORRELATIONS,
     LAWS,
@@ -112,7 +113,7 @@ class SurfaceField:
 
     def correlation_at(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
-        r = np.asarray(r_m, dtype=float)
+        r = read_numbers("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
             return np.array([sum_of_cells(self.quantiles, x) for x in r.ravel()]).reshape(r.shape)
         law = LAWS[self.correlation]
@@ -173,7 +174,7 @@ class RoughSurface:
 
     def correlation(self, r_m: Any) -> np.ndarray:
         """Return the expected correlation of heights at distances (m); of a plane, 1."""
-        r = np.asarray(r_m, dtype=float)
+        r = read_numbers("r_m", r_m, "numbers in metres")
         if self.rms_height_m == 0.0:
             return np.ones_like(r)
         shares = ((field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields)
@@ -265,9 +266,10 @@ def _columns(given: Any) -> dict[str, tuple[float, ...]]:
     allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM)
     if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM):
         raise refuse("spectrum", given, allowed)
-    k, density = (row_of(f"spectrum.{key}", given[key]) for key in _SPECTRUM)
+    k, density = read_columns("spectrum", {key: given[key] for key in _SPECTRUM})
     if k.shape != density.shape or k.size < 2:
         raise refuse("spectrum", dict(given), allowed, "two rows at least")
+    k, density = (snap_to_ends(row, 0.0, math.inf) for row in (k, density))
     if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
         raise refuse("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
     if (density < 0.0).any() or not density[k > 0.0].any():

@@ -1,8 +1,8 @@
-"""Arrays of numbers that a user gives: read in one way, gaps told, labels heeded.
+"""One way to read arrays of numbers that a user gives.
 
-Every array of a user passes through `read_numbers`, alone or in the functions below it.  Masked
-members, NaN, NaT and the missing values of pandas are one kind, gaps.  Where values have labels of
-their own (pandas, xarray), the labels decide what belongs to what, and not the places.
+Every such array passes through `read_numbers`, alone or within the functions below it.  Masked
+members, NaN and the missing values of pandas are one kind, gaps.  Where values have labels of their
+own (pandas, xarray), the labels decide what belongs to what, and not the places.
 """
 
 from __future__ import annotations
@@ -156,6 +156,14 @@ def check_each(
     return found
 
 
+def check_gaps(key: str, data: xr.Dataset | xr.DataArray) -> None:
+    """Refuse a dataset with a gap in what it holds."""
+    variables = data.data_vars.values() if isinstance(data, xr.Dataset) else [data]
+    for one in variables:
+        if pd.isna(one.values).any():
+            raise refuse(key, f"gaps in {one.name}", "numbers", "masked, NaN or missing")
+
+
 def find_labels(values: Any, axis: int = 0) -> pd.Index | None:
     """Return the labels that values have along an axis, None where they have none."""
     if isinstance(values, pd.Series | pd.DataFrame):
@@ -215,8 +223,8 @@ def match_places(
             return found
     if counted and own.equals(pd.RangeIndex(own.size)):
         return slice(None)
-    least = shown(list(wanted[0]))
-    raise refuse(key, f"values at {shown(own.tolist())}", f"values at {least}", UNLABELLED)
+    there, least = own.tolist(), np.asarray(wanted[0]).tolist()
+    raise refuse(key, f"values at {shown(there)}", f"values at {shown(least)}", UNLABELLED)
 
 
 def _match(own: pd.Index, labels: Any) -> np.ndarray | None:

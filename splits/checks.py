@@ -18,6 +18,8 @@ import numpy as np
 
 MOST_NAMES = 24
 """A message lists so many names at most."""
+NO_NUMBERS = (bool, np.timedelta64)
+"""Types that Python and NumPy count among the numbers."""
 ROUNDING = 1e-9
 """Part of the end of a range by which rounding may take a number beyond it."""
 ROUNDING_AT_ZERO = 1e-12
@@ -187,7 +189,7 @@ def number(key: str, value: object, allowed: str = "a finite number") -> float:
     value = scalar(value)
     if isinstance(value, str):
         raise refuse(key, value, allowed, "this is text, not a number")
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if isinstance(value, NO_NUMBERS) or not isinstance(value, Real):
         raise refuse(key, value, allowed)
     try:
         x = float(value)
@@ -201,7 +203,7 @@ def number(key: str, value: object, allowed: str = "a finite number") -> float:
 def snap_to_ends(values: Any, low: float, high: float) -> np.ndarray:
     """Return numbers, with those at the end of a range that only rounding has taken beyond it."""
     x = np.asarray(values, dtype=float)
-    for end, beyond in ((low, x < low), (high, x > high)):
+    for end, beyond in ((float(low), x < low), (float(high), x > high)):
         if beyond.any():
             near = np.abs(x - end) <= (ROUNDING * abs(end) if end else ROUNDING_AT_ZERO)
             x = np.where(beyond & near, end, x)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.arrays import check_each, row_of
+from splits.arrays import check_each, check_gaps, row_of
 from splits.checks import in_range, refuse
 from splits.dataset import attributes
 from splits.files import whole
@@ -308,3 +308,4 @@ def _check(optics: xr.Dataset) -> None:
     if "diffraction" not in optics.attrs or f"{MOMENT}_left_out" not in optics:
         title = optics.attrs.get("title", "a dataset")
         raise refuse("optics", title, "what splits.single_scattering returns")
+    check_gaps("optics", optics)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from splits.arrays import check_each, increasing, row_of
-from splits.checks import in_range, refuse, scalar, snap_to_ends, suggestion
+from splits.checks import NO_NUMBERS, in_range, refuse, scalar, snap_to_ends, suggestion
 from splits.instruments.threads import cpus
 from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.turbid import SurfaceMedium, TurbidMedium
@@ -112,7 +112,7 @@ def _meant(text: str) -> str:
 def check_whole(key: str, value: object, low: int, high: int = MOST_WHOLE) -> int:
     """Return a whole number from `low` to `high`, by default what fits into 63 bits, or refuse."""
     value = scalar(value)
-    if not isinstance(value, Integral) or isinstance(value, bool):
+    if not isinstance(value, Integral) or isinstance(value, NO_NUMBERS):
         hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
         raise refuse(key, value, f"a whole number of at least {low}", hint)
     whole = int(value)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.arrays import check_gaps
 from splits.checks import ROUNDING, number, one_of, refuse, scalar, snap_to_ends
 from splits.files import whole
 from splits.lookup.axes import INCIDENCE, check_places
@@ -105,16 +106,17 @@ def _ordered(part: xr.DataArray, impurity: str) -> np.ndarray:
 
 def band_weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
     """Return the weights of wavelengths in the mean over a band."""
-    low, high = snap_to_ends(band.ends, w[0], w[-1]).tolist()
+    nodes = snap_to_ends(band.wavelength_nm, w[0], w[-1])
+    low, high = nodes[[0, -1]].tolist()
     if low < w[0] or high > w[-1]:
         allowed = f"within the table's {w[0]:g} to {w[-1]:g} nm"
         raise refuse(f"bands[{name!r}]", [low, high], allowed)
     inside = w[(w > low) & (w < high)]
-    ends = np.unique(np.concatenate([band.wavelength_nm, inside]))
+    ends = np.unique(np.concatenate([nodes, inside]))
     # Spectrum and response are linear between these: Simpson's rule is exact.
     grid = np.stack([ends[:-1], 0.5 * (ends[:-1] + ends[1:]), ends[1:]])
     simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(ends) / 6.0
-    response = np.interp(grid, band.wavelength_nm, band.response) * simpson
+    response = np.interp(grid, nodes, band.response) * simpson
     weights = np.array([(np.interp(grid, w, unit) * response).sum() for unit in np.eye(w.size)])
     total: float = weights.sum()
     return weights / total
@@ -144,4 +146,5 @@ def held(
         if not found.size:
             raise refuse(name, chosen, "one of " + ", ".join(map(str, values)))
         part = part.isel({name: int(found[0])})
+    check_gaps("table", part)
     return part

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from splits.arrays import row_of
+from splits.arrays import check_gaps, row_of
 from splits.checks import one_of, refuse
 from splits.checksum import LOCK
 from splits.dataset import attributes, load, opened
@@ -19,6 +19,8 @@ from splits.lookup.formats import for_spires, write_csv
 from splits.lookup.interpolation import Weights, place_on, weights_at
 from splits.lookup.isofit import for_isofit
 from splits.lookup.large import IN_MEMORY
+
+Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
 
 class Table:
@@ -204,9 +206,7 @@ class Table:
             needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
             weights.append(found.among(needed))
             part = part.isel({name: needed})
-        # The library underneath bears one reader at a time.
-        with LOCK:
-            return part.load(), weights
+        return load_part(part), weights
 
     def to_csv(self, path: str | Path) -> None:
         """Write it as CSV, see `splits.lookup.formats.write_csv`."""
@@ -238,6 +238,15 @@ class Table:
                 variables[name + end] = ("wavelength", values, facts)
         axis = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
         return xr.Dataset(variables, {"wavelength": axis}, attributes(at))
+
+
+def load_part(part: Part) -> Part:
+    """Return a part of a table in memory, or refuse one with gaps."""
+    # The library underneath bears one reader at a time.
+    with LOCK:
+        part = part.load()
+    check_gaps("table", part)
+    return part
 
 
 class _Read:

@@ -12,7 +12,17 @@ from typing import Any
 import numpy as np
 
 from splits.arrays import read_columns, read_numbers
-from splits.checks import in_range, known_keywords, one_of, refuse, snap_to_ends, suggestion, under
+from splits.checks import (
+    NO_NUMBERS,
+    in_range,
+    known_keywords,
+    one_of,
+    refuse,
+    scalar,
+    snap_to_ends,
+    suggestion,
+    under,
+)
 from splits.media.surface_laws import (
     CORRELATIONS,
     LAWS,
@@ -255,7 +265,8 @@ def _field(where: str, given: Any) -> SurfaceField:
 
 def _whole(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
     """Return a whole number, or refuse it."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    value = scalar(value)
+    whole = isinstance(value, Integral) and not isinstance(value, NO_NUMBERS)
     if not whole or not low <= int(value) <= high:
         raise refuse(key, value, f"a whole number from {low} to {high}")
     return int(value)

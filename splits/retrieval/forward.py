@@ -9,11 +9,10 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of, refuse
-from splits.checksum import LOCK
 from splits.lookup.axes import Axes, check_places
 from splits.lookup.formats import band_weights
 from splits.lookup.interpolation import spaced, weights_at
-from splits.lookup.reading import Table
+from splits.lookup.reading import Table, load_part
 from splits.retrieval.coordinates import LEVEL, Free, Widest
 from splits.retrieval.cubics import read, read_all
 from splits.retrieval.descents import Grid
@@ -231,9 +230,7 @@ def _slice(
             continue
         w = weights_at(name, nodes, given)
         part, shares[name] = part.isel({name: w.nodes}), w.share
-    # The library underneath bears one reader at a time.
-    with LOCK:
-        part = part.load()
+    part = load_part(part)
     for name, share in shares.items():
         part = part.dot(xr.DataArray(share, dims=name), name)
     values = part.transpose(*axes, "wavelength").values.astype(float)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from splits.arrays import numbers
-from splits.checks import in_range, refuse, unknown_key
+from splits.checks import in_range, refuse, under, unknown_key
 from splits.instruments.arguments import check_incidence, check_medium
 from splits.instruments.progress import Report
 from splits.lookup.axes import check_places
 from splits.lookup.interpolation import spaced
+from splits.media.measured_inputs import check_one_of_each
 from splits.media.parameters import INCIDENCE, value_of, with_value
 from splits.media.turbid import Medium
 from splits.retrieval.coordinates import LEVEL, Free, Widest
@@ -41,6 +42,8 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     if not isinstance(ranges, Mapping):
         hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
         raise refuse("free", ranges, "(low, high) by name", hint)
+    with under("free"):
+        check_one_of_each({str(name): pair for name, pair in ranges.items()})
     known: dict[str, Widest] = {LEVEL: Widest(*LEVELS, "itself")}
     for name, pair in ranges.items():
         if name == LEVEL:

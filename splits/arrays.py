@@ -230,7 +230,7 @@ def match_places(
 def _match(own: pd.Index, labels: Any) -> np.ndarray | None:
     """Return where each label stands among one's own, None if they are not the same."""
     wanted: Any = np.asarray(labels)
-    there: Any = np.asarray(own)
+    there: Any = np.asarray(own.tolist())
     if there.shape != wanted.shape:
         return None
     numeric = wanted.dtype.kind in "fiu"

@@ -13,6 +13,7 @@ from test_bird import WHO, measured
 from test_phase_functions_by_angle import optics
 
 import splits
+from splits.analysis.errors import weighted_error
 from splits.checks import Refusal
 from splits.dataset import without_volatile
 from splits.lookup.formats import for_spires
@@ -165,6 +166,23 @@ def test_maps_take_every_form_of_numbers(form):
 def test_maps_of_what_is_no_number_are_refused(kind):
     with pytest.raises(Refusal, match="image = "):
         mapped(REFUSED[kind](np.full(W.size, 0.5)))
+
+
+def test_weights_along_a_spectrum_are_matched():
+    w, about = [500.0, 600.0, 700.0], ("wavelength",)
+    groups = (("group", *about), np.full((2, 3), 0.01))
+    found = xr.Dataset(
+        {"r_stderr": (about, [0.1, 0.2, 0.3]), "r_groups": groups}, {"wavelength": w}
+    )
+    weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, about)
+    errors = [weighted_error(found, "r", one) for one in (weights, weights[::-1])]
+    assert_same(errors[0].to_dataset(name="error"), errors[1].to_dataset(name="error"))
+    for wrong in (
+        weights.assign_coords(wavelength=[500.0, 600.0, 800.0]),
+        weights.where(weights > 0),
+    ):
+        with pytest.raises(Refusal, match="weights = "):
+            weighted_error(found, "r", wrong)
 
 
 def table_of(form, dataset):

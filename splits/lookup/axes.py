@@ -103,7 +103,7 @@ def check_places(
         raise refuse(place.rstrip("."), at, "a mapping from axes to values")
     known, found = list(axes), {}
     for name, value in (at or {}).items():
-        own = SHORT.get(name, name)
+        own = name if name in known else SHORT.get(name, name)
         if own not in known:
             raise unknown_key(f"{place}{name}", known)
         if own in found:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.arrays import check_gaps
 from splits.checks import refuse
 from splits.files import whole
 from splits.names import parameter_about
@@ -118,6 +119,7 @@ def _check(
         if "brdf" not in ds.data_vars or set(ds.brdf.dims) != {"wavelength", "polar", "azimuth"}:
             title = ds.attrs.get("title", "a dataset")
             raise refuse("datasets", title, "what splits.goniophotometer returns of a beam")
+        check_gaps("datasets", ds[[n for n in ds.data_vars if str(n).startswith("brdf")]])
         if _parameters(ds.attrs) != _parameters(given[0].attrs):
             other = "another medium"
             raise refuse("datasets", other, "the same for all", "write a file for each medium")

@@ -18,8 +18,12 @@ import numpy as np
 
 MOST_NAMES = 24
 """A message lists so many names at most."""
-MOST_NUMBERS = 20_000
-"""A row of numbers, such as wavelengths, is so long at most."""
+NO_NUMBERS = (bool, np.timedelta64)
+"""Types that Python and NumPy count among the numbers."""
+ROUNDING = 1e-9
+"""Part of the end of a range by which rounding may take a number beyond it."""
+ROUNDING_AT_ZERO = 1e-12
+"""The same where the end is 0."""
 
 
 class _Short(Repr):
@@ -150,6 +154,16 @@ def known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result
     return checked
 
 
+def name_as_texts(key: str, given: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return a mapping with texts for names, or refuse two names that are the same text."""
+    found: dict[str, Any] = {}
+    for name, value in given.items():
+        if str(name) in found:
+            raise refuse(key, name, "names that differ as texts", f"{name} is there twice")
+        found[str(name)] = value
+    return found
+
+
 @contextmanager
 def under(place: str) -> Iterator[None]:
     """Put the place of a section before the key of a refusal within."""
@@ -160,8 +174,14 @@ def under(place: str) -> Iterator[None]:
 
 
 def scalar(value: object) -> Any:
-    """Return the number that a NumPy scalar or an array without dimensions holds, or the value."""
-    return value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
+    """Return the number that a NumPy scalar or an array without dimensions holds, or the value.
+
+    What is masked holds none, and `item` of a date is a number by which the date is no longer told.
+    """
+    if getattr(value, "shape", None) != () or not hasattr(value, "item"):
+        return value
+    date = getattr(getattr(value, "dtype", None), "kind", "") in "mM"
+    return value if date or np.ma.is_masked(value) else value.item()
 
 
 def number(key: str, value: object, allowed: str = "a finite number") -> float:
@@ -169,7 +189,7 @@ def number(key: str, value: object, allowed: str = "a finite number") -> float:
     value = scalar(value)
     if isinstance(value, str):
         raise refuse(key, value, allowed, "this is text, not a number")
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if isinstance(value, NO_NUMBERS) or not isinstance(value, Real):
         raise refuse(key, value, allowed)
     try:
         x = float(value)
@@ -180,45 +200,14 @@ def number(key: str, value: object, allowed: str = "a finite number") -> float:
     return x
 
 
-def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
-    """Return one number or a row of numbers as an array of floats, or refuse them.
-
-    Parameters
-    ----------
-    key : str
-    values : array_like
-        At least one, and `MOST_NUMBERS` at most; each is finite.
-    allowed : str
-        What they must be, such as "numbers in nanometres".
-    """
-    if isinstance(values, (str, bytes)):
-        raise refuse(key, values, allowed, "this is text, not a number")
-    if isinstance(values, Mapping):
-        raise refuse(key, values, allowed)
-    values = scalar(values)
-    dense = np.asarray(values) if hasattr(values, "__array__") else None
-    if dense is not None and dense.ndim > 1:
-        raise refuse(key, dense.tolist(), f"one row of {allowed}")
-    members = list(
-        itertools.islice(values, MOST_NUMBERS + 1) if isinstance(values, Iterable) else [values]
-    )
-    if not members:
-        raise refuse(key, [], f"{allowed}, at least one")
-    if len(members) > MOST_NUMBERS:
-        raise refuse(key, f"more than {MOST_NUMBERS} numbers", f"at most {MOST_NUMBERS} numbers")
-    if any(isinstance(member, (list, tuple, np.ndarray)) and np.ndim(member) for member in members):
-        raise refuse(key, members, f"one row of {allowed}")
-    return np.array([number(key, member, allowed) for member in members])
-
-
-def increasing(key: str, values: np.ndarray) -> np.ndarray:
-    """Return numbers that rise strictly, or refuse the first two that do not."""
-    falls = np.flatnonzero(np.diff(values) <= 0.0)
-    if falls.size:
-        pair = values[falls[0] : falls[0] + 2].tolist()
-        where = f"numbers {falls[0] + 1} and {falls[0] + 2} of {values.size}"
-        raise refuse(key, pair, "strictly increasing", where)
-    return values
+def snap_to_ends(values: Any, low: float, high: float) -> np.ndarray:
+    """Return numbers, with those at the end of a range that only rounding has taken beyond it."""
+    x = np.asarray(values, dtype=float)
+    for end, beyond in ((float(low), x < low), (float(high), x > high)):
+        if beyond.any():
+            near = np.abs(x - end) <= (ROUNDING * abs(end) if end else ROUNDING_AT_ZERO)
+            x = np.where(beyond & near, end, x)
+    return x
 
 
 def in_range(
@@ -233,6 +222,8 @@ def in_range(
     hint: str = "",
 ) -> float:
     """Return `value` as a float if it lies between `low` and `high`, or refuse it.
+
+    What rounding has taken beyond an end is that end.
 
     Parameters
     ----------
@@ -252,22 +243,10 @@ def in_range(
         left, right = "(" if open_low else "[", ")" if open_high else "]"
         allowed = f"in {left}{low:g}, {high:g}{right}"
     allowed += f" {unit}" if unit else ""
-    x = number(key, value, allowed)
+    x = float(snap_to_ends(number(key, value, allowed), low, high))
     if x < low or x > high or (open_low and x == low) or (open_high and x == high):
         raise refuse(key, value, allowed, hint)
     return x
-
-
-def numbers(key: str, value: object, names: tuple[str, ...]) -> tuple[float, ...]:
-    """Return a sequence of ``len(names)`` floats, or refuse it."""
-    allowed = f"{len(names)} numbers ({', '.join(names)})"
-    value = scalar(value)
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise refuse(key, value, allowed)
-    values = tuple(itertools.islice(value, len(names) + 1))
-    if len(values) != len(names):
-        raise refuse(key, value, allowed)
-    return tuple(number(f"{key} ({n})", v) for n, v in zip(names, values, strict=True))
 
 
 def one_of(key: str, value: object, choices: Iterable[str]) -> str:

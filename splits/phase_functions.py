@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.arrays import check_each, check_gaps, row_of
 from splits.checks import in_range, refuse
 from splits.dataset import attributes
 from splits.files import whole
@@ -136,9 +137,7 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Datase
         For a dataset of another kind, or angles out of range.
     """
     _check(optics)
-    angles = np.atleast_1d(np.asarray(angle_deg, dtype=float))
-    for angle in (angles.min(), angles.max()):
-        in_range("angle_deg", float(angle), 0.0, 180.0)
+    angles = check_each("angle_deg", row_of("angle_deg", angle_deg), 0.0, 180.0)
     terms = _terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
     noise = jackknife(optics[f"{MOMENT}_left_out"].values @ terms)
@@ -309,3 +308,4 @@ def _check(optics: xr.Dataset) -> None:
     if "diffraction" not in optics.attrs or f"{MOMENT}_left_out" not in optics:
         title = optics.attrs.get("title", "a dataset")
         raise refuse("optics", title, "what splits.single_scattering returns")
+    check_gaps("optics", optics)

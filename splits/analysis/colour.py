@@ -11,10 +11,14 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.errors import error_parts
+from splits.arrays import read_columns
+from splits.checks import ROUNDING, snap_to_ends
 from splits.extras import optional
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 ILLUMINANT = "D65"
+STEP_NM = 10.0
+"""Widest step of wavelengths that tell a colour."""
 VISIBLE_NM = (400.0, 780.0)
 """Range a spectrum must cover; beyond it, 360 to 830 nm, its end values are taken, which weigh less
 than 1e-3 of Y."""
@@ -22,6 +26,14 @@ than 1e-3 of Y."""
 
 def _colour() -> ModuleType:
     return optional("colour", "figures", "colours need")
+
+
+def covers_visible(wavelength_nm: np.ndarray) -> bool:
+    """Return whether rising wavelengths (nm) are enough to tell a colour."""
+    first, last = wavelength_nm[[0, -1]]
+    low, high = snap_to_ends(VISIBLE_NM, first, last)
+    fine = np.diff(wavelength_nm).max(initial=0.0) <= STEP_NM * (1.0 + ROUNDING)
+    return bool(first <= low and high <= last and fine)
 
 
 def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
@@ -45,9 +57,10 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
     """
     colour = _colour()
 
-    wavelength = np.asarray(wavelength_nm, dtype=float)
+    given = {"wavelength_nm": wavelength_nm, "reflectance": reflectance}
+    wavelength, reflectance = read_columns("spectrum", given)
     low, high = VISIBLE_NM
-    if wavelength[0] > low or wavelength[-1] < high or np.diff(wavelength).max() > 10.0:
+    if not covers_visible(wavelength):
         raise ValueError(
             f"wavelength_nm: must cover {low:g} to {high:g} nm in steps of at most 10 nm to have "
             "a colour"

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from splits.arrays import check_gaps, find_labels, match_places
 from splits.checks import one_of, refuse
 
 _ROUNDING = 1e-6
@@ -61,6 +62,7 @@ def error_parts(
         unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
+    weights = _in_order(weights, dataset)
     if f"{quantity}_groups" not in dataset:
         most = _sum(abs(weights), stderr)
         return most, xr.zeros_like(most)
@@ -118,6 +120,14 @@ def difference(
     scatter = ((groups[0] - groups[1]) ** 2).sum("group")
     stderr = (scatter + (bounds[0] - bounds[1]) ** 2) ** 0.5
     return (parts[0][quantity] - parts[1][quantity]).drop_attrs(), stderr.drop_attrs()
+
+
+def _in_order(weights: xr.DataArray, dataset: xr.Dataset) -> xr.DataArray:
+    """Return weights in the order of a dataset's wavelengths, or refuse those of others."""
+    check_gaps("weights", weights)
+    axis = weights.get_axis_num("wavelength")
+    places = match_places("weights", find_labels(weights, axis), [dataset.wavelength])
+    return weights.isel(wavelength=places)
 
 
 def _by_stretches(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.propagation import LEFT_OUT, MISSED, left_out, missed, response
+from splits.arrays import read_numbers, row_of
 from splits.checks import in_range, one_of
 from splits.diffusion import scattering_mean_step
 from splits.extras import optional
@@ -114,11 +115,11 @@ def kz04(
     ssa = in_range("ssa_m2_kg", ssa_m2_kg, 0.0, np.inf, "m2/kg", open_low=True)
     if depth_m != np.inf:
         in_range("depth_m", depth_m, 0.0, np.inf, "m", open_low=True)
-    wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
+    wavelengths = row_of("wavelength_nm", wavelength_nm, "numbers in nanometres")
     metres = wavelengths * 1e-9
     ni = extinction_coefficient
     if not isinstance(ni, str):
-        ni = np.broadcast_to(np.asarray(ni, dtype=float), metres.shape)
+        ni = np.broadcast_to(read_numbers("extinction_coefficient", ni), metres.shape)
     shape = {"ni": ni, "B": absorption_enhancement, "g": asymmetry}
     half_space = snowoptics.albedo_KZ04(
         metres, np.arccos(cosine or 1.0), ssa, r_difftot=float(cosine is None), **shape

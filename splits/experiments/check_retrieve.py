@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from splits.checks import one_of, refuse, under
+from splits.checks import one_of, refuse, snap_to_ends, under
 from splits.experiments.retrieve_section import RetrieveSection
 from splits.lookup.axes import INCIDENCE
 from splits.media.measured_inputs import AREA, RADIUS
@@ -119,7 +119,7 @@ def check_within(key: str, value: Any, row: tuple[Any, ...] | None) -> None:
         return
     if isinstance(row[0], str) or isinstance(value, str):
         one_of(key, value, [str(one) for one in row])
-    elif not row[0] <= value <= row[-1]:
+    elif not row[0] <= snap_to_ends(value, row[0], row[-1]) <= row[-1]:
         raise refuse(key, value, f"{row[0]:g} to {row[-1]:g}, as far as the grid goes")
 
 

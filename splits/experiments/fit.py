@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, refuse
+from splits.arrays import check_each, find_labels, read_in_order
+from splits.checks import refuse
 from splits.experiments.parameters import Cube, FitResult, Fitted
 from splits.extras import optional
 from splits.instruments import spectrophotometer
@@ -189,7 +190,7 @@ def fit(
     begun = time.perf_counter()
     effort = effort or Effort()
     wavelengths = check_wavelengths(wavelength_nm)
-    wanted = check_measured(measured, len(wavelengths))
+    wanted = check_measured(measured, wavelengths, find_labels(wavelength_nm))
     cube = Cube(base_settings, ranges)
     least = len(cube.names) + SPARE
     if len(wavelengths) < least:
@@ -253,19 +254,22 @@ def _misfit(end: End, wanted: np.ndarray) -> float:
     return float(np.sqrt(end.cost / len(wanted)))
 
 
-def check_measured(measured: Any, count: int) -> np.ndarray:
-    """Return measured reflectances as an array of so many, each in [0, 1], or refuse them."""
-    try:
-        values = np.asarray(measured, dtype=float)
-    except (TypeError, ValueError):
-        raise refuse("measured", measured, "numbers in [0, 1]") from None
-    if values.shape != (count,):
-        raise refuse(
-            "measured", f"of shape {values.shape}", f"{count} numbers, one for each wavelength"
-        )
-    for value in values:
-        in_range("measured", float(value), 0.0, 1.0)
-    return values
+def check_measured(measured: Any, wavelengths: np.ndarray, labels: Any = None) -> np.ndarray:
+    """Return measured reflectances, each in [0, 1], in the order of wavelengths, or refuse them.
+
+    Parameters
+    ----------
+    measured : array_like
+    wavelengths : float, shape (wavelengths,)
+        In nm.
+    labels : sequence, optional
+        Those that the wavelengths have, for values with the same.
+    """
+    values = read_in_order("measured", measured, wavelengths, labels, allowed="numbers in [0, 1]")
+    if values.shape != wavelengths.shape:
+        allowed = f"{wavelengths.size} numbers, one for each wavelength"
+        raise refuse("measured", f"of shape {values.shape}", allowed)
+    return check_each("measured", values, 0.0, 1.0)
 
 
 def central(model: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:

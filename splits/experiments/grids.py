@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import MOST_NUMBERS, named, number, refuse
+from splits.arrays import MOST_NUMBERS
+from splits.checks import named, number, refuse
 from splits.experiments.texts import LONGEST_LABEL, check_text
 
 MOST_POINTS = 10_000

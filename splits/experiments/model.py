@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from splits.analysis.colour import covers_visible
 from splits.checks import one_of, refuse
 from splits.experiments.check_retrieve import check_retrieve
 from splits.experiments.coordinates import coordinate_values
@@ -142,7 +143,7 @@ class Experiment(Simulation):
         if self.figure.kind != "swatches":
             return
         x = self.instrument.wavelengths()
-        if x[0] > 400.0 or x[-1] < 780.0 or np.diff(x).max(initial=0.0) > 10.0:
+        if not covers_visible(x):
             raise refuse(
                 "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
                 "400 to 780 nm in steps of at most 10 nm for figure.kind = 'swatches'",

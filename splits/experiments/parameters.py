@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, numbers, refuse, suggestion
+from splits.arrays import numbers
+from splits.checks import in_range, refuse, suggestion
 from splits.media import Sand
 from splits.retrieval.coordinates import Free, Widest
 
@@ -144,7 +145,7 @@ def checked_ranges(given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
         if name not in RANGES:
             allowed = "one of " + ", ".join(RANGES)
             raise refuse("ranges", name, allowed, suggestion(name, RANGES))
-        low, high = numbers(f"ranges.{name}", values, ("low", "high"))
+        low, high = numbers(f"ranges.{name}", values, ("low", "high"), LIMITS[name])
         for end, value in (("low", low), ("high", high)):
             in_range(f"ranges.{name} ({end})", value, *LIMITS[name])
         if not low < high:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from splits.checks import in_range, one_of, refuse, under
+from splits.checks import in_range, one_of, refuse, snap_to_ends, under
 from splits.experiments.sections import Section, check_file
 from splits.lookup.axes import INCIDENCE
 
@@ -133,7 +133,8 @@ class RetrieveSection(Section):
             hint = "numbers of rows? write it with index=False"
             raise refuse("retrieve.measured", "a column without a name", "names for all", hint)
         w = measured[WAVELENGTH].to_numpy(dtype=float)
-        inside = (w >= wavelengths[0]) & (w <= wavelengths[-1])
+        near = snap_to_ends(w, wavelengths[0], wavelengths[-1])
+        inside = (near >= wavelengths[0]) & (near <= wavelengths[-1])
         for low, high in self.left_out_nm:
             inside &= (w < low) | (w > high)
         if not inside.any():

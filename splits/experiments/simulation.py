@@ -161,6 +161,9 @@ class Simulation(Section):
                 "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
                 f"left out for {instrument.kind}",
             )  # fmt: skip
+        if "incidence_deg" in self.grid and instrument.incidence_deg != 0.0:
+            allowed = "left out beside grid.incidence_deg, the same"
+            raise refuse("instrument.incidence_deg", instrument.incidence_deg, allowed)
         if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
             raise refuse(
                 "instrument.half_width_m", None, "given where there is a grid",

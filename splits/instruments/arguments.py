@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, increasing, refuse, row_of, scalar, suggestion
+from splits.arrays import check_each, increasing, row_of
+from splits.checks import NO_NUMBERS, in_range, refuse, scalar, snap_to_ends, suggestion
 from splits.instruments.threads import cpus
 from splits.media.granular import GranularMedium, LayeredMedium, check_room
 from splits.media.turbid import SurfaceMedium, TurbidMedium
@@ -63,6 +64,7 @@ def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
     """Return wavelengths (nm) as a strictly increasing array, or refuse them."""
     values = row_of("wavelength_nm", wavelength_nm, "numbers in nanometres")
     low, high = WAVELENGTH_RANGE_NM
+    values = snap_to_ends(values, low, high)
     outside = values[(values < low) | (values > high)]
     if outside.size:
         first = float(outside[0])
@@ -110,7 +112,7 @@ def _meant(text: str) -> str:
 def check_whole(key: str, value: object, low: int, high: int = MOST_WHOLE) -> int:
     """Return a whole number from `low` to `high`, by default what fits into 63 bits, or refuse."""
     value = scalar(value)
-    if not isinstance(value, Integral) or isinstance(value, bool):
+    if not isinstance(value, Integral) or isinstance(value, NO_NUMBERS):
         hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
         raise refuse(key, value, f"a whole number of at least {low}", hint)
     whole = int(value)
@@ -152,9 +154,7 @@ def check_threads(threads: Any) -> int:
 def check_angles(key: str, values: Any, end: float) -> np.ndarray:
     """Return increasing angles from 0 to below `end` degrees, or refuse them."""
     angles = row_of(key, values, "numbers in degrees")
-    for angle in angles:
-        in_range(key, float(angle), 0.0, end, "degrees", open_high=True)
-    return increasing(key, angles)
+    return increasing(key, check_each(key, angles, 0.0, end, "degrees", open_high=True))
 
 
 def check_cells(cells: Any) -> tuple[int, int]:

@@ -11,7 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, increasing, known_arguments, one_of, refuse, row_of
+from splits.arrays import (
+    check_each,
+    find_labels,
+    increasing,
+    match_places,
+    read_numbers,
+    row_of,
+)
+from splits.checks import in_range, known_arguments, one_of, refuse
 from splits.instruments.arguments import check_half_width, check_medium, check_whole
 from splits.instruments.labels import run_facts
 from splits.media.turbid import SurfaceMedium
@@ -177,12 +185,12 @@ def _dataset(
 
 def plane_waves(waves: Any) -> np.ndarray:
     """Return given waves as kernels take them, or refuse them; see `lens`."""
-    try:
-        table = np.asarray(waves, dtype=float)
-    except (TypeError, ValueError):
-        table = np.empty(0)
-    if table.ndim != 2 or table.shape[1] != 4 or not len(table) or not np.isfinite(table).all():
-        raise refuse("waves", waves, "rows of amplitude, wave numbers along x and y, and phase")
+    allowed = "rows of amplitude, wave numbers along x and y, and phase"
+    table = read_numbers("waves", waves, allowed)
+    if table.ndim != 2 or table.shape[1] != 4 or not len(table):
+        raise refuse("waves", waves, allowed)
+    names = [("amplitude", "wave_number_x", "wave_number_y", "phase")]
+    table = table[:, match_places("waves", find_labels(waves, 1), names)]
     # Kernels count in cycles, and in the order of wave numbers.
     table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
     found = np.zeros((len(ROWS), -(-len(table) // LANES) * LANES))
@@ -242,9 +250,7 @@ def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, n
 def check_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), or refuse them."""
     depths = row_of(key, values, "numbers in metres")
-    in_range(key, float(depths[0]), 0.0, 1e9, "m", open_low=True)
-    in_range(key, float(depths[-1]), 0.0, 1e9, "m", open_low=True)
-    return increasing(key, depths)
+    return increasing(key, check_each(key, depths, 0.0, 1e9, "m", open_low=True))
 
 
 def check_radius(radius_m: Any) -> float:

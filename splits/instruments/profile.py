@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, increasing, known_arguments, one_of, refuse, row_of
+from splits.arrays import check_each, increasing, row_of
+from splits.checks import ROUNDING, in_range, known_arguments, one_of, refuse
 from splits.instruments.arguments import (
     check_incidence,
     check_medium,
@@ -161,12 +162,13 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     depths = increasing("depth_m", row_of("depth_m", depth_m, "numbers in metres"))
     if depths.size > MOST_DEPTHS:
         raise refuse("depth_m", f"{depths.size} depths", f"at most {MOST_DEPTHS}")
-    for depth in depths:
-        in_range(
-            "depth_m", float(depth), 0.0, thickness, "m", open_low=True, open_high=True,
-            hint="top and bottom are there in any case",
-        )  # fmt: skip
-    return depths
+    hint = "top and bottom are there in any case"
+    # Rounding leaves what is meant as the bottom on either side of it.
+    bottom = np.isclose(depths, thickness, rtol=ROUNDING, atol=0.0)
+    depths = np.where(bottom, thickness, depths)
+    return check_each(
+        "depth_m", depths, 0.0, thickness, "m", open_low=True, open_high=True, hint=hint
+    )
 
 
 def _check_memory(layers: int, shape: tuple[int, ...], nodes: int) -> None:

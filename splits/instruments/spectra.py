@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import known_arguments, refuse
+from splits.checks import known_arguments, name_as_texts, refuse
 from splits.instruments.arguments import check_medium
 from splits.instruments.labels import run_facts, wavelength_axis
 from splits.instruments.progress import Report, shows_progress
@@ -74,7 +74,7 @@ def spectra(
     """
     if not isinstance(media, Mapping) or not media:
         raise refuse("media", media, "a mapping of names to media, at least one")
-    named = {str(name): medium for name, medium in media.items()}
+    named = name_as_texts("media", media)
     for medium in named.values():
         check_medium(medium, endless=True)
     check_shared(named)

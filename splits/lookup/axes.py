@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from numbers import Real
+from collections.abc import Iterable, Iterator, Mapping, Set
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.checks import named, refuse, scalar
+from splits.arrays import row_of
+from splits.checks import named, refuse, scalar, unknown_key
 from splits.names import parameter_about
 
 INCIDENCE = "incidence_deg"
+SHORT = {"sza": INCIDENCE}
+"""Names that stand for those of axes."""
 MOST_SPECTRA = 100_000_000
 
 
@@ -80,6 +83,38 @@ class Axes(NamedTuple):
         return {name: (name, *_coordinate(name, row)) for name, row in zip(*self, strict=True)}
 
 
+def check_places(
+    at: Any, axes: Iterable[str], place: str = "", *, free: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Return values of axes under the axes' own names, or refuse them.
+
+    Parameters
+    ----------
+    at : mapping or None
+        From axes, or what is short for them, to values.
+    axes : iterable of str
+        Those that there are.
+    place : str
+        Where the values stand, as messages show it before a name: "at.".
+    free : iterable of str
+        Axes that have no value.
+    """
+    if not isinstance(at, Mapping | None):
+        raise refuse(place.rstrip("."), at, "a mapping from axes to values")
+    known, found = list(axes), {}
+    for name, value in (at or {}).items():
+        own = name if name in known else SHORT.get(name, name)
+        if own not in known:
+            raise unknown_key(f"{place}{name}", known)
+        if own in found:
+            other = own if name != own else next(short for short in SHORT if SHORT[short] == own)
+            raise refuse(f"{place}{name}", value, f"left out beside {place}{other}, the same")
+        if own in free:
+            raise refuse(f"{place}{name}", value, "left out, as it is free")
+        found[own] = value
+    return found
+
+
 def numeric(dataset: Any, names: Iterable[str]) -> list[str]:
     """Return the axes of a table that are of several numbers."""
     return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
@@ -89,20 +124,23 @@ def _row(name: str, given: Any) -> tuple[Any, ...]:
     """Return the values of an axis, or refuse them."""
     key = f"grid.{named(name)}"
     allowed = "a row of different values, numbers or texts"
-    if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+    if isinstance(given, str | Mapping | Set) or not isinstance(given, Iterable):
         raise refuse(key, given, allowed)
-    values = tuple(scalar(value) for value in given)
-    if not values or len(set(values)) < len(values):
-        raise refuse(key, list(values), allowed)
-    if all(isinstance(value, str) for value in values):
-        return values
-    if not all(isinstance(value, Real) and not isinstance(value, bool) for value in values):
-        hint = "not both in one axis: one reads between numbers"
-        raise refuse(key, list(values), allowed, hint)
-    numbers = tuple(float(value) for value in values)
-    if not np.isfinite(numbers).all() or list(numbers) != sorted(numbers):
-        raise refuse(key, list(numbers), "increasing numbers")
-    return numbers
+    values = [scalar(value) for value in given]
+    if not values:
+        raise refuse(key, values, allowed)
+    if any(isinstance(value, str) for value in values):
+        if not all(isinstance(value, str) for value in values):
+            hint = "not both in one axis: one reads between numbers"
+            raise refuse(key, values, allowed, hint)
+        if len(set(values)) < len(values):
+            raise refuse(key, values, allowed)
+        return tuple(values)
+    allowed = "different, increasing numbers"
+    numbers = row_of(key, values, allowed).tolist()
+    if any(one >= other for one, other in pairwise(numbers)):
+        raise refuse(key, numbers, allowed)
+    return tuple(numbers)
 
 
 def _coordinate(name: str, row: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import one_of, refuse
+from splits.arrays import check_gaps
+from splits.checks import ROUNDING, number, one_of, refuse, scalar, snap_to_ends
 from splits.files import whole
-from splits.lookup.axes import INCIDENCE
+from splits.lookup.axes import INCIDENCE, check_places
 from splits.skies.bands import Band, bands_of
 
 RADIUS = "optical_radius_um"
@@ -105,16 +106,17 @@ def _ordered(part: xr.DataArray, impurity: str) -> np.ndarray:
 
 def band_weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
     """Return the weights of wavelengths in the mean over a band."""
-    low, high = band.ends
+    nodes = snap_to_ends(band.wavelength_nm, w[0], w[-1])
+    low, high = nodes[[0, -1]].tolist()
     if low < w[0] or high > w[-1]:
         allowed = f"within the table's {w[0]:g} to {w[-1]:g} nm"
         raise refuse(f"bands[{name!r}]", [low, high], allowed)
     inside = w[(w > low) & (w < high)]
-    ends = np.unique(np.concatenate([band.wavelength_nm, inside]))
+    ends = np.unique(np.concatenate([nodes, inside]))
     # Spectrum and response are linear between these: Simpson's rule is exact.
     grid = np.stack([ends[:-1], 0.5 * (ends[:-1] + ends[1:]), ends[1:]])
     simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(ends) / 6.0
-    response = np.interp(grid, band.wavelength_nm, band.response) * simpson
+    response = np.interp(grid, nodes, band.response) * simpson
     weights = np.array([(np.interp(grid, w, unit) * response).sum() for unit in np.eye(w.size)])
     total: float = weights.sum()
     return weights / total
@@ -127,6 +129,7 @@ def held(
     axes = [str(d) for d in dataset[quantities[0]].dims if d != "wavelength"]
     for name in free:
         one_of("axis", name, axes)
+    at = check_places(at, axes, free=free)
     part = dataset[list(quantities)]
     for name in axes:
         values = dataset[name].values
@@ -134,10 +137,14 @@ def held(
             continue
         if name not in at and values.size > 1:
             raise refuse(name, None, "given", "one of " + ", ".join(map(str, values)))
-        chosen = at.get(name, values[0])
-        near = np.isclose(values, chosen, rtol=1e-9, atol=0.0) if values.dtype.kind == "f" else None
-        found = np.flatnonzero(values == str(chosen) if near is None else near)
+        chosen = scalar(at.get(name, values[0]))
+        if values.dtype.kind == "f":
+            near = np.isclose(values, number(name, chosen), rtol=ROUNDING, atol=0.0)
+        else:
+            near = values == str(chosen)
+        found = np.flatnonzero(near)
         if not found.size:
             raise refuse(name, chosen, "one of " + ", ".join(map(str, values)))
         part = part.isel({name: int(found[0])})
+    check_gaps("table", part)
     return part

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.checks import refuse
+from splits.checks import number, refuse, snap_to_ends
 
 MOST = 4
 """Nodes that a value is drawn from."""
@@ -69,7 +69,22 @@ def law(kind: str, values: np.ndarray) -> np.ndarray:
     return np.sqrt(values) if kind == "root" else values
 
 
-def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
+def place_on(name: str, nodes: np.ndarray, value: object) -> float:
+    """Return a place on the axis of a table as a number, or refuse it.
+
+    Raises
+    ------
+    ValueError
+        Outside the axis.
+    """
+    allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
+    x = float(snap_to_ends(number(name, value), nodes[0], nodes[-1]))
+    if not nodes[0] <= x <= nodes[-1]:
+        raise refuse(name, value, allowed)
+    return x
+
+
+def weights_at(name: str, nodes: np.ndarray, value: object) -> Weights:
     """Return how a value is drawn from the nodes of an axis.
 
     Raises
@@ -77,11 +92,8 @@ def weights_at(name: str, nodes: np.ndarray, value: float) -> Weights:
     ValueError
         Outside the axis.
     """
-    if not nodes[0] <= value <= nodes[-1]:
-        allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
-        raise refuse(name, value, allowed)
     kind, at = spaced(name, nodes)
-    x = float(law(kind, np.array(value)))
+    x = float(law(kind, np.array(place_on(name, nodes, value))))
     drawn = _nearest(at, x, MOST)
     share = _lagrange(at[drawn], x)
     beyond = float(np.prod(x - at[drawn]))

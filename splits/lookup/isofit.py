@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.arrays import check_gaps
 from splits.checks import refuse
 from splits.lookup.axes import INCIDENCE
 from splits.lookup.formats import RADIUS, held
@@ -74,6 +75,7 @@ def _factor(directions: xr.Dataset) -> xr.DataArray:
     if "reflectance_factor" not in directions or set(directions.reflectance_factor.dims) != {*dims}:
         found = list(directions.sizes)
         raise refuse("directions", found, f"reflectance_factor over {', '.join(dims)}")
+    check_gaps("directions", directions.reflectance_factor)
     factor = directions.reflectance_factor.transpose(*dims)
     half = factor.sel(azimuth=factor.azimuth.values <= 180.0)
     return half.sortby("azimuth", ascending=False)

@@ -79,6 +79,9 @@ class Plan(NamedTuple):
         ValueError
             Names the point that cannot be.
         """
+        if INCIDENCE in axes.names and incidence_deg != 0.0:
+            allowed = f"left out beside grid.{INCIDENCE}, the same"
+            raise refuse(INCIDENCE, incidence_deg, allowed)
         media_axes = axes.without(INCIDENCE)
         media = [_made(make, point) for point in media_axes.points()]
         beams = [check_incidence(one) for one in axes.row(INCIDENCE, incidence_deg)]

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from splits.checks import number, one_of, refuse, unknown_key
+from splits.arrays import check_gaps, row_of
+from splits.checks import one_of, refuse
 from splits.checksum import LOCK
 from splits.dataset import attributes, load, opened
-from splits.lookup.axes import INCIDENCE
+from splits.lookup.axes import check_places
 from splits.lookup.derivatives import Read, checked, dataset_of, read_slope, slope_at
 from splits.lookup.formats import for_spires, write_csv
-from splits.lookup.interpolation import Weights, weights_at
+from splits.lookup.interpolation import Weights, place_on, weights_at
 from splits.lookup.isofit import for_isofit
 from splits.lookup.large import IN_MEMORY
+
+Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
 
 class Table:
@@ -80,18 +83,17 @@ class Table:
         ValueError
             For an axis that there is not or that is missing, and outside the table.
         """
-        if "sza" in at:
-            at[INCIDENCE] = at.pop("sza")
-        for name in at:
-            if name not in self.axes:
-                raise unknown_key(name, self.axes)
+        at = check_places(at, self.axes)
+        wavelengths = self.dataset.wavelength.values
+        wanted = wavelengths
+        if "wavelength" in at:
+            given = row_of("wavelength", at.pop("wavelength"), "numbers in nanometres")
+            wanted = np.array([place_on("wavelength", wavelengths, one) for one in given])
         part, weights = self._near(at)
         parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
                  for q in self.quantities]  # fmt: skip
         for found in weights:
             parts = [_along(read, found) for read in parts]
-        wavelengths = self.dataset.wavelength.values
-        wanted = np.atleast_1d(np.asarray(at.get("wavelength", wavelengths), dtype=float))
         if not np.array_equal(wanted, wavelengths):
             parts = [_spectra(read, wavelengths, wanted) for read in parts]
         return self._named(parts, wanted, at)
@@ -173,12 +175,8 @@ class Table:
         ValueError
             As `interp`; and where light goes as a root from a value on.
         """
-        if "sza" in at:
-            at[INCIDENCE] = at.pop("sza")
         axes = self.axes[:-1]
-        for name in at:
-            if name not in axes:
-                raise unknown_key(name, axes)
+        at = check_places(at, axes)
         numbers = [n for n in axes if self.dataset[n].dtype.kind == "f"]
         chosen = checked(names, numbers)
         groups = [f"{q}_groups" for q in self.quantities if f"{q}_groups" in self.dataset]
@@ -187,7 +185,7 @@ class Table:
         for name in chosen:
             which, nodes = axes.index(name), self.dataset[name].values
             here = np.searchsorted(nodes, part[name].values[weights[which].nodes])
-            slope = slope_at(name, nodes, here, number(name, at.get(name, nodes[0])))
+            slope = slope_at(name, nodes, here, place_on(name, nodes, at.get(name, nodes[0])))
             for quantity, rows in found.items():
                 rows.append(read_slope(part, quantity, weights, which, slope))
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
@@ -197,6 +195,7 @@ class Table:
         self, at: dict[str, Any], names: list[str] | None = None
     ) -> tuple[xr.Dataset, list[Weights]]:
         """Return the part of the table around a place, and how values there are drawn from it."""
+        at = check_places(at, self.axes[:-1])
         part, weights = self.dataset[names or self._variables()], []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
@@ -207,9 +206,7 @@ class Table:
             needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
             weights.append(found.among(needed))
             part = part.isel({name: needed})
-        # The library underneath bears one reader at a time.
-        with LOCK:
-            return part.load(), weights
+        return load_part(part), weights
 
     def to_csv(self, path: str | Path) -> None:
         """Write it as CSV, see `splits.lookup.formats.write_csv`."""
@@ -240,8 +237,16 @@ class Table:
                 facts = {"long_name": about, "units": "1"}
                 variables[name + end] = ("wavelength", values, facts)
         axis = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
-        facts = {k: v for k, v in at.items() if k != "wavelength"}
-        return xr.Dataset(variables, {"wavelength": axis}, attributes(facts))
+        return xr.Dataset(variables, {"wavelength": axis}, attributes(at))
+
+
+def load_part(part: Part) -> Part:
+    """Return a part of a table in memory, or refuse one with gaps."""
+    # The library underneath bears one reader at a time.
+    with LOCK:
+        part = part.load()
+    check_gaps("table", part)
+    return part
 
 
 class _Read:
@@ -257,7 +262,7 @@ class _Read:
 def _weights(name: str, nodes: np.ndarray, given: Any) -> Weights:
     """Return how a value is drawn from the nodes of an axis; of texts, from that one."""
     if nodes.dtype.kind == "f":
-        return weights_at(name, nodes, number(name, given))
+        return weights_at(name, nodes, given)
     one_of(name, str(given), nodes.tolist())
     place = (nodes == str(given)).argmax(keepdims=True)
     return Weights(place, np.ones(1), place[:0], np.zeros((0, nodes.size)))

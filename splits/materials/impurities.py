@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.arrays import check_each, increasing, read_columns
+from splits.checks import in_range, refuse, suggestion
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
 
@@ -135,13 +136,12 @@ def _by_mass(name: Any, given: Any) -> Impurity:
         (w, values), digest = user_table(f"{key}.table", Path(str(given["table"])), names)
     else:
         w, values = given["wavelength_nm"], given["absorption_m2_kg"]
-    w = increasing(f"{key}.wavelength_nm", row_of(f"{key}.wavelength_nm", w))
-    values = row_of(f"{key}.absorption_m2_kg", values)
+    w, values = read_columns(key, {"wavelength_nm": w, "absorption_m2_kg": values})
+    increasing(f"{key}.wavelength_nm", w)
     if w.size != values.size or w.size < 2:
         found = f"{w.size} wavelengths, {values.size} values"
         raise refuse(key, found, "two columns of the same length, at least 2")
-    if values.min() < 0.0:
-        raise refuse(f"{key}.absorption_m2_kg", float(values.min()), "at least 0 m2/kg")
+    values = check_each(f"{key}.absorption_m2_kg", values, 0.0, np.inf, "m2/kg")
     return Impurity(str(name), PER_NG_G * amount, w, values, digest, own)
 
 

@@ -12,7 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from splits.checks import in_range, refuse
+from splits.arrays import read_numbers
+from splits.checks import in_range, refuse, snap_to_ends
 
 
 class RefractiveIndex(Protocol):
@@ -35,7 +36,7 @@ class RefractiveIndex(Protocol):
 
 def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
     """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
-    w = np.asarray(wavelength_nm, dtype=float)
+    w = snap_to_ends(read_numbers("wavelength_nm", wavelength_nm, gaps=True), low, high)
     outside = w[~((w >= low) & (w <= high))]
     if outside.size:
         raise refuse(

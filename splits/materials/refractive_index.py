@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import Refusal, in_range, number, one_of, refuse, row_of
+from splits.arrays import read_columns
+from splits.checks import Refusal, in_range, number, one_of, refuse, scalar
 from splits.materials.datasets import dataset, dataset_names
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
 from splits.materials.tables import user_table
@@ -68,9 +69,9 @@ def given_index(material: str, spec: Any, names: Sequence[str] = ()) -> Refracti
         return _user_table(key, spec)
     if isinstance(spec, Mapping):
         return _user_values(key, material, spec)
-    if isinstance(spec, (int, float, complex, np.number)) and not isinstance(spec, bool):
-        known = spec if isinstance(spec, (complex, np.complexfloating)) else number(key, spec)
-        return Constant(complex(known))
+    spec = scalar(spec)
+    if isinstance(spec, (int, float, complex)) and not isinstance(spec, bool):
+        return Constant(spec if isinstance(spec, complex) else complex(number(key, spec)))
     if callable(spec) and hasattr(spec, "name"):
         return spec
     raise refuse(key, spec, "a dataset name, a complex constant, a table or a CSV file")
@@ -95,7 +96,7 @@ def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> Refractive
     if "wavelength_nm" not in spec:
         return Constant(complex(number(f"{key}.n", spec["n"]), number(f"{key}.k", k)))
     given = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
-    w, n, k = (row_of(f"{key}.{name}", column) for name, column in given.items())
+    w, n, k = read_columns(key, given)
     k = np.broadcast_to(k, w.shape) if k.size == 1 else k
     return Tabulated(f"user table for {material}", "given by the user", w, n, k)
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.checks import in_range, numbers, refuse
+from splits.arrays import numbers
+from splits.checks import ROUNDING, in_range, refuse
 from splits.materials import MINERAL_KG_M3
 from splits.media.grain_statistics import surface_to_volume
 
@@ -161,7 +162,7 @@ def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, flo
     limit = iron * coat / (iron * coat + core)
     # A coating full of oxide has no room left but for rounding.
     room = max(iron * coat * (1.0 - iron_oxide) - core * iron_oxide, 0.0)
-    if iron_oxide > limit * (1.0 + 1e-12):
+    if iron_oxide > limit * (1.0 + ROUNDING):
         raise refuse(
             "iron_oxide",
             iron_oxide,
@@ -209,7 +210,8 @@ def compose(
     iron_oxide = in_range("iron_oxide", iron_oxide, 0.0, 1.0)
     ratio = in_range("hematite_ratio", hematite_ratio, 0.0, 1.0)
     magnetite = in_range("magnetite", magnetite, 0.0, 1.0 - iron_oxide, hint="all sand is 1")
-    pure, mixed, coated = numbers("partition", partition, ("pure", "mixed", "coated"))
+    kinds = ("pure", "mixed", "coated")
+    pure, mixed, coated = numbers("partition", partition, kinds, (0.0, 1.0))
     if min(pure, mixed, coated) < 0.0 or abs(pure + mixed + coated - 1.0) > 2e-9:
         raise refuse(
             "partition", partition, "three numbers of at least 0 that add up to 1",

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.checks import in_range, increasing, number, refuse, row_of, suggestion
+from splits.arrays import check_each, increasing, read_columns
+from splits.checks import in_range, number, refuse, suggestion
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
 
@@ -143,14 +144,13 @@ def _named(name: str) -> Ground | None:
 
 def _table(name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = "") -> Ground:
     """Return a ground by its table, or refuse that."""
-    w = increasing("ground.wavelength_nm", row_of("ground.wavelength_nm", wavelength_nm))
-    values = row_of("ground.albedo", albedo)
+    given = {"wavelength_nm": wavelength_nm, "albedo": albedo}
+    w, values = read_columns("ground", given)
+    increasing("ground.wavelength_nm", w)
     if w.size != values.size or w.size < 2:
         allowed = "two lists of the same length, at least 2"
         raise refuse("ground", f"{w.size} wavelengths, {values.size} albedos", allowed)
-    outside = values[(values < 0.0) | (values > 1.0)]
-    if outside.size:
-        raise refuse("ground.albedo", float(outside[0]), "in [0, 1]")
+    values = check_each("ground.albedo", values, 0.0, 1.0)
     return Ground(name, source, values, w, sha256)
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
-from splits.checks import in_range, numbers, refuse, scalar, suggestion
+from splits.arrays import numbers
+from splits.checks import in_range, refuse, scalar, snap_to_ends, suggestion
 from splits.materials import RefractiveIndex, given_index, refractive_index
 from splits.media.ground import ground_facts
 
@@ -21,7 +22,8 @@ _LIMITS = ("min", "max", "mean", "sd")
 
 def limited_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
     """Return (min, max, mean, sd) of a normal distribution within limits in [low, 1], or refuse."""
-    minimum, maximum, mean, sd = numbers(key, value, _LIMITS)
+    *ends, sd = numbers(key, value, _LIMITS)
+    minimum, maximum, mean = snap_to_ends(ends, low, 1.0).tolist()
     if not low <= minimum <= mean <= maximum <= 1.0:
         raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
     in_range(f"{key} (sd)", sd, 0.0, 1.0)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, one_of, refuse, row_of
+from splits.arrays import read_columns
+from splits.checks import ROUNDING, in_range, known_keywords, one_of, refuse, scalar, snap_to_ends
 from splits.media.rough_surface import RoughSurface
 from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
 from splits.transport.particles.turbid import OPEN, Turbid
@@ -94,12 +95,13 @@ class Layer:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        put("optical_thickness", scalar(self.optical_thickness))
         if isinstance(self.optical_thickness, str):
             raise refuse(
                 "optical_thickness", self.optical_thickness, "a number from 0 to 1e+06",
                 "or infinite: .inf in YAML, math.inf in Python",
             )  # fmt: skip
-        if self.optical_thickness != math.inf:
+        if not (isinstance(self.optical_thickness, float) and self.optical_thickness == math.inf):
             put(
                 "optical_thickness",
                 in_range(
@@ -215,16 +217,16 @@ def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
     allowed = "a mapping with equally long lists cosine and density"
     if set(given) != {"cosine", "density"}:
         raise refuse("phase_function", [str(key) for key in given], allowed)
-    columns = []
-    for key in ("cosine", "density"):
-        if not isinstance(given[key], (Sequence, np.ndarray)):
-            raise refuse(f"phase_function.{key}", given[key], allowed)
-        columns.append(row_of(f"phase_function.{key}", given[key]))
-    cosine, density = columns
+    given = {key: given[key] for key in ("cosine", "density")}
+    cosine, density = read_columns("phase_function", given)
     if cosine.shape != density.shape:
         raise refuse("phase_function", (cosine.shape, density.shape), allowed)
-    if cosine.size < 2 or cosine[0] != -1.0 or cosine[-1] != 1.0 or (np.diff(cosine) <= 0.0).any():
+    if cosine.size < 2 or not np.allclose(cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING, atol=0.0):
         raise refuse("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
+    cosine[[0, -1]] = -1.0, 1.0
+    if (np.diff(cosine) <= 0.0).any():
+        raise refuse("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
+    density = snap_to_ends(density, 0.0, 1e100)
     good = (density >= 0.0).all() and (density <= 1e100).all()
     if not good or not density.max() > 1e-100:
         raise refuse("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")

@@ -51,10 +51,11 @@ def on_top(base: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_one_of_each(keywords: dict[str, Any]) -> None:
-    """Refuse two keywords that say the same."""
+    """Refuse two keywords, or parameters of one layer, that say the same."""
     taken: dict[str, str] = {}
     for name, value in keywords.items():
-        field = REPLACES.get(name, name)
+        layer, _, own = name.rpartition(".")
+        field = f"{layer}.{REPLACES.get(own, own)}"
         if field in taken:
             raise refuse(
                 name, value, f"left out where {taken[field]} is given", "they say the same"

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.checks import in_range, refuse
+from splits.checks import ROUNDING, in_range, refuse
 from splits.materials import RefractiveIndex
 from splits.media.granular import Interface
 from splits.transport.grains.scene import DRY_PORE
@@ -86,6 +86,6 @@ def other_pores(
             hint = f"give refractive_index of {name}: n + kj, a table"
             raise refuse("pores", name, "media of known refractive index", hint)
     total = saturation + sum(shares.values())
-    if total > 1.0 + 1e-12:
+    if total > 1.0 + ROUNDING:
         raise refuse("pores", dict(given), "shares that leave saturation room: at most 1 together")
     return shares

@@ -11,7 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
+from splits.arrays import read_columns, read_numbers
+from splits.checks import (
+    NO_NUMBERS,
+    in_range,
+    known_keywords,
+    one_of,
+    refuse,
+    scalar,
+    snap_to_ends,
+    suggestion,
+    under,
+)
 from splits.media.surface_laws import (
     CORRELATIONS,
     LAWS,
@@ -112,7 +123,7 @@ class SurfaceField:
 
     def correlation_at(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
-        r = np.asarray(r_m, dtype=float)
+        r = read_numbers("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
             return np.array([sum_of_cells(self.quantiles, x) for x in r.ravel()]).reshape(r.shape)
         law = LAWS[self.correlation]
@@ -173,7 +184,7 @@ class RoughSurface:
 
     def correlation(self, r_m: Any) -> np.ndarray:
         """Return the expected correlation of heights at distances (m); of a plane, 1."""
-        r = np.asarray(r_m, dtype=float)
+        r = read_numbers("r_m", r_m, "numbers in metres")
         if self.rms_height_m == 0.0:
             return np.ones_like(r)
         shares = ((field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields)
@@ -254,7 +265,8 @@ def _field(where: str, given: Any) -> SurfaceField:
 
 def _whole(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
     """Return a whole number, or refuse it."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    value = scalar(value)
+    whole = isinstance(value, Integral) and not isinstance(value, NO_NUMBERS)
     if not whole or not low <= int(value) <= high:
         raise refuse(key, value, f"a whole number from {low} to {high}")
     return int(value)
@@ -265,9 +277,10 @@ def _columns(given: Any) -> dict[str, tuple[float, ...]]:
     allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM)
     if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM):
         raise refuse("spectrum", given, allowed)
-    k, density = (row_of(f"spectrum.{key}", given[key]) for key in _SPECTRUM)
+    k, density = read_columns("spectrum", {key: given[key] for key in _SPECTRUM})
     if k.shape != density.shape or k.size < 2:
         raise refuse("spectrum", dict(given), allowed, "two rows at least")
+    k, density = (snap_to_ends(row, 0.0, math.inf) for row in (k, density))
     if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
         raise refuse("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
     if (density < 0.0).any() or not density[k > 0.0].any():

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, known_keywords, numbers, refuse
+from splits.arrays import numbers
+from splits.checks import in_range, known_keywords, refuse
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, coating_fraction, compose
@@ -19,7 +20,7 @@ from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
 from splits.media.pores import WATER, Pores, other_pores
 from splits.media.readings import SandReadings
-from splits.media.soil_sizes import SoilSizes, soil_sizes
+from splits.media.soil_sizes import SEPARATES, SoilSizes, soil_sizes
 from splits.media.wetness import Wetness, wetness
 from splits.transport.grains.scene import WET_PORE, Grains, Types
 
@@ -120,9 +121,8 @@ class Sand:
             in_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True),
         )
         mean, sd = numbers("roundness", self.roundness, ("mean", "sd"))
-        in_range("roundness (mean)", mean, 0.0, 1.0)
-        in_range("roundness (sd)", sd, 0.0, 1.0)
-        put("roundness", (mean, sd))
+        mean = in_range("roundness (mean)", mean, 0.0, 1.0)
+        put("roundness", (mean, in_range("roundness (sd)", sd, 0.0, 1.0)))
         put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
         thickness = in_range(
             "relative_coating_thickness",
@@ -133,8 +133,9 @@ class Sand:
             hint="coatings act as flat slabs, so they must be thin",
         )
         put("relative_coating_thickness", thickness)
-        put("partition", numbers("partition", self.partition, ("pure", "mixed", "coated")))
-        put("texture", numbers("texture", self.texture, ("clay", "silt", "sand")))
+        kinds = ("pure", "mixed", "coated")
+        put("partition", numbers("partition", self.partition, kinds, (0.0, 1.0)))
+        put("texture", numbers("texture", self.texture, SEPARATES, (0.0, 1.0)))
         put("ground", Ground.of(self.ground))
         put("depth_m", sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):

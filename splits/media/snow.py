@@ -9,15 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import (
-    in_range,
-    keywords_taken,
-    known_keywords,
-    numbers,
-    one_of,
-    refuse,
-    unknown_key,
-)
+from splits.arrays import numbers
+from splits.checks import in_range, keywords_taken, known_keywords, one_of, refuse, unknown_key
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, described_impurities, impurities_of
 from splits.media import grain_statistics as statistics
@@ -157,7 +150,8 @@ class Snow:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        smallest, largest = numbers("grain_size_um", self.grain_size_um, ("min", "max"))
+        sizes = numbers("grain_size_um", self.grain_size_um, ("min", "max"), (1.0, 1e5))
+        smallest, largest = sizes
         if not 1.0 <= smallest <= largest <= 1e5:
             raise refuse(
                 "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"

@@ -15,7 +15,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from splits.checks import in_range, numbers, refuse
+from splits.arrays import numbers
+from splits.checks import in_range, refuse
 from splits.media.grain_statistics import TABLE_POINTS, integral_and_quantiles
 from splits.transport.numerics.rng import table_probabilities
 
@@ -133,7 +134,7 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
     ValueError
         For a texture that is no sand's.
     """
-    clay, silt, sand = numbers("texture", texture, SEPARATES)
+    clay, silt, sand = numbers("texture", texture, SEPARATES, (0.0, 1.0))
     if min(clay, silt, sand) < 0.0 or abs(clay + silt + sand - 1.0) > 1e-9:
         raise refuse("texture", texture, "three fractions (clay, silt, sand) that add up to 1")
     if silt + 1.5 * clay > FINES_LIMIT + 1e-9:

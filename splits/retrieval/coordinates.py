@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.checks import numbers, refuse, unknown_key
+from splits.arrays import numbers
+from splits.checks import refuse, snap_to_ends, unknown_key
 from splits.lookup.interpolation import law
 
 LEVEL = "level"
@@ -92,6 +93,7 @@ class Free(NamedTuple):
         if not sd > 0.0:
             raise refuse(key, pair, "a standard deviation above 0")
         low, high = self.low[i], self.high[i]
+        mean = float(snap_to_ends(mean, low, high))
         if not low <= mean <= high:
             raise refuse(key, pair, f"a mean in the range {low:g} to {high:g}")
         ends = [np.clip(mean + sign * sd, low, high) for sign in (-1.0, 1.0)]
@@ -157,7 +159,8 @@ def _ranges(given: Any, known: Mapping[str, Widest]) -> dict[str, tuple[float, f
             raise unknown_key(f"free.{name}", known)
         widest = known[name]
         pair = given[name] if isinstance(given, Mapping) else (widest.low, widest.high)
-        low, high = numbers(f"free.{name}", pair, ("low", "high"))
+        ends = (widest.low, widest.high)
+        low, high = numbers(f"free.{name}", pair, ("low", "high"), ends)
         if not widest.low <= low < high <= widest.high:
             allowed = f"{widest.low:g} <= low < high <= {widest.high:g}"
             raise refuse(f"free.{name}", pair, allowed)

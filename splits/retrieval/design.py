@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.arrays import row_of
 from splits.checks import known_arguments, refuse
 from splits.dataset import attributes, provenance
 from splits.instruments.arguments import check_whole
@@ -77,7 +78,7 @@ def best_bands(
         raise refuse("noise", "errors that are alike", "standard errors, independent", hint)
     most = check_whole("most", most, 1, len(names))
     which = Free.of(free, prior, ranges_of(table))
-    model = OfTable(table, measurement, which, at or {})
+    model = OfTable(table, measurement, which, at)
     random = np.random.default_rng(check_whole("seed", seed, 0))
     slopes, spread = [], []
     for place in random.random((PLACES, len(which.names))):
@@ -114,7 +115,7 @@ def best_bands(
 def _measurement(bands: Any, noise: Any) -> tuple[Measurement, list[str]]:
     """Return what would be measured, and what its bands are called."""
     if not isinstance(bands, str | Mapping):
-        w = np.asarray(bands, dtype=float)
+        w = row_of("bands", bands, "a mapping of bands, a sensor or wavelengths (nm)")
         found = Measurement.of((w, np.full(w.shape, 0.5)), noise)
         return found, [f"{one:g} nm" for one in found.wavelength_nm]
     some = bands_of(bands)

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import xarray as xr
 
-from splits.checks import number, one_of, refuse, unknown_key
-from splits.checksum import LOCK
-from splits.lookup.axes import INCIDENCE, Axes
+from splits.checks import one_of, refuse
+from splits.lookup.axes import Axes, check_places
 from splits.lookup.formats import band_weights
 from splits.lookup.interpolation import spaced, weights_at
-from splits.lookup.reading import Table
+from splits.lookup.reading import Table, load_part
 from splits.retrieval.coordinates import LEVEL, Free, Widest
 from splits.retrieval.cubics import read, read_all
 from splits.retrieval.descents import Grid
@@ -80,7 +79,7 @@ class OfTable:
     measurement : Measurement
     free : Free
         Axes of the table, and perhaps the measurement's level.
-    at : mapping
+    at : mapping, optional
         Values of the other axes; those of one node may be left out.
     quantity : str
     """
@@ -90,7 +89,7 @@ class OfTable:
         table: Table,
         measurement: Measurement,
         free: Free,
-        at: Mapping[str, Any],
+        at: Mapping[str, Any] | None,
         quantity: str = "reflectance",
     ) -> None:
         self.free, self.table, self.quantity = free, table, quantity
@@ -207,18 +206,9 @@ def ranges_of_axes(axes: Axes) -> dict[str, Widest]:
     return found | {LEVEL: Widest(*LEVELS, "itself")}
 
 
-def _fixed(table: Table, free: Free, at: Mapping[str, Any]) -> dict[str, Any]:
+def _fixed(table: Table, free: Free, at: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the values of the axes that are not free, or refuse them."""
-    found = dict(at)
-    if "sza" in found:
-        if INCIDENCE in found:
-            raise refuse("at.sza", found["sza"], f"left out beside at.{INCIDENCE}, the same")
-        found[INCIDENCE] = found.pop("sza")
-    for name in found:
-        if name not in table.axes[:-1]:
-            raise unknown_key(f"at.{name}", table.axes[:-1])
-        if name in free.names:
-            raise refuse(f"at.{name}", found[name], "left out, as it is free")
+    found = check_places(at, table.axes[:-1], "at.", free=free.names)
     for name in table.axes[:-1]:
         if name not in free.names and name not in found and table.dataset[name].size > 1:
             raise refuse(f"at.{name}", None, "given", "an axis of the table that is not free")
@@ -238,11 +228,9 @@ def _slice(
         if nodes.dtype.kind != "f":
             part = part.sel({name: one_of(f"at.{name}", str(given), nodes.tolist())})
             continue
-        w = weights_at(name, nodes, number(name, given))
+        w = weights_at(name, nodes, given)
         part, shares[name] = part.isel({name: w.nodes}), w.share
-    # The library underneath bears one reader at a time.
-    with LOCK:
-        part = part.load()
+    part = load_part(part)
     for name, share in shares.items():
         part = part.dot(xr.DataArray(share, dims=name), name)
     values = part.transpose(*axes, "wavelength").values.astype(float)

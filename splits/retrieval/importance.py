@@ -85,7 +85,7 @@ def sobol_indices(
         raise refuse("free", list(which.names), "two axes of the table or more")
     w = table.dataset.wavelength.values
     plain = Measurement.of((w, np.full(w.size, 0.5)), 0.01)
-    model = OfTable(table, plain, which, at or {}, quantity)
+    model = OfTable(table, plain, which, at, quantity)
     shares = _shares(model, points, seed)
     variables: dict[str, Any] = {}
     for name, label, rows in (

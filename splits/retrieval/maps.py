@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.arrays import read_numbers
 from splits.checks import known_arguments, one_of, refuse
 from splits.dataset import attributes, provenance
 from splits.extras import optional
@@ -115,13 +116,15 @@ def retrieve_map(
         raise refuse("image", type(image).__name__, "a DataArray over wavelength and others")
     if not image.size:
         raise refuse("image", "no pixel", "at least one")
+    # What no array of this type can hold is told before work begins.
+    read_numbers("image", np.empty(0, image.dtype))
     one_of("quantity", "reflectance", table.quantities)
     which = Free.of(free, prior, ranges_of(table))
     if LEVEL in which.names:
         raise refuse("free", LEVEL, "left out of maps")
     w = image.wavelength.values
     measurement = Measurement.of((w, np.full(w.size, 0.5)), noise).check_told()
-    model = OfTable(table, measurement, which, at or {})
+    model = OfTable(table, measurement, which, at)
     random = np.random.default_rng(1)
     own = [model.covariance(place) for place in random.random((PLACES, len(which.names)))]
     covariance = measurement.covariance + np.mean(own, axis=0)
@@ -150,7 +153,7 @@ class _Work(NamedTuple):
 
     def block(self, spectra: np.ndarray) -> np.ndarray:
         """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
-        flat = np.ascontiguousarray(spectra.reshape(-1, spectra.shape[-1]), dtype=float)
+        flat = read_numbers("image", spectra, gaps=True).reshape(-1, spectra.shape[-1])
         with ThreadPoolExecutor(self.threads) as pool:
             parts = [flat[i : i + PIXELS] for i in range(0, len(flat), PIXELS)]
             found = np.concatenate(list(pool.map(self._piece, parts)))

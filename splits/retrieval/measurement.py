@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.checks import in_range, increasing, refuse, row_of
+from splits.arrays import find_labels, increasing, read_in_order, row_of
+from splits.checks import ROUNDING, in_range, refuse
 from splits.skies.bands import Band, bands_of
 
 PER_CENT = 2.0
@@ -65,28 +66,32 @@ class Measurement(NamedTuple):
             For gaps, per cent, noise that is not above 0, or numbers that do not go together.
         """
         some = bands_of(bands)
-        w, values = (None, row_of("measured", measured)) if some else _spectrum(measured)
+        w, values = _in_bands(measured, some) if some else _spectrum(measured)
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
-            where = f"value {gaps[0]}" if w is None else f"at {w[gaps[0]]:g} nm"
-            raise refuse("measured", f"{gaps.size} gaps, the first {where}", "numbers",
-                         "leave those wavelengths out")  # fmt: skip
+            where = f"in band {[*some][gaps[0]]}" if some else f"at {w[gaps[0]]:g} nm"
+            hint = "masked, NaN or missing: leave those out"
+            raise refuse("measured", f"{gaps.size} gaps, the first {where}", "numbers", hint)
         if np.abs(values).max() > PER_CENT:
             largest = float(values[np.abs(values).argmax()])
             raise refuse("measured", largest, f"at most {PER_CENT:g}", "a share, not per cent")
-        if w is None:
-            if len(some) != values.size:
-                raise refuse("measured", f"{values.size} values", f"{len(some)}, one for each band")
-            w = np.array([_middle(band) for band in some.values()])
         if noise is None:
             return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
-        return cls(values, w, _covariance(_aligned(noise, w), w), some)
+        return cls(values, w, _covariance("noise", noise, w, list(some)), some)
 
     def check_told(self) -> Measurement:
         """Return it, or refuse noise that is not known."""
         if not self.told:
             raise refuse("noise", None, "given", "only splits.retrieve finds it from the misfit")
         return self
+
+
+def _in_bands(measured: Any, bands: Mapping[str, Band]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles (nm) and the reflectances of bands, or refuse them."""
+    values = np.atleast_1d(read_in_order("measured", measured, list(bands), gaps=True))
+    if values.shape != (len(bands),):
+        raise refuse("measured", f"{values.size} values", f"{len(bands)}, one for each band")
+    return np.array([_middle(band) for band in bands.values()]), values
 
 
 def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -111,64 +116,60 @@ def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         pair = measured
     else:
         raise refuse("measured", type(measured).__name__, allowed)
-    w = row_of("measured (wavelengths)", pair[0])
-    try:
-        values = np.asarray(pair[1], dtype=float)
-    except (TypeError, ValueError):
-        raise refuse("measured", pair[1], "numbers") from None
+    w = increasing("measured (wavelengths)", row_of("measured (wavelengths)", pair[0]))
+    values = read_in_order("measured", pair[1], w, find_labels(pair[0]), gaps=True)
     if values.shape != w.shape:
         found = f"{w.size} wavelengths, {values.size} values"
         raise refuse("measured", found, "as many of both")
-    return increasing("measured (wavelengths)", w), values
+    return w, values
 
 
-def _aligned(noise: Any, wavelength_nm: np.ndarray) -> Any:
-    """Return noise; of standard errors that have wavelengths, their values, or refuse others."""
-    if isinstance(noise, xr.DataArray) and noise.dims == ("wavelength",):
-        noise = noise.to_series()
-    if not isinstance(noise, pd.Series):
-        return noise
-    own = noise.index.to_numpy()
-    if own.shape != wavelength_nm.shape or (own != wavelength_nm).any():
-        raise refuse("noise", "a Series over other wavelengths", "over those that were measured")
-    return noise.to_numpy()
-
-
-def _covariance(noise: Any, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return the covariance of noise, or refuse it."""
+def _covariance(
+    key: str, noise: Any, wavelength_nm: np.ndarray, bands: Sequence[str]
+) -> np.ndarray:
+    """Return the covariance of noise, in the order of wavelengths or bands, or refuse it."""
     count = wavelength_nm.size
     allowed = f"standard errors above 0, one or {count} of them, or their covariance"
     if isinstance(noise, Mapping):
-        if not {"stderr", "correlation_nm"} <= set(noise) <= {*ALIKE}:
-            raise refuse("noise", sorted(map(str, noise)), " and ".join(ALIKE[:2]))
-        length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
-        apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
-        own = _covariance(noise["independent"], wavelength_nm) if "independent" in noise else 0.0
-        if np.ndim(noise["stderr"]) > 1:
-            raise refuse("noise.stderr", "a matrix", f"one standard error or {count} of them")
-        stderr = np.sqrt(np.diag(_covariance(noise["stderr"], wavelength_nm)))
-        together: np.ndarray = np.exp(-apart / length) * stderr[:, np.newaxis] * stderr + own
-        return together
-    try:
-        given = np.asarray(noise, dtype=float)
-    except (TypeError, ValueError):
-        raise refuse("noise", noise, allowed) from None
+        return _alike(noise, wavelength_nm, bands)
+    # Wavelengths that are only counted tell nothing; bands have an order.
+    labels = [bands] if bands else [wavelength_nm]
+    given = read_in_order(key, noise, *labels, allowed=allowed, counted=bool(bands))
     if given.shape == (count, count):
-        if not np.allclose(given, given.T, rtol=1e-9, atol=0.0):
-            raise refuse("noise", "a matrix that is not symmetric", allowed)
+        if not np.allclose(given, given.T, rtol=ROUNDING, atol=0.0):
+            raise refuse(key, "a matrix that is not symmetric", allowed)
         if not np.linalg.eigvalsh(given)[0] > 0.0:
-            raise refuse("noise", "a matrix that is not positive definite", allowed)
+            raise refuse(key, "a matrix that is not positive definite", allowed)
         if np.diag(given).max() >= LARGEST**2:
             largest = float(np.diag(given).max())
-            raise refuse("noise", f"a variance of {largest:g}", f"below {LARGEST**2:g}")
+            raise refuse(key, f"a variance of {largest:g}", f"below {LARGEST**2:g}")
         return given
     if given.shape not in ((), (count,)):
-        raise refuse("noise", f"of shape {given.shape}", allowed)
+        raise refuse(key, f"of shape {given.shape}", allowed)
     wrong = ~((given > 0.0) & (given < LARGEST))
     if wrong.any():
         hint = "no measurement is without noise"
-        raise refuse("noise", float(given[wrong].flat[0]), allowed, hint)
+        raise refuse(key, float(given[wrong].flat[0]), allowed, hint)
     return np.diag(np.broadcast_to(given, (count,)) ** 2)
+
+
+def _alike(noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]) -> np.ndarray:
+    """Return the covariance of noise that is alike at near wavelengths, or refuse it."""
+    if not {"stderr", "correlation_nm"} <= set(noise) <= {*ALIKE}:
+        raise refuse("noise", sorted(map(str, noise)), " and ".join(ALIKE[:2]))
+    length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
+    if np.ndim(noise["stderr"]) > 1:
+        raise refuse(
+            "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
+        )
+    own: Any = 0.0
+    stderr = _covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
+    if "independent" in noise:
+        own = _covariance("noise.independent", noise["independent"], wavelength_nm, bands)
+    apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
+    error = np.sqrt(np.diag(stderr))
+    together: np.ndarray = np.exp(-apart / length) * error[:, np.newaxis] * error + own
+    return together
 
 
 def _middle(band: Band) -> float:

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import in_range, refuse, unknown_key
+from splits.arrays import numbers
+from splits.checks import in_range, refuse, under, unknown_key
 from splits.instruments.arguments import check_incidence, check_medium
 from splits.instruments.progress import Report
+from splits.lookup.axes import check_places
 from splits.lookup.interpolation import spaced
+from splits.media.measured_inputs import check_one_of_each
 from splits.media.parameters import INCIDENCE, value_of, with_value
 from splits.media.turbid import Medium
 from splits.retrieval.coordinates import LEVEL, Free, Widest
@@ -39,6 +42,8 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     if not isinstance(ranges, Mapping):
         hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
         raise refuse("free", ranges, "(low, high) by name", hint)
+    with under("free"):
+        check_one_of_each({str(name): pair for name, pair in ranges.items()})
     known: dict[str, Widest] = {LEVEL: Widest(*LEVELS, "itself")}
     for name, pair in ranges.items():
         if name == LEVEL:
@@ -47,7 +52,7 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
             value_of(medium, name)
         elif incidence == "diffuse":
             raise unknown_key(f"free.{name}", ["level"])
-        ends = np.array([in_range(f"free.{name}", v, -np.inf, np.inf) for v in _pair(name, pair)])
+        ends = np.array(numbers(f"free.{name}", pair, ("low", "high")))
         if not ends[0] < ends[1]:
             raise refuse(f"free.{name}", pair, "low < high")
         for value in ends if name != INCIDENCE else ():
@@ -63,16 +68,10 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     return Free.of(dict(ranges), prior, known)
 
 
-def incidence_of(at: Mapping[str, Any], ranges: Any) -> float | str:
+def incidence_of(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
     """Return the incidence that a measurement of a medium was made under, or refuse it."""
-    for name in at:
-        if name not in (INCIDENCE, "sza"):
-            raise unknown_key(f"at.{name}", [INCIDENCE])
-        if isinstance(ranges, Mapping) and INCIDENCE in ranges:
-            raise refuse(f"at.{name}", at[name], "left out, as it is free")
-    if len(at) > 1:
-        raise refuse("at.sza", at["sza"], f"left out beside at.{INCIDENCE}, the same")
-    return check_incidence(at.get(INCIDENCE, at.get("sza", 0.0)))
+    free = ranges if isinstance(ranges, Mapping) else ()
+    return check_incidence(check_places(at, [INCIDENCE], "at.", free=free).get(INCIDENCE, 0.0))
 
 
 def runs_of(
@@ -88,12 +87,3 @@ def runs_of(
     if error is not None:
         error = in_range("max_stderr", error, 1e-6, 0.5)
     return OfRuns(medium, measurement, free, incidence, error, seed, progress)
-
-
-def _pair(name: str, pair: Any) -> tuple[Any, Any]:
-    """Return the two ends of a range, or refuse it."""
-    try:
-        low, high = pair
-    except (TypeError, ValueError):
-        raise refuse(f"free.{name}", pair, "(low, high)") from None
-    return low, high

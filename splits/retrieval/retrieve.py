@@ -129,7 +129,7 @@ def retrieve(
         one_of("quantity", quantity, model.quantities)
         measurement = Measurement.of(measured, noise, bands)
         which = Free.of(free, prior, ranges_of(model))
-        known = OfTable(model, measurement, which, at or {}, quantity)
+        known = OfTable(model, measurement, which, at, quantity)
         if not measurement.told:
             found, measurement = least_squares.in_table(known, measurement, seed)
         else:
@@ -141,7 +141,7 @@ def retrieve(
         raise refuse("model", given, "a Table, or a medium", hint)
     one_of("quantity", quantity, ["reflectance"])
     measurement = Measurement.of(measured, noise, bands)
-    beam = incidence_of(at or {}, free)
+    beam = incidence_of(at, free)
     which = free_of(model, free, prior, beam)
     runs = runs_of(model, measurement, which, beam, max_stderr, seed, progress)
     if not measurement.told:

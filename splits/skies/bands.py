@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
+from splits.arrays import increasing, numbers, read_columns
+from splits.checks import listed, name_as_texts, one_of, refuse, snap_to_ends
 from splits.extras import optional
 from splits.materials.tables import user_table
 
@@ -80,13 +81,12 @@ class Band:
             if not 0.0 < low < high:
                 raise refuse(key, given, "0 < low < high (nm)")
             return cls.between(low, high)
-        w, response = (
-            row_of(f"{key}.{name}", column) for name, column in zip(COLUMNS, columns, strict=True)
-        )
+        w, response = read_columns(key, dict(zip(COLUMNS, columns, strict=True)))
         increasing(f"{key}.wavelength_nm", w)
         if not w.size == response.size >= 2:
             found = f"{w.size} wavelengths, {response.size} responses"
             raise refuse(key, found, "two lists of the same length, at least 2")
+        response = snap_to_ends(response, 0.0, np.inf)
         if response.min() < 0.0 or not response.any():
             raise refuse(
                 f"{key}.response", float(response.min()), "at least 0, and not 0 everywhere"
@@ -114,8 +114,8 @@ def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     Returns
     -------
     dict
-        By names of bands, as the sensor's makers number them: ``wavelength_nm`` and ``response``,
-        at most 1.
+        By name, the sensor's and the number of its makers, so that bands of several sensors can
+        stand together: ``wavelength_nm`` and ``response``, at most 1.
 
     Raises
     ------
@@ -128,7 +128,8 @@ def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     --------
     >>> import splits
     >>> bands = splits.sensor("sentinel_2a")
-    >>> round(float(bands["3"]["wavelength_nm"][bands["3"]["response"].argmax()]))
+    >>> green = bands["sentinel_2a_3"]
+    >>> round(float(green["wavelength_nm"][green["response"].argmax()]))
     560
     """
     one_of("sensor", name, SENSORS)
@@ -140,7 +141,10 @@ def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
         # From the last zero before the first response to the first after the last.
         first, last = np.flatnonzero(response > 0.0)[[0, -1]]
         some = slice(max(first - 1, 0), last + 2)
-        bands[str(label)] = {"wavelength_nm": w[some], "response": response[some].clip(0.0, 1.0)}
+        bands[f"{name}_{label}"] = {
+            "wavelength_nm": w[some],
+            "response": response[some].clip(0.0, 1.0),
+        }
     return bands
 
 
@@ -154,4 +158,5 @@ def bands_of(given: Any) -> dict[str, Band]:
     if not isinstance(given, Mapping):
         allowed = "a mapping of names to bands, or one of " + listed(SENSORS)
         raise refuse("bands", given, allowed)
-    return {str(name): Band.of(f"bands.{name}", band) for name, band in given.items()}
+    named = name_as_texts("bands", given)
+    return {name: Band.of(f"bands.{name}", band) for name, band in named.items()}

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.arrays import check_each, increasing, read_columns
+from splits.checks import in_range, refuse, snap_to_ends, suggestion
 from splits.extras import optional
 from splits.materials.tables import user_table
 from splits.skies.bands import Band, bands_of
@@ -24,6 +25,10 @@ CLOUDY = "_cloudy"
 """How names of skies end from which all light is diffuse."""
 CLEAR = "clear"
 ASTM = "astm_g173"
+SNICAR_ZENITH_DEG = 60.0
+"""Of the sun in the clear skies of SNICAR."""
+HIGHEST_ZENITH_DEG = 89.0
+GIVEN_ZENITH = "given: the polar angle of the sun in degrees"
 ASTM_ZENITH_DEG, ASTM_TILT_DEG = 48.19, 37.0
 """Of the sun, and of the surface that ASTM G173 is for."""
 ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
@@ -64,6 +69,23 @@ class Sky:
     sha256: str = ""
     relative: bool = False
 
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        zenith = in_range("zenith_deg", self.zenith_deg, 0.0, HIGHEST_ZENITH_DEG, "degrees")
+        put("zenith_deg", zenith)
+        given = {key: getattr(self, key) for key in COLUMNS}
+        w, *light = read_columns("sky", given)
+        increasing("sky.wavelength_nm", w)
+        if not w.size == light[0].size == light[1].size >= 2:
+            sizes = f"{w.size}, {light[0].size} and {light[1].size} numbers"
+            raise refuse("sky", sizes, "three lists of the same length, at least 2")
+        for key, values in zip(COLUMNS, (w, *light), strict=True):
+            put(key, check_each(f"sky.{key}", values, 0.0, np.inf))
+        if not self.total.any():
+            raise refuse("sky", "0 everywhere", "light at some wavelength")
+
     @property
     def total(self) -> np.ndarray:
         """Direct and diffuse irradiance together."""
@@ -90,7 +112,8 @@ class Sky:
     def check_covers(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
         first, last = self.wavelength_nm[[0, -1]]
-        outside = wavelength_nm[(wavelength_nm < first) | (wavelength_nm > last)]
+        w = snap_to_ends(wavelength_nm, first, last)
+        outside = w[(w < first) | (w > last)]
         if outside.size:
             raise refuse(
                 "wavelength_nm", float(outside[0]), f"in [{first:g}, {last:g}] nm",
@@ -184,8 +207,8 @@ def sky(
         both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
         ``diffuse``, lists, or the path of a CSV file with these columns (W m⁻² nm⁻¹).
     zenith_deg : float, optional
-        Polar angle of the sun, 0 to 89 degrees; 60 by default, and 48.19 for ``astm_g173``,
-        which has no other.
+        Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
+        ``astm_g173`` has 48.19 and no other; other skies with direct light need it.
     **atmosphere
         For ``"clear"`` (Bird & Riordan 1986): ``pressure_pa``, ``precipitable_water_cm``,
         ``ozone_atm_cm``, ``turbidity_500nm`` (aerosol optical thickness) and ``ground_albedo``, of
@@ -200,11 +223,13 @@ def sky(
     """
     if given == ASTM and zenith_deg is not None:
         raise refuse("zenith_deg", zenith_deg, "left out", f"{ASTM} is for {ASTM_ZENITH_DEG}°")
-    zenith = in_range(
-        "zenith_deg", 60.0 if zenith_deg is None else zenith_deg, 0.0, 89.0, "degrees"
-    )
+    zenith = None
+    if zenith_deg is not None:
+        zenith = in_range("zenith_deg", zenith_deg, 0.0, HIGHEST_ZENITH_DEG, "degrees")
     air = _checked(atmosphere)
     if given == CLEAR:
+        if zenith is None:
+            raise refuse("zenith_deg", None, GIVEN_ZENITH, f'splits.sky("{CLEAR}", zenith_deg=50)')
         return _clear(zenith, air)
     if atmosphere:
         raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
@@ -227,24 +252,23 @@ def sky(
     cloudy = given.endswith(CLOUDY)
     parts = (none, light) if cloudy else (light, none)
     source = "SNICAR-ADv3 (Flanner et al. 2021)"
+    zenith = SNICAR_ZENITH_DEG if zenith is None else zenith
     return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
 
 
-def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:
-    w, direct, diffuse = (
-        row_of(f"sky.{key}", column) for key, column in zip(COLUMNS, columns, strict=True)
-    )
-    increasing("sky.wavelength_nm", w)
-    if not w.size == direct.size == diffuse.size >= 2:
-        sizes = f"{w.size}, {direct.size} and {diffuse.size} numbers"
-        raise refuse("sky", sizes, "three lists of the same length, at least 2")
-    for key, values in (("direct", direct), ("diffuse", diffuse)):
-        if values.min() < 0.0:
-            raise refuse(f"sky.{key}", float(values.min()), "at least 0")
-    if not (direct + diffuse).any():
-        raise refuse("sky", "0 everywhere", "light at some wavelength")
-    digest = sha256 or hashlib.sha256(np.stack([w, direct, diffuse]).tobytes()).hexdigest()
-    return Sky(name, "given by the user", zenith, w, direct, diffuse, digest)
+def _own(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:
+    w, direct, diffuse = columns
+    own = Sky(name, "given by the user", SNICAR_ZENITH_DEG, w, direct, diffuse)
+    if zenith is None and own.direct.any():
+        raise refuse(
+            "zenith_deg",
+            None,
+            GIVEN_ZENITH,
+            "splits.sky(…, zenith_deg=50): this sky has direct light",
+        )
+    table = np.stack([own.wavelength_nm, own.direct, own.diffuse])
+    digest = sha256 or hashlib.sha256(table.tobytes()).hexdigest()
+    return replace(own, zenith_deg=own.zenith_deg if zenith is None else zenith, sha256=digest)
 
 
 def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:

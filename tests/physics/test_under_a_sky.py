@@ -54,10 +54,10 @@ def test_skies_in_relative_units_ask_for_their_total():
     with pytest.raises(ValueError, match="total_w_m2 = None"):
         splits.sky("midlatitude_winter").scaled_to(None)
     with pytest.raises(ValueError, match="total_w_m2"):
-        splits.sky(MINE).scaled_to(-3.0)
+        splits.sky(MINE, 50.0).scaled_to(-3.0)
     scaled = splits.sky("midlatitude_winter").scaled_to(800.0)
     assert np.trapezoid(scaled.total, scaled.wavelength_nm) == pytest.approx(800.0)
-    assert splits.sky(MINE).scaled_to(None).total[0] == 2.0
+    assert splits.sky(MINE, 50.0).scaled_to(None).total[0] == 2.0
 
 
 @NEEDS_JIT

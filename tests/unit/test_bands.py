@@ -49,6 +49,14 @@ def test_bad_bands_are_refused_in_one_line(given, text):
     assert "\n" not in str(error.value)
 
 
+def test_bands_of_two_sensors_stand_together():
+    """Numbers of makers alone are the same, and a mapping keeps one of each."""
+    first, second = splits.sensor("landsat_8"), splits.sensor("modis_terra")
+    assert len({**first, **second}) == len(first) + len(second)
+    with pytest.raises(ValueError, match="bands = '1': must be names that differ as texts"):
+        bands_of({1: (400, 500), "1": (600, 700)})
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_sensors_have_bands_with_responses(name):
     bands = bands_of(name)
@@ -68,6 +76,6 @@ def test_known_bands_are_where_they_should_be():
         ("modis_terra", "5"): 1240.0,
     }
     for (name, label), middle in wanted.items():
-        band = bands_of(name)[label]
+        band = bands_of(name)[f"{name}_{label}"]
         found = (band.wavelength_nm * band.response).sum() / band.response.sum()
         assert found == pytest.approx(middle, abs=8.0)

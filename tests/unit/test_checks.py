@@ -8,7 +8,8 @@ import pickle
 import numpy as np
 import pytest
 
-from splits.checks import in_range, number, numbers, one_of, refuse, suggestion, unknown_key
+from splits.arrays import numbers
+from splits.checks import in_range, number, one_of, refuse, suggestion, unknown_key
 
 
 def test_a_refusal_names_key_value_range_and_hint():

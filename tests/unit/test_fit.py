@@ -88,11 +88,11 @@ def test_bad_measurements_are_refused():
     with pytest.raises(ValueError, match=r"measured.*13 numbers"):
         fit({}, WAVELENGTHS, np.full(12, 0.3), 10.0)
     with pytest.raises(ValueError, match=r"measured = 1.2: must be in \[0, 1\]"):
-        check_measured([0.1, 1.2], 2)
+        check_measured([0.1, 1.2], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="measured"):
-        check_measured([0.1, np.nan], 2)
+        check_measured([0.1, np.nan], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="measured"):
-        check_measured(["dark", "bright"], 2)
+        check_measured(["dark", "bright"], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="9 wavelengths at least"):
         fit({}, WAVELENGTHS[:7], np.full(7, 0.3), 10.0)
     with pytest.raises(ValueError, match="seed = -1"):

@@ -242,7 +242,10 @@ WRONG = {
         {"measured": pd.DataFrame({"a": GOOD[1], "b": GOOD[1]}, index=W)},
         "a DataFrame of 2 columns.*choose one",
     ),
-    "noise elsewhere": ({"noise": pd.Series(0.01, index=W + 500.0)}, "over other wavelengths"),
+    "noise elsewhere": (
+        {"noise": pd.Series(0.01, index=W + 500.0)},
+        "noise = .values at .*must be values at",
+    ),
     "counted": ({"measured": pd.Series(GOOD[1])}, "only counted.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (

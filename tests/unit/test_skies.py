@@ -32,7 +32,7 @@ def test_weights_are_integrals_of_irradiance_times_hats():
 
 def test_direct_share_is_that_of_irradiances():
     np.testing.assert_allclose(
-        splits.sky(MINE).direct_share(np.array([300.0, 450.0, 600.0, 1200.0])),
+        splits.sky(MINE, 50.0).direct_share(np.array([300.0, 450.0, 600.0, 1200.0])),
         [0.5, 2.0 / 2.5, 1.0, 0.0],
     )
 
@@ -76,6 +76,8 @@ def test_clear_skies_and_the_standard():
         (MINE | {"direct": [1.0, -2.0, 0.0]}, {}, r"sky\.direct"),
         (MINE | {"direct": [0, 0, 0], "diffuse": [0, 0, 0]}, {}, "light at some wavelength"),
         (MINE | {"wavelength_nm": [300, 200, 400]}, {}, "strictly increasing"),
+        ("clear", {}, "zenith_deg = None: must be given"),
+        (MINE, {}, "zenith_deg = None: must be given"),
     ],
 )
 def test_bad_skies_are_refused_in_one_line(given, more, text):
@@ -97,10 +99,14 @@ def test_bad_skies_are_refused_in_one_line(given, more, text):
 def test_what_a_sky_cannot_tell_is_refused(more, text):
     given = {"wavelength_nm": W} | more
     with pytest.raises(ValueError, match=text):
-        splits.albedo(splits.Layer(optical_thickness=0.1), MINE, max_stderr=0.1, **given)
+        splits.albedo(
+            splits.Layer(optical_thickness=0.1), splits.sky(MINE, 50.0), max_stderr=0.1, **given
+        )
     if "wavelength_nm" not in more:
         with pytest.raises(ValueError, match=text):
-            splits.light_inside(splits.Snow(), MINE, [0.01], max_stderr=0.1, **given)
+            splits.light_inside(
+                splits.Snow(), splits.sky(MINE, 50.0), [0.01], max_stderr=0.1, **given
+            )
 
 
 def test_inputs_of_a_sky_are_known_afterwards():
@@ -108,7 +114,7 @@ def test_inputs_of_a_sky_are_known_afterwards():
     clear = splits.sky("clear", zenith_deg=30, turbidity_500nm=0.9)
     assert "turbidity_500nm 0.9" in clear.source and "ground_albedo 0.8" in clear.source
     other = MINE | {"direct": [1.0, 3.0, 0.1]}
-    assert len({splits.sky(one).sha256 for one in (MINE, other)} - {""}) == 2
+    assert len({splits.sky(one, 50.0).sha256 for one in (MINE, other)} - {""}) == 2
 
 
 def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
@@ -134,10 +140,10 @@ def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
 @pytest.mark.slow
 def test_a_white_layer_is_white_over_all_bands():
     white = splits.Layer(optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0)
-    found = splits.albedo(white, MINE, W, 0.02, bands={"green": (500, 560)})
+    found = splits.albedo(white, splits.sky(MINE, 50.0), W, 0.02, bands={"green": (500, 560)})
     assert found.band.values.tolist() == ["broadband", "green"]
     np.testing.assert_allclose(found.band_albedo, 1.0, atol=1e-12)
-    mine = splits.sky(MINE)
+    mine = splits.sky(MINE, 50.0)
     inside, everything = mine.weights(W, Band.between(300, 1200)).sum(), 1950.0
     assert found.irradiance_covered[0] == pytest.approx(inside / everything)
     assert found.irradiance_covered[1] == pytest.approx(1.0)

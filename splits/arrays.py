@@ -1,0 +1,273 @@
+"""One way to read arrays of numbers that a user gives.
+
+Every such array passes through `read_numbers`, alone or within the functions below it.  Masked
+members, NaN and the missing values of pandas are one kind, gaps.  Where values have labels of their
+own (pandas, xarray), the labels decide what belongs to what, and not the places.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence, Set
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.checks import ROUNDING, in_range, number, refuse, scalar, shown, snap_to_ends
+
+MOST_NUMBERS = 20_000
+"""A row of numbers, such as wavelengths, is so long at most."""
+TEXT = "this is text, not a number"
+UNLABELLED = "values are matched by their labels; .to_numpy() has none"
+
+
+def read_numbers(
+    key: str, values: Any, allowed: str = "numbers", *, gaps: bool = False
+) -> np.ndarray:
+    """Return numbers of any shape as a new array of doubles, or refuse them.
+
+    Parameters
+    ----------
+    key : str
+        Name the user knows them by.
+    values : array_like
+        Numbers of any type, order of bytes and access; no truth values, dates or texts.
+    allowed : str
+        What they must be, such as "numbers in nanometres".
+    gaps : bool
+        Whether gaps are returned as NaN, and infinite numbers as they are; else both are refused.
+    """
+    found = _read(key, values, allowed)
+    wrong = np.flatnonzero(~np.isfinite(found)) if not gaps else np.empty(0)
+    if wrong.size:
+        value = found.flat[wrong[0]]
+        where = f"number {wrong[0] + 1} of {found.size} is " if found.ndim else ""
+        hint = f"{where}masked, NaN or missing" if np.isnan(value) else ""
+        raise refuse(key, float(value), allowed, hint)
+    return found
+
+
+def _read(key: str, values: Any, allowed: str) -> np.ndarray:
+    """Return numbers as a new array of doubles with NaN for gaps, or refuse them."""
+    if isinstance(values, (str, bytes)):
+        raise refuse(key, values, allowed, TEXT)
+    if isinstance(values, Set):
+        raise refuse(key, values, allowed, "a set has no order")
+    if isinstance(values, Mapping):
+        raise refuse(key, values, allowed)
+    if hasattr(values, "__array__"):
+        return _read_dense(key, values, allowed)
+    if not isinstance(values, Iterable):
+        if values is pd.NA:
+            return np.array(np.nan)
+        # Numbers that are not finite are judged later.
+        return np.array(values if isinstance(values, float) else number(key, values, allowed))
+    members = list(itertools.islice(values, MOST_NUMBERS + 1))
+    if len(members) > MOST_NUMBERS:
+        raise refuse(key, f"more than {MOST_NUMBERS} numbers", f"at most {MOST_NUMBERS} numbers")
+    rows = [_read(key, member, allowed) for member in members]
+    if len({row.shape for row in rows}) > 1:
+        raise refuse(key, members, allowed, "rows differ in length")
+    return np.array(rows, dtype=float)
+
+
+def _read_dense(key: str, values: Any, allowed: str) -> np.ndarray:
+    """Return the numbers of an array of whatever library, see `_read`."""
+    dense = values if isinstance(values, np.ndarray) else np.asarray(values)
+    data, kind = np.ma.getdata(dense), dense.dtype.kind
+    if kind in "fiu":
+        found = np.array(data, dtype=float)
+    elif kind == "O":
+        missing = np.asarray(pd.isna(data))
+        found = np.full(data.shape, np.nan)
+        found[~missing] = [number(key, one, allowed) for one in data[~missing]]
+    else:
+        told = data.ravel()[0] if kind in "bUS" and data.size else f"of type {dense.dtype}"
+        raise refuse(key, told, allowed, TEXT if kind in "US" else "")
+    if isinstance(dense, np.ma.MaskedArray):
+        found[np.ma.getmaskarray(dense)] = np.nan
+    return found
+
+
+def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
+    """Return one number or a row of numbers as an array of doubles, or refuse them.
+
+    Parameters
+    ----------
+    key : str
+    values : array_like
+        At least one, and `MOST_NUMBERS` at most; each is finite.
+    allowed : str
+        What they must be, such as "numbers in nanometres".
+    """
+    found = read_numbers(key, values, allowed)
+    if found.ndim > 1:
+        raise refuse(key, np.asarray(values).tolist(), f"one row of {allowed}")
+    if not found.size:
+        raise refuse(key, [], f"{allowed}, at least one")
+    if found.size > MOST_NUMBERS:
+        raise refuse(key, f"{found.size} numbers", f"at most {MOST_NUMBERS} numbers")
+    return np.atleast_1d(found)
+
+
+def read_columns(place: str, given: Mapping[str, Any]) -> list[np.ndarray]:
+    """Return the columns of a table, each a row of numbers, in the order of the first.
+
+    Parameters
+    ----------
+    place : str
+        Name the user knows the table by.
+    given : mapping
+        Rows of numbers by name; labels of the others are values or labels of the first.
+    """
+    first, *others = given
+    column = row_of(f"{place}.{first}", given[first])
+    own = find_labels(given[first])
+    rows = [
+        row_of(f"{place}.{name}", read_in_order(f"{place}.{name}", given[name], column, own))
+        for name in others
+    ]
+    return [column, *rows]
+
+
+def increasing(key: str, values: np.ndarray) -> np.ndarray:
+    """Return numbers that rise strictly, or refuse the first two that do not."""
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if falls.size:
+        pair = values[falls[0] : falls[0] + 2].tolist()
+        where = f"numbers {falls[0] + 1} and {falls[0] + 2} of {values.size}"
+        raise refuse(key, pair, "strictly increasing", where)
+    return values
+
+
+def check_each(
+    key: str, values: np.ndarray, low: float, high: float, unit: str = "", **how: Any
+) -> np.ndarray:
+    """Return numbers that all are in a range, see `splits.checks.in_range`, or refuse the first."""
+    found = snap_to_ends(values, low, high)
+    open_low, open_high = how.get("open_low", False), how.get("open_high", False)
+    outside = (found < low) | (found > high) | (open_low & (found == low))
+    outside |= open_high & (found == high)
+    if outside.any():
+        in_range(key, found[outside][0], low, high, unit, **how)
+    return found
+
+
+def check_gaps(key: str, data: xr.Dataset | xr.DataArray) -> None:
+    """Refuse a dataset with a gap in what it holds."""
+    variables = data.data_vars.values() if isinstance(data, xr.Dataset) else [data]
+    for one in variables:
+        if pd.isna(one.values).any():
+            raise refuse(key, f"gaps in {one.name}", "numbers", "masked, NaN or missing")
+
+
+def find_labels(values: Any, axis: int = 0) -> pd.Index | None:
+    """Return the labels that values have along an axis, None where they have none."""
+    if isinstance(values, pd.Series | pd.DataFrame):
+        return values.axes[axis]
+    if isinstance(values, xr.DataArray) and axis < values.ndim:
+        return values.indexes.get(values.dims[axis])
+    return None
+
+
+def read_in_order(
+    key: str,
+    values: Any,
+    *labels: Any,
+    allowed: str = "numbers",
+    gaps: bool = False,
+    counted: bool = True,
+) -> np.ndarray:
+    """Return numbers in the order of labels along every axis, or refuse those with other labels.
+
+    Parameters
+    ----------
+    key : str
+    values : array_like
+    *labels : sequence or None
+        What the labels of the values may be; the first that they are decides.
+    allowed, gaps
+        As for `read_numbers`.
+    counted : bool
+        Whether labels that only count, 0, 1, 2 …, are none.
+    """
+    found = read_numbers(key, values, allowed, gaps=gaps)
+    for axis in range(found.ndim):
+        places = match_places(key, find_labels(values, axis), labels, counted=counted)
+        found = found[(slice(None),) * axis + (places,)]
+    return found
+
+
+def match_places(
+    key: str, own: pd.Index | None, labels: Sequence[Any], *, counted: bool = True
+) -> Any:
+    """Return where values with labels of their own stand among them, or refuse other labels.
+
+    Parameters
+    ----------
+    key : str
+    own : pandas.Index or None
+        None where places count.
+    labels, counted
+        As for `read_in_order`.
+    """
+    if own is None:
+        return slice(None)
+    wanted = [row for row in labels if row is not None]
+    for row in wanted:
+        found = _match(own, row)
+        if found is not None:
+            return found
+    if counted and own.equals(pd.RangeIndex(own.size)):
+        return slice(None)
+    there, least = own.tolist(), np.asarray(wanted[0]).tolist()
+    raise refuse(key, f"values at {shown(there)}", f"values at {shown(least)}", UNLABELLED)
+
+
+def _match(own: pd.Index, labels: Any) -> np.ndarray | None:
+    """Return where each label stands among one's own, None if they are not the same."""
+    wanted: Any = np.asarray(labels)
+    there: Any = np.asarray(own.tolist())
+    if there.shape != wanted.shape:
+        return None
+    numeric = wanted.dtype.kind in "fiu"
+    if not numeric:
+        wanted, there = wanted.astype(str), there.astype(str)
+    elif there.dtype.kind not in "fiu":
+        return None
+    before, after = np.argsort(there, kind="stable"), np.argsort(wanted, kind="stable")
+    if numeric:
+        same = np.allclose(there[before], wanted[after], rtol=ROUNDING, atol=0.0)
+    else:
+        same = bool((there[before] == wanted[after]).all())
+    once = bool((there[before][1:] != there[before][:-1]).all())
+    if not same or not (once or np.array_equal(there, wanted)):
+        return None
+    places = np.empty(there.size, dtype=np.int64)
+    places[after] = before
+    return places
+
+
+def numbers(
+    key: str,
+    value: object,
+    names: tuple[str, ...],
+    ends: tuple[float, float] = (-math.inf, math.inf),
+) -> tuple[float, ...]:
+    """Return a sequence of ``len(names)`` floats, by its labels where it has some, or refuse it.
+
+    What rounding has taken beyond one of the `ends` is that end; what is beyond is not refused.
+    """
+    allowed = f"{len(names)} numbers ({', '.join(names)})"
+    value = scalar(value)
+    if isinstance(value, (str, bytes, Set, Mapping)) or not isinstance(value, Iterable):
+        raise refuse(key, value, allowed)
+    values = tuple(itertools.islice(value, len(names) + 1))
+    if len(values) != len(names):
+        raise refuse(key, value, allowed)
+    places = np.arange(len(names))[match_places(key, find_labels(value), [names])]
+    found = [number(f"{key} ({n})", values[i]) for n, i in zip(names, places, strict=True)]
+    return tuple(snap_to_ends(found, *ends).tolist())

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.equality import ByContent
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
 
@@ -33,7 +34,7 @@ _TABLE = Path(__file__).with_suffix(".csv")
 
 
 @dataclass(frozen=True, eq=False)
-class Impurity:
+class Impurity(ByContent):
     """One kind of particles.
 
     Attributes

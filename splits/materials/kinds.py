@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from splits.checks import in_range, refuse
+from splits.equality import ByContent
 
 
 class RefractiveIndex(Protocol):
@@ -76,8 +77,8 @@ class Constant:
         return np.full(np.shape(wavelength_nm), self.value, dtype=complex)
 
 
-@dataclass(frozen=True, repr=False)
-class Tabulated:
+@dataclass(frozen=True, repr=False, eq=False)
+class Tabulated(ByContent):
     """A table of n and k, interpolated in log wavelength (and log k).
 
     Parameters

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from splits.checks import in_range, increasing, number, refuse, row_of, suggestion
+from splits.equality import ByContent
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
 
@@ -25,7 +26,7 @@ _SOILS = Path(__file__).with_name("soils.csv")
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class Ground(ByContent):
     """A Lambertian ground by its albedo, the same at all wavelengths or a table.
 
     Attributes

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of
+from splits.equality import ByContent
 from splits.media.rough_surface import RoughSurface
 from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
 from splits.transport.particles.turbid import OPEN, Turbid
@@ -26,8 +27,8 @@ PHASES = ("henyey_greenstein", "rayleigh")
 
 
 @known_keywords
-@dataclass(frozen=True)
-class Layer:
+@dataclass(frozen=True, eq=False)
+class Layer(ByContent):
     """A homogeneous layer of small particles in a transparent matrix.
 
     Parameters

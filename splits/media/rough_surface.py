@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of, suggestion, under
+from splits.equality import ByContent
 from splits.media.surface_laws import (
     CORRELATIONS,
     LAWS,
@@ -29,8 +30,8 @@ _SPECTRUM = ("wave_number_per_m", "density")
 
 
 @known_keywords
-@dataclass(frozen=True)
-class SurfaceField:
+@dataclass(frozen=True, eq=False)
+class SurfaceField(ByContent):
     """One random field of heights, Budak & Grimailo 2020, Eq 3.
 
     Parameters

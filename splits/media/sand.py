@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import in_range, known_keywords, numbers, refuse
+from splits.equality import ByContent
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, coating_fraction, compose
@@ -28,8 +29,8 @@ FILM = "water film"
 
 
 @known_keywords
-@dataclass(frozen=True)
-class Sand:
+@dataclass(frozen=True, eq=False)
+class Sand(ByContent):
     """A homogeneous sand.
 
     By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
+from splits.equality import ByContent
 from splits.extras import optional
 from splits.materials.tables import user_table
 
@@ -28,7 +29,7 @@ SENSORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class Band(ByContent):
     """How much a sensor makes of light at each wavelength.
 
     Attributes

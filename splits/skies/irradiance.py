@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.equality import ByContent
 from splits.extras import optional
 from splits.materials.tables import user_table
 from splits.skies.bands import Band, bands_of
@@ -37,7 +38,7 @@ ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sky:
+class Sky(ByContent):
     """Light on a horizontal surface.
 
     Attributes

@@ -133,7 +133,7 @@ def _by_mass(name: Any, given: Any) -> Impurity:
     digest = ""
     if "table" in given:
         names = ("wavelength_nm", "absorption_m2_kg")
-        (w, values), digest = user_table(f"{key}.table", Path(str(given["table"])), names)
+        (w, values), digest = user_table(f"{key}.table", given["table"], names)
     else:
         w, values = given["wavelength_nm"], given["absorption_m2_kg"]
     w = increasing(f"{key}.wavelength_nm", row_of(f"{key}.wavelength_nm", w))

@@ -14,7 +14,7 @@ import pandas as pd
 from splits.checks import in_range, increasing, number, refuse, row_of, suggestion
 from splits.equality import ByContent
 from splits.materials.kinds import within
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 
 OPEN = "open"
 BLACK = "black"
@@ -65,6 +65,7 @@ class Ground(ByContent):
         """
         if given is None or isinstance(given, Ground):
             return given
+        given = columns_of(given)
         if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
             return _from_file(Path(given))
         if isinstance(given, str):

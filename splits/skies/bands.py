@@ -12,7 +12,7 @@ import numpy as np
 from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
 from splits.equality import ByContent
 from splits.extras import optional
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 
 COLUMNS = ("wavelength_nm", "response")
 SENSORS = {
@@ -68,9 +68,9 @@ class Band(ByContent):
         ValueError
             For a malformed band.
         """
-        digest = ""
+        digest, given = "", columns_of(given)
         if isinstance(given, str | Path):
-            columns, digest = user_table(key, Path(given), COLUMNS)
+            columns, digest = user_table(key, given, COLUMNS)
         elif isinstance(given, Mapping):
             if set(given) != set(COLUMNS):
                 allowed = "its ends (nm), or a mapping of " + ", ".join(COLUMNS)

@@ -15,7 +15,7 @@ import pandas as pd
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
 from splits.equality import ByContent
 from splits.extras import optional
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 from splits.skies.bands import Band, bands_of
 
 _TABLE = Path(__file__).with_name("skies.csv")
@@ -178,12 +178,12 @@ def sky(
 
     Parameters
     ----------
-    given : str, mapping or path
+    given : str, mapping, DataFrame or path
         One of the skies of SNICAR, see `names`: clear ones, for which all light counts as direct
         and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
         a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
         both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
-        ``diffuse``, lists, or the path of a CSV file with these columns (W m⁻² nm⁻¹).
+        ``diffuse`` (W m⁻² nm⁻¹), lists; a DataFrame with these columns, or the path of a CSV file.
     zenith_deg : float, optional
         Polar angle of the sun, 0 to 89 degrees; 60 by default, and 48.19 for ``astm_g173``,
         which has no other.
@@ -199,36 +199,39 @@ def sky(
     ModuleNotFoundError
         Without pvlib where it is needed.
     """
-    if given == ASTM and zenith_deg is not None:
+    given = columns_of(given)
+    # Arrays have no single answer to whether they equal a text.
+    name = given if isinstance(given, str) else ""
+    if name == ASTM and zenith_deg is not None:
         raise refuse("zenith_deg", zenith_deg, "left out", f"{ASTM} is for {ASTM_ZENITH_DEG}°")
     zenith = in_range(
         "zenith_deg", 60.0 if zenith_deg is None else zenith_deg, 0.0, 89.0, "degrees"
     )
     air = _checked(atmosphere)
-    if given == CLEAR:
+    if name == CLEAR:
         return _clear(zenith, air)
     if atmosphere:
         raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
-    if given == ASTM:
+    if name == ASTM:
         return _astm()
     if isinstance(given, Mapping):
         if set(given) != set(COLUMNS):
             raise refuse("sky", sorted(map(str, given)), "a mapping of " + ", ".join(COLUMNS))
         return _own("table", zenith, [given[name] for name in COLUMNS])
-    if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
-        columns, digest = user_table("sky", Path(given), COLUMNS)
+    if isinstance(given, Path) or name.endswith(".csv"):
+        columns, digest = user_table("sky", given, COLUMNS)
         return _own(Path(given).name, zenith, columns, digest)
-    if given not in names():
+    if name not in names():
         known = [*names(), CLEAR, ASTM]
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
         raise refuse("sky", given, allowed, suggestion(given, known))
     table = _known()
-    light = table[given].to_numpy()
+    light = table[name].to_numpy()
     none = np.zeros_like(light)
-    cloudy = given.endswith(CLOUDY)
+    cloudy = name.endswith(CLOUDY)
     parts = (none, light) if cloudy else (light, none)
     source = "SNICAR-ADv3 (Flanner et al. 2021)"
-    return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
+    return Sky(name, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
 
 
 def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:

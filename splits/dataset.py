@@ -103,7 +103,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     if path.suffix not in SUFFIXES:
         hint = "this writes netCDF; tables come from dataset.to_dataframe().to_csv(…)"
         raise refuse("path", str(path), "a name that ends in " + ", ".join(SUFFIXES), hint)
-    _check(dataset, path.name)
+    dataset = _checked(dataset, path.name)
     stored = stored_as(dataset)
     stored.attrs = {**provenance("dataset saved"), **stored.attrs}
     # HDF5 has checksums for arrays of numbers only.
@@ -121,13 +121,15 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
             raise OSError(f"{path}: the file written does not hold the dataset")
 
 
-def _check(dataset: Any, name: str) -> None:
-    """Refuse what a file cannot hold, or nobody could read in it."""
+def _checked(dataset: Any, name: str) -> xr.Dataset:
+    """Return a dataset in memory, or refuse what a file cannot hold or nobody could read in it."""
     if not isinstance(dataset, xr.Dataset):
         hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
         if isinstance(dataset, xr.DataArray):
             hint = f"write array.to_dataset(name={str(dataset.name or 'reflectance')!r})"
         raise refuse("dataset", type(dataset).__name__, "an xarray.Dataset", hint)
+    # What is not computed yet would be at every look.
+    dataset = dataset.compute()
     for key, variable in dataset.data_vars.items():
         if not np.issubdtype(variable.dtype, np.number):
             continue
@@ -137,6 +139,7 @@ def _check(dataset: Any, name: str) -> None:
                 bad &= ~((dataset[beside] != 0) & np.isnan(variable))
         if bad.any():
             raise ValueError(f"{name}: {key} holds values that are not finite")
+    return dataset
 
 
 def load(path: str | Path) -> xr.Dataset:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dask.array
 import numpy as np
 import pytest
 import xarray as xr
@@ -168,6 +169,20 @@ def test_a_pixel_with_a_gap_is_nan_in_the_file_and_says_why(tmp_path):
     plain = xr.open_dataset(tmp_path / "map.nc", mask_and_scale=False)
     assert np.isnan(plain[SIZE].attrs["_FillValue"])
     assert plain[SIZE].attrs["ancillary_variables"].split()[-1] == "flags"
+
+
+def test_what_is_not_computed_yet_is_computed_once(tmp_path):
+    asked = []
+
+    def look(block):
+        asked.append(block.shape)
+        return block
+
+    values = dask.array.ones((4, 3), chunks=(2, 3)).map_blocks(look, dtype=float, meta=np.ones(1))
+    both = xr.Dataset({"one": (("y", "x"), values), "other": (("y", "x"), 2.0 * values)})
+    splits.save(both, tmp_path / "kept.nc")
+    assert asked == [(2, 3), (2, 3)]
+    assert isinstance(both.one.data, dask.array.Array)
 
 
 @pytest.mark.parametrize("change", [{"chi2": np.inf}, {"flags": 0}])

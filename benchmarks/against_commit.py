@@ -29,6 +29,7 @@ import pandas as pd
 from kernels import CASES
 
 from splits.analysis.tables import write_table
+from splits.paths import expand_path
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS = """
@@ -147,7 +148,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("commit", help="to compare with")
-    parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
+    parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
     table = compare(given.commit, QUICK if given.quick else Plan())

@@ -25,7 +25,6 @@ import argparse
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from splits.analysis.tables import write_table
 from splits.instruments.scenes import granular_scene
 from splits.instruments.threads import cpus
 from splits.materials.refractive_index import absorption_coefficient
+from splits.paths import expand_path
 from splits.transport import lanes
 from splits.transport.compiling.features import Features
 from splits.transport.grains import granular
@@ -278,7 +278,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
+    parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
     plan = QUICK if given.quick else Plan()

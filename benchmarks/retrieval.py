@@ -26,6 +26,7 @@ from splits.instruments.alike import spectra_of
 from splits.instruments.families import families
 from splits.instruments.spectral_run import Run
 from splits.lookup.interpolation import law
+from splits.paths import expand_path
 from splits.retrieval.coordinates import Free
 from splits.retrieval.forward import OfTable, ranges_of
 from splits.retrieval.measurement import Measurement
@@ -202,7 +203,7 @@ def maps(known: splits.Table, pixels: int) -> None:
 def main() -> None:
     """Make tables, retrieve."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=expand_path)
     parser.add_argument("--snows", type=int, default=1000)
     parser.add_argument("--sands", type=int, default=300)
     parser.add_argument("--pixels", type=int, default=500)

@@ -57,6 +57,7 @@ from splits.analysis import efficiency
 from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
 from splits.analysis.tables import write_table
 from splits.instruments.estimators import ANALOG_PILOT
+from splits.paths import expand_path
 
 MEDIA = {
     "representative": splits.Snow(),
@@ -280,7 +281,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", nargs="?", type=Path, help="CSV to write")
+    parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
     parser.add_argument("--quick", action="store_true", help="a trial: coarse and rough")
     parser.add_argument("--medium", action="append", choices=MEDIA, help="these only")
     parser.add_argument(

@@ -29,6 +29,7 @@ import xarray as xr
 import splits
 from splits.lookup.axes import Axes
 from splits.lookup.interpolation import weights_at
+from splits.paths import expand_path
 
 GRID: dict[str, Any] = {
     "optical_radius_um": np.geomspace(30.0, 2000.0, 20).round(1),
@@ -206,7 +207,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path, help="keeps the table")
+    parser.add_argument("folder", type=expand_path, help="keeps the table")
     parser.add_argument("--cells", type=int, default=60)
     parser.add_argument("--between", type=int, default=200)
     parser.add_argument("--quick", action="store_true")

@@ -20,6 +20,7 @@ from splits.experiments.settings import DEFAULT_LICENCE, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
+from splits.paths import expand_path
 from splits.unpacking import MOST_RATIO, SMALL, colliding, verify, wrong_name
 
 LOCK = "requirements.txt"
@@ -91,7 +92,8 @@ def pack(
     OSError
         If a result cannot be read, or the archive does not hold what was packed.
     """
-    target, place = Path(target), Path(repository) if repository else None
+    target = expand_path(target, "target")
+    place = expand_path(repository, "repository") if repository else None
     root = target.parent.parent
     members = {_below(root, Path(f)): Path(f).read_bytes() for f in results} | dict(configuration)
     members |= software_files(place)
@@ -217,8 +219,9 @@ def configuration_members(settings: Settings) -> dict[str, bytes]:
 def _with_tables(name: str, path: Path) -> dict[str, bytes]:
     """Return an experiment's or medium's file as a member, and the users' tables it names."""
     content = read_yaml(path)
-    places = {table: _place(table) for table in tables_in(content) if Path(table).is_file()}
-    members = {place: Path(table).read_bytes() for table, place in places.items()}
+    files = {table: expand_path(table) for table in tables_in(content)}
+    places = {table: _place(table) for table, file in files.items() if file.is_file()}
+    members = {place: files[table].read_bytes() for table, place in places.items()}
     if all(place == table for table, place in places.items()):
         return members | {name: path.read_bytes()}
     moved = renamed(content, lambda table: places.get(table, table))
@@ -237,5 +240,5 @@ def _place(table: str) -> str:
     path = PurePosixPath(table)
     if path.parts[0] == "config" and ".." not in path.parts:
         return str(path)
-    digest = hashlib.sha256(Path(table).read_bytes()).hexdigest()
+    digest = hashlib.sha256(expand_path(table).read_bytes()).hexdigest()
     return f"config/tables/{digest[:16]}/{path.name}"

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from splits.extras import optional
+from splits.paths import expand_path
 
 ACCURACIES = {"tiny": (0.05, 0.3), "draft": (0.01, 0.05), "standard": (0.002, 0.02),
               "fine": (0.001, 0.01)}  # fmt: skip
@@ -35,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = _parser().parse_args(arguments)
     try:
+        for name, value in vars(given).items():
+            if isinstance(value, Path):
+                setattr(given, name, expand_path(value, name))
         given.action(given)
     except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
         print(f"splits: {error}", file=sys.stderr)

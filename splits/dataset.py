@@ -15,6 +15,8 @@ import xarray as xr
 from splits.checks import listed, number, one_of, refuse
 from splits.checksum import CHECKSUM, LOCK, check, seal
 from splits.files import whole
+from splits.layout import as_stored, stored_as
+from splits.paths import expand_path
 from splits.schema import SCHEMA, VERSION, upgraded
 from splits.versions import commit, package_version
 
@@ -23,11 +25,8 @@ VOLATILE = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
 """Attributes that differ between runs of one and the same simulation."""
 SUFFIXES = (".nc", ".nc4", ".netcdf")
 """What names of datasets end in."""
-LABEL = "_label"
-VALUE = "_value"
-"""What names of auxiliary coordinates in a file end in, after the dimension they belong to."""
-DOTTED = "names_with_dots"
-"""Attribute of a file: which names have dots, in whose place it has underscores."""
+BESIDE = "ancillary_variables"
+"""Attribute of a variable: names of those that say more of its values, such as errors and flags."""
 
 
 def provenance(what: str = "dataset made") -> dict[str, Any]:
@@ -81,28 +80,38 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     `splits.checksum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
     order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
-    coordinates of their dimension again.  Names have no dots in the file (section 2.3):
-    ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own name again.
+    coordinates of their dimension again.  Names have letters, digits and underscores in the file
+    (section 2.3): ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own
+    name again.  A dataset without provenance, such as a part of another one, gets that of the file.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What a function of this package returns, or what was made from that.  Values are finite,
+        or NaN where a variable of flags that ``ancillary_variables`` names is not 0.
+    path : path
+        Its suffix is one of `SUFFIXES`.
 
     Raises
     ------
     ValueError
-        If a data variable holds a value that is not finite, or the path's suffix is not one of
-        `SUFFIXES`.
+        For something else than a dataset, a value that is not finite, or another suffix.
     OSError
         If the file cannot be written, or does not hold the dataset afterwards.
     """
-    path = Path(path)
+    path = expand_path(path)
     if path.suffix not in SUFFIXES:
         hint = "this writes netCDF; tables come from dataset.to_dataframe().to_csv(…)"
         raise refuse("path", str(path), "a name that ends in " + ", ".join(SUFFIXES), hint)
-    for name, variable in dataset.data_vars.items():
-        if np.issubdtype(variable.dtype, np.number) and not np.isfinite(variable).all():
-            raise ValueError(f"{path.name}: {name} holds values that are not finite")
+    dataset = _checked(dataset, path.name)
     stored = stored_as(dataset)
+    stored.attrs = {**provenance("dataset saved"), **stored.attrs}
+    # HDF5 has checksums for arrays of numbers only.
     encoding = {
-        # HDF5 has checksums for arrays of numbers only.
-        name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
+        name: {
+            "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
+            "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
+        }
         for name, v in stored.variables.items()
     }
     with LOCK, whole(path) as aside:
@@ -110,6 +119,27 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         seal(aside)
         if not _read(aside).equals(dataset):
             raise OSError(f"{path}: the file written does not hold the dataset")
+
+
+def _checked(dataset: Any, name: str) -> xr.Dataset:
+    """Return a dataset in memory, or refuse what a file cannot hold or nobody could read in it."""
+    if not isinstance(dataset, xr.Dataset):
+        hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
+        if isinstance(dataset, xr.DataArray):
+            hint = f"write array.to_dataset(name={str(dataset.name or 'reflectance')!r})"
+        raise refuse("dataset", type(dataset).__name__, "an xarray.Dataset", hint)
+    # What is not computed yet would be at every look.
+    dataset = dataset.compute()
+    for key, variable in dataset.data_vars.items():
+        if not np.issubdtype(variable.dtype, np.number):
+            continue
+        bad = ~np.isfinite(variable)
+        for beside in str(variable.attrs.get(BESIDE, "")).split():
+            if beside in dataset and "flag_meanings" in dataset[beside].attrs:
+                bad &= ~((dataset[beside] != 0) & np.isnan(variable))
+        if bad.any():
+            raise ValueError(f"{name}: {key} holds values that are not finite")
+    return dataset
 
 
 def load(path: str | Path) -> xr.Dataset:
@@ -152,6 +182,7 @@ def _owned(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
 
 def _read(path: str | Path, *, lazily: bool = False) -> xr.Dataset:
     """Return what a file holds, its checksum included, with coordinates that label dimensions."""
+    path = expand_path(path)
     with LOCK:
         check(path)
         dataset = xr.open_dataset(path, engine="netcdf4")
@@ -161,44 +192,7 @@ def _read(path: str | Path, *, lazily: bool = False) -> xr.Dataset:
     for variable in dataset.variables.values():
         # Or it would be written again, whatever coordinates there are by then.
         variable.encoding.pop("coordinates", None)
-    dotted = {_without_dots(name): name for name in str(dataset.attrs.pop(DOTTED, "")).split()}
-    there = {*dataset.variables, *dataset.dims}
-    dataset = dataset.rename({name: own for name, own in dotted.items() if name in there})
-    for dimension in {str(d) for d in dataset.dims if d not in dataset.coords}:
-        for name in (dimension + LABEL, dimension + VALUE):
-            if name in dataset.coords and dataset[name].dims == (dimension,):
-                axis = (dimension, dataset[name].values, dataset[name].attrs)
-                dataset = dataset.drop_vars(name).assign_coords({dimension: axis})
-    return dataset
-
-
-def stored_as(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset with coordinates and names as CF has them.
-
-    Coordinates are numbers, strictly up or down; names have letters, digits and underscores.
-    """
-    for dimension in map(str, dataset.dims):
-        if dimension not in dataset.coords:
-            continue
-        axis = dataset[dimension]
-        index = axis.to_index()
-        text = axis.dtype.kind in "OUS"
-        ordered = index.is_monotonic_increasing or index.is_monotonic_decreasing
-        if text or not (ordered and index.is_unique):
-            name = dimension + (LABEL if text else VALUE)
-            auxiliary = (dimension, axis.values, axis.attrs)
-            dataset = dataset.drop_vars(dimension).assign_coords({name: auxiliary})
-    names = sorted(map(str, {*dataset.variables, *dataset.dims}))
-    dotted = [name for name in names if "." in name]
-    stored = dataset.rename({name: _without_dots(name) for name in dotted})
-    stored.attrs.pop(CHECKSUM, None)
-    if dotted:
-        stored.attrs[DOTTED] = " ".join(dotted)
-    return stored
-
-
-def _without_dots(name: str) -> str:
-    return name.replace(".", "_")
+    return as_stored(dataset)
 
 
 def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:

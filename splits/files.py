@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from splits.interrupts import half_written
+from splits.paths import expand_path
 
 DAMAGED = ".damaged"
 """What the name of a file gets at its end when it is set aside."""
@@ -37,7 +38,7 @@ def whole(path: str | Path) -> Iterator[Path]:
     Path
         In the same folder, with the same suffix; a hidden name that carries host and process.
     """
-    path = Path(path)
+    path = expand_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _beside(path) as aside, half_written(aside):
         yield aside
@@ -61,7 +62,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     Path
         In the same folder; a hidden name that carries host and process.
     """
-    path = Path(path)
+    path = expand_path(path)
     with _beside(path) as aside:
         aside.mkdir()
         try:

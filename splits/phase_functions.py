@@ -55,7 +55,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     functions have it: χ_l = (2/π)(arccos t − t √(1 − t²)), t = √(l(l + 1))/2x, x = 2π r/λ
     (Goodman 2005, Introduction to Fourier Optics, chapter 6; J_0 stands for Legendre polynomials).
     """
-    _check(optics)
+    optics = _in_order(optics)
     if optics.attrs["diffraction"] != "none":
         raise refuse("optics", optics.attrs["diffraction"], "without diffraction yet")
     if radius_um is None:
@@ -136,7 +136,7 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Datase
     ValueError
         For a dataset of another kind, or angles out of range.
     """
-    _check(optics)
+    optics = _in_order(optics)
     angles = check_each("angle_deg", row_of("angle_deg", angle_deg), 0.0, 180.0)
     terms = _terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
@@ -248,6 +248,7 @@ def for_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
     ValueError
         For angles that miss a peak: between which light does not add up to 1 within 1 %.
     """
+    optics = _in_order(optics)
     angles = angles_that_resolve(int(optics.order[-1])) if angle_deg is None else angle_deg
     function = phase_function(optics, angles).sortby("angle", ascending=False)
     mu = np.cos(np.radians(function.angle.values))
@@ -296,16 +297,21 @@ def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
     path : path
         The file appears whole or not at all.
     """
-    _check(optics)
+    optics = _in_order(optics)
     columns = [optics.wavelength.values, 1e3 * optics.extinction.values, optics[ALBEDO].values]
     table = np.column_stack([*columns, optics[MOMENT].values])
     with whole(path) as aside:
         np.savetxt(aside, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on")
 
 
-def _check(optics: xr.Dataset) -> None:
-    """Refuse what `splits.single_scattering` did not return."""
+def _in_order(optics: xr.Dataset) -> xr.Dataset:
+    """Return what `splits.single_scattering` returned, moments ascending and last, or refuse it."""
     if "diffraction" not in optics.attrs or f"{MOMENT}_left_out" not in optics:
         title = optics.attrs.get("title", "a dataset")
         raise refuse("optics", title, "what splits.single_scattering returns")
     check_gaps("optics", optics)
+    optics = optics.sortby("order").transpose(..., "wavelength", "order")
+    if not np.array_equal(optics.order, np.arange(optics.sizes["order"])):
+        allowed = "0, 1, 2, … up to some order"
+        raise refuse("optics.order", optics.order.values.tolist(), allowed)
+    return optics

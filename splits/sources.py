@@ -30,7 +30,7 @@ FITTING = (
 """Files behind a fit besides."""
 RETRIEVING = (
     "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
-    "lookup/formats.py", "lookup/interpolation.py", "lookup/reading.py",
+    "lookup/formats.py", "lookup/interpolation.py", "lookup/order.py", "lookup/reading.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/coordinates.py", "retrieval/cubics.py", "retrieval/design.py",
     "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",

@@ -24,6 +24,7 @@ from pathlib import Path
 from splits.checks import named, refuse, shown
 from splits.crate import METADATA, ArchiveError, entities_of, files_of, root_of, text_of
 from splits.files import whole_folder
+from splits.paths import expand_path
 
 AT_THE_ROOT = (
     METADATA, "README.md", "LICENSE", "CITATION.cff", "requirements.txt", "versions.json",
@@ -102,7 +103,7 @@ def verify(archive: str | Path) -> Report:
     OSError
         If the file cannot be read.
     """
-    return _read(Path(archive), None)
+    return _read(expand_path(archive, "archive"), None)
 
 
 def unpack(archive: str | Path, folder: str | Path) -> Report:
@@ -123,13 +124,13 @@ def unpack(archive: str | Path, folder: str | Path) -> Report:
     OSError
         If files cannot be read or written.
     """
-    folder = Path(folder).resolve()
+    folder = expand_path(folder, "folder").resolve()
     if not folder.parent.is_dir():
         raise refuse("folder", str(folder), "in a folder that exists")
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise refuse("folder", str(folder), "a new or an empty folder")
     with whole_folder(folder) as aside:
-        return _read(Path(archive), aside)
+        return _read(expand_path(archive, "archive"), aside)
 
 
 def wrong_name(name: str) -> str:

@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.errors import weighted_error
+from splits.paths import expand_path
 
 DIFFUSE_SHARE = 0.85
 """Share of diffuse light under which Letcher et al. (2022) measured."""
@@ -21,7 +22,7 @@ LETCHER_COLUMNS = {0.34: "albedo_340mm", 0.045: "albedo_45mm_black"}
 
 def read_measured(path: str | Path) -> pd.DataFrame:
     """Read a table of measured values; lines that begin with # hold its citation."""
-    return pd.read_csv(path, comment="#")
+    return pd.read_csv(expand_path(path), comment="#")
 
 
 def rmse(

@@ -20,6 +20,7 @@ from splits.experiments.stacks import LAYERS, with_bases
 from splits.experiments.unused import keywords_given, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
 from splits.media.measured_inputs import on_top
+from splits.paths import expand_path
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -47,10 +48,10 @@ def load_experiment(
     ConfigError
         One line that names the file, the key, the value and what is allowed.
     """
-    path = Path(path)
     try:
-        media = Path(media_folder)
-        return _experiment(path, media, Path(measured_folder or media.parent / "measured"))
+        path, media = expand_path(path), expand_path(media_folder, "media_folder")
+        measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
+        return _experiment(path, media, measured)
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
@@ -163,7 +164,7 @@ def load_experiments(
     experiments: dict[str, Experiment] = {}
     files: dict[str, Path] = {}
     refused: list[str] = []
-    for path in sorted(Path(folder).rglob("*.y*ml")):
+    for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
         except ConfigError as error:

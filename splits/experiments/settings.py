@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from splits.checks import one_of, refuse, suggestion
 from splits.crate import ORCID, Author
@@ -17,6 +17,7 @@ from splits.experiments.sections import Section
 from splits.experiments.studies import Study
 from splits.experiments.texts import LONGEST_TITLE, check_text
 from splits.experiments.yaml_files import ConfigError
+from splits.paths import expand_path
 
 DEFAULT_LICENCE = "MIT"
 """Of results, unless the configuration says another: that of the software."""
@@ -93,6 +94,13 @@ class Settings(Section):
         if isinstance(value, str) and value != "all":
             return tuple(value.split(","))
         return value
+
+    @field_validator(
+        "experiments_folder", "media_folder", "measured_folder", "published_folder", "results"
+    )
+    @classmethod
+    def _path(cls, value: str, info: ValidationInfo) -> str:
+        return str(expand_path(value, str(info.field_name)))
 
     @field_validator("archive_license")
     @classmethod

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
+
+from splits.paths import expand_path
 
 KEYS = ("refractive_index", "ground", "impurities_ng_g")
 
@@ -41,7 +42,7 @@ def by_content(path: str) -> str:
 
     A medium's table that every point of a grid replaces need not exist.
     """
-    file = Path(path)
+    file = expand_path(path)
     digest = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else "unused"
     return f"{file.name} sha256:{digest}"
 

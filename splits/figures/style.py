@@ -18,6 +18,7 @@ from matplotlib.font_manager import fontManager
 
 from splits.files import whole
 from splits.names import amount_of
+from splits.paths import expand_path
 
 Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
@@ -235,7 +236,7 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     -------
     list of Path
     """
-    stem = Path(stem)
+    stem = expand_path(stem, "stem")
     paths = []
     layout = figure.get_layout_engine()
     try:

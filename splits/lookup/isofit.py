@@ -78,7 +78,8 @@ def _factor(directions: xr.Dataset) -> xr.DataArray:
     check_gaps("directions", directions.reflectance_factor)
     factor = directions.reflectance_factor.transpose(*dims)
     half = factor.sel(azimuth=factor.azimuth.values <= 180.0)
-    return half.sortby("azimuth", ascending=False)
+    # Backwards first, whose relative azimuth is the least.
+    return half.sortby([*dims]).isel(azimuth=slice(None, None, -1))
 
 
 def _nodes(factor: xr.DataArray, part: xr.DataArray, name: str) -> np.ndarray:

@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 
 from splits.checksum import LOCK, seal
-from splits.dataset import stored_as
 from splits.files import whole
 from splits.instruments.ensemble import GROUPS
+from splits.layout import stored_as
 from splits.lookup.assembly import arrays_of, finished
 from splits.lookup.block import Order
 from splits.lookup.plan import Plan

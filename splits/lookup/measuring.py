@@ -20,6 +20,7 @@ from splits.lookup.axes import Axes
 from splits.lookup.block import Cuts, Order, keep, kept, measure
 from splits.lookup.plan import Ensemble, Plan
 from splits.media.turbid import Medium
+from splits.paths import expand_path
 from splits.sources import physics_digest
 
 
@@ -98,7 +99,7 @@ def table(
     run = Run.checked(wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel)
     order = Order(run, _quantities(quantities), bool(covariance))
     plan = Plan.of(make, Axes.of(grid), run.wavelengths, incidence_deg)
-    place = None if folder is None else Path(folder)
+    place = None if folder is None else expand_path(folder, "folder")
     found = blank(plan, order)
     facts = []
     for block in blocks(order, plan.ensembles, place, progress):

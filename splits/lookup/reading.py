@@ -19,6 +19,8 @@ from splits.lookup.formats import for_spires, write_csv
 from splits.lookup.interpolation import Weights, place_on, weights_at
 from splits.lookup.isofit import for_isofit
 from splits.lookup.large import IN_MEMORY
+from splits.lookup.order import check_whole, ordered
+from splits.paths import expand_path
 
 Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
@@ -29,18 +31,23 @@ class Table:
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.table` returns it.
+        As `splits.table` returns it, or a part of it, its axes in any order.
 
     Attributes
     ----------
     dataset : xarray.Dataset
+        Axes of numbers ascend in it, and the wavelength is the last axis.
+
+    Raises
+    ------
+    ValueError
+        For another dataset, and where values, or what labels them, are missing.
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:
-        if "axes_that_share_paths" not in dataset.attrs:
-            given = dataset.attrs.get("title", "a dataset")
-            raise refuse("table", given, "what splits.table returned, or wrote")
-        self.dataset = dataset
+        self.dataset = ordered(dataset)
+        if self.dataset.nbytes <= IN_MEMORY:
+            check_whole(self.dataset)
 
     def __repr__(self) -> str:
         """Return what the table holds, an axis to a line."""
@@ -227,7 +234,7 @@ class Table:
         """Return what was read as a dataset."""
         variables: dict[str, Any] = {}
         for name, read in zip(self.quantities, parts, strict=True):
-            label = self.dataset[name].attrs["long_name"]
+            label = str(self.dataset[name].attrs.get("long_name", name))
             error = np.sqrt(read.stderr**2 + read.missed**2)
             for end, values, about in (
                 ("", read.value, label),
@@ -303,5 +310,7 @@ def open_table(path: str | Path) -> Table:
     ValueError
         For a file that holds no table, or is damaged.
     """
-    small = Path(path).stat().st_size <= 1.2 * IN_MEMORY
+    hint = "splits.Table(…) takes a dataset" if isinstance(path, xr.Dataset) else ""
+    path = expand_path(path, hint=hint)
+    small = path.stat().st_size <= 1.2 * IN_MEMORY
     return Table(load(path) if small else opened(path))

@@ -17,6 +17,7 @@ import pandas as pd
 
 from splits.arrays import check_each, increasing, read_columns
 from splits.checks import in_range, refuse, suggestion
+from splits.equality import ByContent
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
 
@@ -34,7 +35,7 @@ _TABLE = Path(__file__).with_suffix(".csv")
 
 
 @dataclass(frozen=True, eq=False)
-class Impurity:
+class Impurity(ByContent):
     """One kind of particles.
 
     Attributes
@@ -133,7 +134,7 @@ def _by_mass(name: Any, given: Any) -> Impurity:
     digest = ""
     if "table" in given:
         names = ("wavelength_nm", "absorption_m2_kg")
-        (w, values), digest = user_table(f"{key}.table", Path(str(given["table"])), names)
+        (w, values), digest = user_table(f"{key}.table", given["table"], names)
     else:
         w, values = given["wavelength_nm"], given["absorption_m2_kg"]
     w, values = read_columns(key, {"wavelength_nm": w, "absorption_m2_kg": values})

@@ -14,6 +14,7 @@ import numpy as np
 
 from splits.arrays import read_numbers
 from splits.checks import in_range, refuse, snap_to_ends
+from splits.equality import ByContent
 
 
 class RefractiveIndex(Protocol):
@@ -77,8 +78,8 @@ class Constant:
         return np.full(np.shape(wavelength_nm), self.value, dtype=complex)
 
 
-@dataclass(frozen=True, repr=False)
-class Tabulated:
+@dataclass(frozen=True, repr=False, eq=False)
+class Tabulated(ByContent):
     """A table of n and k, interpolated in log wavelength (and log k).
 
     Parameters

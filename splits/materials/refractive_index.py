@@ -15,7 +15,7 @@ from splits.arrays import read_columns
 from splits.checks import Refusal, in_range, number, one_of, refuse, scalar
 from splits.materials.datasets import dataset, dataset_names
 from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 
 
 def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
@@ -53,7 +53,7 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
 
 def given_index(material: str, spec: Any, names: Sequence[str] = ()) -> RefractiveIndex:
     """Return what `refractive_index` does of a material with datasets of these names, or none."""
-    key = f"refractive_index[{material}]"
+    key, spec = f"refractive_index[{material}]", columns_of(spec)
     if isinstance(spec, str):
         if spec in names:
             return dataset(material, spec)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import io
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from splits.checks import refuse
+from splits.paths import expand_path
 
 
 class UserTable(NamedTuple):
@@ -23,14 +24,25 @@ class UserTable(NamedTuple):
     sha256: str
 
 
-def user_table(key: str, path: Path, names: tuple[str, ...]) -> UserTable:
+def columns_of(given: Any) -> Any:
+    """Return the columns of a DataFrame as a mapping of lists, with an index that has a name.
+
+    Whatever else a user gives is returned as it is.
+    """
+    if not isinstance(given, pd.DataFrame):
+        return given
+    frame = given if given.index.name is None else given.reset_index()
+    return frame.to_dict("list")
+
+
+def user_table(key: str, path: str | Path, names: tuple[str, ...]) -> UserTable:
     """Return columns of numbers of a CSV file with comments after ``#``, or refuse it.
 
     Parameters
     ----------
     key : str
         What is refused.
-    path : Path
+    path : path
     names : tuple of str
         Of the columns.
 
@@ -39,6 +51,7 @@ def user_table(key: str, path: Path, names: tuple[str, ...]) -> UserTable:
     ValueError
         If the file does not exist, or has not these columns of numbers.
     """
+    path = expand_path(path, key)
     try:
         content = path.read_bytes()
     except OSError:

@@ -14,6 +14,7 @@ import numpy as np
 
 from splits.arrays import numbers
 from splits.checks import ROUNDING, in_range, refuse
+from splits.equality import ByContent
 from splits.materials import MINERAL_KG_M3
 from splits.media.grain_statistics import surface_to_volume
 
@@ -22,8 +23,8 @@ EXCESS_MAGNETITE = ("first", "clipped")
 """What happens when magnetite needs more than the pure particles have (Eq 9 turns negative)."""
 
 
-@dataclass(frozen=True)
-class ParticleType:
+@dataclass(frozen=True, eq=False)
+class ParticleType(ByContent):
     """One row of SPLITS Tables 3 and 4.
 
     Attributes

@@ -13,8 +13,9 @@ import pandas as pd
 
 from splits.arrays import check_each, increasing, read_columns
 from splits.checks import in_range, number, refuse, suggestion
+from splits.equality import ByContent
 from splits.materials.kinds import within
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 
 OPEN = "open"
 BLACK = "black"
@@ -26,7 +27,7 @@ _SOILS = Path(__file__).with_name("soils.csv")
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class Ground(ByContent):
     """A Lambertian ground by its albedo, the same at all wavelengths or a table.
 
     Attributes
@@ -65,6 +66,7 @@ class Ground:
         """
         if given is None or isinstance(given, Ground):
             return given
+        given = columns_of(given)
         if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
             return _from_file(Path(given))
         if isinstance(given, str):

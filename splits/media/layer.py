@@ -11,6 +11,7 @@ import numpy as np
 
 from splits.arrays import read_columns
 from splits.checks import ROUNDING, in_range, known_keywords, one_of, refuse, scalar, snap_to_ends
+from splits.equality import ByContent
 from splits.media.rough_surface import RoughSurface
 from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
 from splits.transport.particles.turbid import OPEN, Turbid
@@ -27,8 +28,8 @@ PHASES = ("henyey_greenstein", "rayleigh")
 
 
 @known_keywords
-@dataclass(frozen=True)
-class Layer:
+@dataclass(frozen=True, eq=False)
+class Layer(ByContent):
     """A homogeneous layer of small particles in a transparent matrix.
 
     Parameters

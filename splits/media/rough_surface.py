@@ -23,6 +23,7 @@ from splits.checks import (
     suggestion,
     under,
 )
+from splits.equality import ByContent
 from splits.media.surface_laws import (
     CORRELATIONS,
     LAWS,
@@ -40,8 +41,8 @@ _SPECTRUM = ("wave_number_per_m", "density")
 
 
 @known_keywords
-@dataclass(frozen=True)
-class SurfaceField:
+@dataclass(frozen=True, eq=False)
+class SurfaceField(ByContent):
     """One random field of heights, Budak & Grimailo 2020, Eq 3.
 
     Parameters

@@ -12,6 +12,7 @@ import numpy as np
 
 from splits.arrays import numbers
 from splits.checks import in_range, known_keywords, refuse
+from splits.equality import ByContent
 from splits.materials import MINERAL_KG_M3, MIXING
 from splits.media import grain_statistics as statistics
 from splits.media.composition import Composition, coating_fraction, compose
@@ -29,8 +30,8 @@ FILM = "water film"
 
 
 @known_keywords
-@dataclass(frozen=True)
-class Sand:
+@dataclass(frozen=True, eq=False)
+class Sand(ByContent):
     """A homogeneous sand.
 
     By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from splits.arrays import numbers
 from splits.checks import in_range, keywords_taken, known_keywords, one_of, refuse, unknown_key
+from splits.equality import ByContent
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, described_impurities, impurities_of
 from splits.media import grain_statistics as statistics
@@ -26,8 +27,8 @@ from splits.transport.grains.scene import Grains, Types
 
 @known_keywords
 @takes_measured
-@dataclass(frozen=True)
-class Snow:
+@dataclass(frozen=True, eq=False)
+class Snow(ByContent):
     """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
 
     For snow of which a surface area was measured see `Snow.natural`.
@@ -104,8 +105,8 @@ class Snow:
     readings: Readings = field(default_factory=Readings)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
-    impurities_ng_g: Mapping[str, Any] = field(default_factory=dict)
-    algae_cells_ml: Mapping[str, float] = field(default_factory=dict)
+    impurities_ng_g: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    algae_cells_ml: Mapping[str, float] = field(default_factory=dict, compare=False)
     impurities_in: str = "ice"
 
     @classmethod
@@ -195,6 +196,10 @@ class Snow:
     @cached_property
     def _impurities(self) -> tuple[Impurity, ...]:
         return impurities_of(self.impurities_ng_g, self.algae_cells_ml)
+
+    def _content(self) -> tuple[Hashable, ...]:
+        # A table is what it holds, and not the path that it was read from.
+        return (*super()._content(), frozenset(self._impurities))
 
     @property
     def largest_grain_m(self) -> float:

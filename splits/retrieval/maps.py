@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 
 from splits.arrays import read_numbers
-from splits.checks import known_arguments, one_of, refuse
-from splits.dataset import attributes, provenance
+from splits.checks import known_arguments, listed, one_of, refuse
+from splits.dataset import BESIDE, attributes, provenance
 from splits.extras import optional
 from splits.instruments.arguments import check_threads
 from splits.lookup.reading import Table
@@ -32,6 +32,8 @@ FLAGS = {
 }  # fmt: skip
 PLACES = 32
 """Places in the ranges over which the mean of the table's error is taken."""
+WHAT = "what"
+"""Dimension over which results of a pixel lie before they have names."""
 PIXELS = 4096
 """Of a piece of work."""
 IMPROBABLE = 1e-3
@@ -89,7 +91,8 @@ def retrieve_map(
     Parameters
     ----------
     image : xarray.DataArray
-        Reflectances over ``wavelength`` (nm) and other dimensions; dask arrays block by block.
+        Reflectances over ``wavelength`` (nm) and other dimensions, or over one with a coordinate
+        ``wavelength``, such as ``band``; dask arrays block by block.
     table : Table
     free : sequence of str or mapping
         As for `splits.retrieve`, but ``level``.
@@ -112,16 +115,14 @@ def retrieve_map(
     ValueError
         As `splits.retrieve`.
     """
-    if not isinstance(image, xr.DataArray) or "wavelength" not in image.coords:
-        raise refuse("image", type(image).__name__, "a DataArray over wavelength and others")
-    if not image.size:
-        raise refuse("image", "no pixel", "at least one")
+    image = _over_wavelength(image)
     # What no array of this type can hold is told before work begins.
     read_numbers("image", np.empty(0, image.dtype))
     one_of("quantity", "reflectance", table.quantities)
     which = Free.of(free, prior, ranges_of(table))
     if LEVEL in which.names:
         raise refuse("free", LEVEL, "left out of maps")
+    _check_names(image, which.names)
     w = image.wavelength.values
     measurement = Measurement.of((w, np.full(w.size, 0.5)), noise).check_told()
     model = OfTable(table, measurement, which, at)
@@ -135,11 +136,33 @@ def retrieve_map(
         stacked = stacked.chunk({"wavelength": -1})
     many = 2 * len(which.names) + 2
     found = xr.apply_ufunc(
-        work.block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[["what"]],
+        work.block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[[WHAT]],
         dask="parallelized", output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"what": many}},
+        dask_gufunc_kwargs={"output_sizes": {WHAT: many}},
     )  # fmt: skip
     return _dataset(found, which, work)
+
+
+def _over_wavelength(image: Any) -> xr.DataArray:
+    """Return an image whose spectra lie along ``wavelength``, or refuse it."""
+    allowed = "a DataArray over wavelength and others"
+    if not isinstance(image, xr.DataArray):
+        raise refuse("image", type(image).__name__, allowed)
+    along: tuple[Any, ...] = image.wavelength.dims if "wavelength" in image.coords else ()
+    if len(along) != 1:
+        hint = "image.assign_coords(wavelength=('band', […])) gives bands their wavelengths (nm)"
+        raise refuse("image", f"over {listed(map(str, image.dims))}", allowed, hint)
+    if not image.size:
+        raise refuse("image", "no pixel", "at least one")
+    return image if along == ("wavelength",) else image.swap_dims({along[0]: "wavelength"})
+
+
+def _check_names(image: xr.DataArray, free: Sequence[str]) -> None:
+    """Refuse dimensions and coordinates of an image that are named like results."""
+    results = {*free, *(f"{name}_stderr" for name in free), "chi2", "flags", WHAT}
+    for name in map(str, {*image.dims, *image.coords} & results):
+        hint = f"image.rename({{{name!r}: 'true_{name}'}}), or leave it out by drop_vars"
+        raise refuse("image", f"with {name}", "without names that results have", hint)
 
 
 class _Work(NamedTuple):
@@ -213,6 +236,9 @@ def _dataset(found: xr.DataArray, free: Free, work: _Work) -> xr.Dataset:
         variables |= pair
     variables |= quantity("chi2", dims, found[..., -2].data, None, "sum of squares of the misfit")
     variables["chi2"][2]["expected"] = work.expected()
+    for _, _, about in variables.values():
+        # Where values are NaN, flags say why.
+        about[BESIDE] = f"{about.get(BESIDE, '')} flags".strip()
     flags = found[..., -1].astype(np.int16)
     told = {
         "long_name": "flags", "units": "1", "flag_masks": np.array(list(FLAGS.values()), np.int16),
@@ -220,5 +246,5 @@ def _dataset(found: xr.DataArray, free: Free, work: _Work) -> xr.Dataset:
     }  # fmt: skip
     variables["flags"] = (dims, flags.data, told)
     facts = {"title": "Map of a retrieval", **provenance("map of a retrieval")}
-    coordinates = {k: v for k, v in found.coords.items() if k != "what"}
+    coordinates = {k: v for k, v in found.coords.items() if k != WHAT}
     return xr.Dataset(variables, coordinates, attributes(facts))

@@ -11,8 +11,9 @@ import numpy as np
 
 from splits.arrays import increasing, numbers, read_columns
 from splits.checks import listed, name_as_texts, one_of, refuse, snap_to_ends
+from splits.equality import ByContent
 from splits.extras import optional
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 
 COLUMNS = ("wavelength_nm", "response")
 SENSORS = {
@@ -29,7 +30,7 @@ SENSORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class Band(ByContent):
     """How much a sensor makes of light at each wavelength.
 
     Attributes
@@ -68,9 +69,9 @@ class Band:
         ValueError
             For a malformed band.
         """
-        digest = ""
+        digest, given = "", columns_of(given)
         if isinstance(given, str | Path):
-            columns, digest = user_table(key, Path(given), COLUMNS)
+            columns, digest = user_table(key, given, COLUMNS)
         elif isinstance(given, Mapping):
             if set(given) != set(COLUMNS):
                 allowed = "its ends (nm), or a mapping of " + ", ".join(COLUMNS)

@@ -14,8 +14,9 @@ import pandas as pd
 
 from splits.arrays import check_each, increasing, read_columns
 from splits.checks import in_range, refuse, snap_to_ends, suggestion
+from splits.equality import ByContent
 from splits.extras import optional
-from splits.materials.tables import user_table
+from splits.materials.tables import columns_of, user_table
 from splits.skies.bands import Band, bands_of
 
 _TABLE = Path(__file__).with_name("skies.csv")
@@ -42,7 +43,7 @@ ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sky:
+class Sky(ByContent):
     """Light on a horizontal surface.
 
     Attributes
@@ -200,12 +201,12 @@ def sky(
 
     Parameters
     ----------
-    given : str, mapping or path
+    given : str, mapping, DataFrame or path
         One of the skies of SNICAR, see `names`: clear ones, for which all light counts as direct
         and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
         a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
         both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
-        ``diffuse``, lists, or the path of a CSV file with these columns (W m⁻² nm⁻¹).
+        ``diffuse`` (W m⁻² nm⁻¹), lists; a DataFrame with these columns, or the path of a CSV file.
     zenith_deg : float, optional
         Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
         ``astm_g173`` has 48.19 and no other; other skies with direct light need it.
@@ -221,39 +222,42 @@ def sky(
     ModuleNotFoundError
         Without pvlib where it is needed.
     """
-    if given == ASTM and zenith_deg is not None:
+    given = columns_of(given)
+    # Arrays have no single answer to whether they equal a text.
+    name = given if isinstance(given, str) else ""
+    if name == ASTM and zenith_deg is not None:
         raise refuse("zenith_deg", zenith_deg, "left out", f"{ASTM} is for {ASTM_ZENITH_DEG}°")
     zenith = None
     if zenith_deg is not None:
         zenith = in_range("zenith_deg", zenith_deg, 0.0, HIGHEST_ZENITH_DEG, "degrees")
     air = _checked(atmosphere)
-    if given == CLEAR:
+    if name == CLEAR:
         if zenith is None:
             raise refuse("zenith_deg", None, GIVEN_ZENITH, f'splits.sky("{CLEAR}", zenith_deg=50)')
         return _clear(zenith, air)
     if atmosphere:
         raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
-    if given == ASTM:
+    if name == ASTM:
         return _astm()
     if isinstance(given, Mapping):
         if set(given) != set(COLUMNS):
             raise refuse("sky", sorted(map(str, given)), "a mapping of " + ", ".join(COLUMNS))
         return _own("table", zenith, [given[name] for name in COLUMNS])
-    if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
-        columns, digest = user_table("sky", Path(given), COLUMNS)
+    if isinstance(given, Path) or name.endswith(".csv"):
+        columns, digest = user_table("sky", given, COLUMNS)
         return _own(Path(given).name, zenith, columns, digest)
-    if given not in names():
+    if name not in names():
         known = [*names(), CLEAR, ASTM]
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
         raise refuse("sky", given, allowed, suggestion(given, known))
     table = _known()
-    light = table[given].to_numpy()
+    light = table[name].to_numpy()
     none = np.zeros_like(light)
-    cloudy = given.endswith(CLOUDY)
+    cloudy = name.endswith(CLOUDY)
     parts = (none, light) if cloudy else (light, none)
     source = "SNICAR-ADv3 (Flanner et al. 2021)"
     zenith = SNICAR_ZENITH_DEG if zenith is None else zenith
-    return Sky(given, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
+    return Sky(name, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
 
 
 def _own(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:

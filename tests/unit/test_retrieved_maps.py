@@ -125,7 +125,47 @@ def test_maps_end_where_retrievals_do_where_amounts_begin_with_none():
     assert ((found.flags.values & FLAGS["not_at_rest"]) > 0).mean() < 0.05
 
 
+def over_bands(image):
+    """Return an image as readers of rasters have it: over bands, of which wavelengths are told."""
+    bands = image.rename(wavelength="band")
+    names = [f"B{number}" for number in range(W.size)]
+    return bands.assign_coords(band=names, wavelength=("band", W)).transpose("band", ...)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [over_bands, lambda image: over_bands(image).drop_vars("band")],
+    ids=["bands by name", "bands alone"],
+)
+def test_an_image_over_bands_is_one_over_their_wavelengths(table, image, change):
+    plain = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT)
+    found = splits.retrieve_map(change(image), table, [SIZE, DIRT], 0.01, at=AT)
+    xr.testing.assert_equal(found, plain)
+
+
+def test_stacked_pixels_are_unstacked_to_the_same(table, image):
+    image = image.assign_coords(x=[1.0, 2.0, 3.0])
+    plain = splits.retrieve_map(image, table, [SIZE, DIRT], 0.01, at=AT)
+    stacked = image.stack(pixel=("y", "x"))
+    found = splits.retrieve_map(stacked, table, [SIZE, DIRT], 0.01, at=AT)
+    xr.testing.assert_allclose(found.unstack("pixel"), plain, rtol=1e-12)
+
+
+LINES = xr.DataArray(np.full((2, W.size), 0.5), {}, ("x", "band"))
 WRONG = {
+    "bands without wavelengths": ({"image": LINES}, r"over x, band.*assign_coords\(wavelength="),
+    "wavelengths by pixel": (
+        {"image": LINES.assign_coords(wavelength=(("x", "band"), np.tile(W, (2, 1))))},
+        "over x, band",
+    ),
+    "one wavelength": (
+        {"image": LINES.isel(band=0).assign_coords(wavelength=500.0)},
+        "image = 'over x'",
+    ),
+    "named like a result": (
+        {"image": LINES.rename(x=SIZE).assign_coords(wavelength=("band", W))},
+        f"image = 'with {SIZE}': must be without names that results have",
+    ),
     "no pixel": (
         {"image": xr.DataArray(np.zeros((0, W.size)), {"wavelength": W}, ("x", "wavelength"))},
         "no pixel",

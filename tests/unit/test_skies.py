@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
+from splits.checks import Refusal
 from splits.skies.bands import Band
 from splits.skies.irradiance import names
 from splits.skies.mixing import mixed
@@ -28,6 +30,33 @@ def test_weights_are_integrals_of_irradiance_times_hats():
     wide, narrow = (mine.weights(W, Band.between(*e)).sum() for e in ((300, 5000), (400, 1000)))
     assert wide == narrow
     assert (mine.weights(W, Band.between(1100.0, 1200.0)) == 0.0).all()
+
+
+FRAME = pd.DataFrame(MINE)
+
+
+def test_columns_of_a_frame_are_taken_as_lists_of_these_names():
+    for frame in (FRAME, FRAME[["diffuse", "wavelength_nm", "direct"]],
+                  FRAME.set_index("wavelength_nm")):  # fmt: skip
+        assert splits.sky(frame) == splits.sky(MINE)
+    response = FRAME[["wavelength_nm", "direct"]].rename(columns={"direct": "response"})
+    assert Band.of("mine", response) == Band.of("mine", response.to_dict("list"))
+    albedo = pd.DataFrame({"wavelength_nm": [200, 3000], "albedo": [0.1, 0.2]})
+    assert splits.Snow(ground=albedo) == splits.Snow(ground=albedo.to_dict("list"))
+    index = pd.DataFrame({"wavelength_nm": [200, 3000], "n": [1.3, 1.4], "k": [0.0, 0.0]})
+    one, other = ({"ice": table} for table in (index, index.to_dict("list")))
+    assert splits.Snow(refractive_index=one) == splits.Snow(refractive_index=other)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [FRAME[["direct"]], FRAME.direct, np.ones(3), [1.0, 2.0], None, 3.0, xr.DataArray(np.ones(3)),
+     xr.Dataset(), splits.sky()],
+)  # fmt: skip
+def test_what_is_no_sky_is_refused_in_a_line(given):
+    with pytest.raises(Refusal, match=r"^sky = .*: must be (one of|a mapping of) ") as refused:
+        splits.sky(given)
+    assert "\n" not in str(refused.value)
 
 
 def test_direct_share_is_that_of_irradiances():

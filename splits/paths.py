@@ -1,0 +1,41 @@
+"""Paths that users give."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from splits.checks import refuse
+
+
+def expand_path(given: Any, key: str = "path", hint: str = "") -> Path:
+    """Return a path whose ``~`` or ``~NAME`` at the beginning is the home of that user.
+
+    Every path that a user gives goes through here: the shell leaves a ``~`` as it is in
+    ``--output=~/results``, and Python and YAML leave it everywhere.
+
+    Parameters
+    ----------
+    given : str or path
+    key : str
+        What the user knows it by.
+    hint : str
+        What to do with a value that is no path.
+
+    Raises
+    ------
+    ValueError
+        For what is no path, and where no home is known.
+    """
+    text = os.fspath(given) if isinstance(given, str | os.PathLike) else None
+    if not isinstance(text, str):
+        raise refuse(key, type(given).__name__, "the path of a file or a folder", hint)
+    path = Path(os.path.expanduser(text))
+    if not str(path).startswith("~"):
+        return path
+    if text.startswith("~"):
+        hint = "write it in full, or with ./ in front if it lies here"
+        raise refuse(key, text, "a path whose home is known", hint)
+    # Here lies what has that name, and whoever expands the path again must not take it for a home.
+    return Path.cwd() / path

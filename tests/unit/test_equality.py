@@ -1,0 +1,100 @@
+"""Inputs are equal, and have one hash, where they hold the same; however they were copied."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splits
+from splits.materials import refractive_index
+from splits.media.ground import Ground
+from splits.skies.bands import Band
+
+ENDS = [200.0, 3000.0]
+SOOT = {"ng_g": 5.0, "wavelength_nm": np.array(ENDS), "absorption_m2_kg": np.array([2.0, 1.0])}
+WAVES = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
+ROUGH = {"rms_height_m": 0.01, "correlation": "spectrum", "spectrum": WAVES}
+LAW = {"cosine": np.array([-1.0, 0.5, 1.0]), "density": np.array([1.0, 1.0, 2.0])}
+OWN_INDEX = {"wavelength_nm": ENDS, "n": [1.3, 1.3], "k": [0.0, 1e-5]}
+
+
+def stack(**changes):
+    return splits.Stack([splits.Snow(depth_m=0.1), splits.Snow(), splits.Layer(bottom_albedo=None)],
+                        **changes)  # fmt: skip
+
+
+MADE = {
+    "snow": splits.Snow,
+    "snow, own ice": lambda: splits.Snow(refractive_index={"ice": OWN_INDEX}, ground="black"),
+    "snow, own impurity": lambda: splits.Snow(impurities_ng_g={"mine": SOOT}),
+    "snow, soot": lambda: splits.Snow(impurities_ng_g={"black_carbon": 3}),
+    "snow as it lies": lambda: splits.Snow.natural(optical_radius_um=100, depth_m=1),
+    "sand": splits.Sand,
+    "sand, oil": lambda: splits.Sand(pores={"oil": 0.1}, refractive_index={"oil": 1.5}),
+    "layer": splits.Layer,
+    "layer, own phase function": lambda: splits.Layer(phase_function=LAW),
+    "layer, rough": lambda: splits.Layer(surface=ROUGH),
+    "stack": lambda: stack(ground=0.3),
+    "stack, other readings": lambda: stack(readings="geometric"),
+    "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
+    "ground": lambda: Ground.of(0.3),
+    "ground, table": lambda: Ground.of({"wavelength_nm": ENDS, "albedo": [0.1, 0.2]}),
+    "readings": splits.Readings,
+    "sand's readings": lambda: splits.SandReadings(mixing="linear"),
+    "composition": lambda: splits.Sand().composition,
+    "sizes": lambda: splits.Sand().sizes,
+    "index": lambda: refractive_index("ice"),
+    "index, scaled": lambda: refractive_index("ice", {"k_factor": 2.0}),
+    "index, oscillators": lambda: refractive_index("goethite"),
+    "index, constant": lambda: refractive_index("ice", 1.3 + 1e-7j),
+    "index, own": lambda: refractive_index("ice", OWN_INDEX),
+    "sky": splits.sky,
+    "sky, own": lambda: splits.sky({"wavelength_nm": ENDS, "direct": [1, 2], "diffuse": [0, 1]}),
+    "band": lambda: Band.between(400.0, 700.0),
+}
+WAYS = {
+    "made again": lambda one, make: make(),
+    "copied": lambda one, make: copy.copy(one),
+    "copied deeply": lambda one, make: copy.deepcopy(one),
+    "pickled": lambda one, make: pickle.loads(pickle.dumps(one)),
+    "replaced": lambda one, make: replace(one),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", MADE)
+def test_what_holds_the_same_is_equal(name, way):
+    one = MADE[name]()
+    other = WAYS[way](one, MADE[name])
+    assert one == other
+    assert hash(one) == hash(other)
+    assert other in [None, one] and [None, one].index(other) == 1
+    assert {one: "found"}[other] == "found"
+
+
+def test_what_holds_something_else_is_not():
+    made = [make() for make in MADE.values()]
+    assert all(one != other for i, one in enumerate(made) for other in made[:i])
+    assert len(set(made)) == len(made)
+    assert splits.Snow() != "snow" and splits.sky() != "midlatitude_winter"
+
+
+def test_rows_of_any_kind_and_mappings_in_any_order_are_the_same():
+    rows = {key: list(value) if key != "ng_g" else value for key, value in SOOT.items()}
+    both = {"mine": SOOT, "ash_st_helens": 4}, {"ash_st_helens": 4.0, "mine": rows}
+    first, second = (splits.Snow(impurities_ng_g=given) for given in both)
+    assert first == second and hash(first) == hash(second)
+
+
+def test_a_table_is_what_its_file_held(tmp_path):
+    path = tmp_path / "mine.csv"
+
+    def snow(absorption):
+        path.write_text(f"wavelength_nm,absorption_m2_kg\n200,{absorption}\n3000,1\n")
+        return splits.Snow(impurities_ng_g={"mine": {"ng_g": 5, "table": str(path)}})
+
+    assert snow(2) == snow(2) != snow(3)

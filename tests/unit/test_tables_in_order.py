@@ -1,0 +1,129 @@
+"""Tables and other results that passed through xarray and pandas: put in order, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from chi2 import NEEDS_JIT
+from formula_tables import snowlike
+
+import splits
+from splits.checks import Refusal
+from splits.lookup.isofit import for_isofit
+from splits.phase_functions import for_eradiate
+
+SIZE, DIRT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
+AT = {SIZE: 300.0, DIRT: 50.0, ANGLE: 33.0}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return snowlike().dataset
+
+
+def shuffled(ds):
+    random = np.random.default_rng(1)
+    return ds.isel({name: random.permutation(ds.sizes[name]) for name in ds.dims})
+
+
+def through_pandas(ds):
+    return ds.to_dataframe().to_xarray().assign_attrs(ds.attrs)
+
+
+def objects(ds):
+    return ds.assign_coords({ANGLE: (ANGLE, ds[ANGLE].values.astype(object))})
+
+
+WAYS = {
+    "as it was": lambda ds: ds,
+    "one axis descends": lambda ds: ds.sortby(ANGLE, ascending=False),
+    "all axes descend": lambda ds: ds.sortby(list(ds.dims), ascending=False),
+    "shuffled": shuffled,
+    "transposed": lambda ds: ds.transpose("wavelength", ...),
+    "through pandas": through_pandas,
+    "numbers as objects": objects,
+    "whole numbers": lambda ds: ds.assign_coords({ANGLE: ds[ANGLE].astype(int)}),
+    "several of these": lambda ds: through_pandas(shuffled(ds)).transpose("wavelength", ...),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_table_in_any_order_gives_the_same(way, dataset):
+    plain, other = splits.Table(dataset), splits.Table(WAYS[way](dataset))
+    for read in (
+        lambda table: table.interp(**AT),
+        lambda table: table.interp(**AT, wavelength=[777.0]),
+        lambda table: table.derivatives([SIZE, DIRT], **AT),
+        lambda table: table.to_isofit(**{DIRT: 0.0}),
+    ):
+        expected, found = read(plain), read(other)
+        xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+    assert other.axes[-1] == "wavelength" and set(other.axes) == set(plain.axes)
+
+
+@pytest.mark.parametrize("way", ["all axes descend", "shuffled", "transposed"])
+def test_a_file_of_a_table_in_any_order(way, dataset, tmp_path, monkeypatch):
+    splits.save(WAYS[way](dataset), tmp_path / "table.nc")
+    expected = splits.Table(dataset).interp(**AT)
+    for limit in (2**28, 1):
+        monkeypatch.setattr("splits.lookup.reading.IN_MEMORY", limit)
+        found = splits.open_table(tmp_path / "table.nc").interp(**AT)
+        xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_a_part_of_a_table(dataset):
+    at = {name: value for name, value in AT.items() if name != ANGLE}
+    part = splits.Table(dataset.isel({ANGLE: 1, "wavelength": [4, 2]}))
+    expected = splits.Table(dataset).interp(**AT | {ANGLE: 30.0}, wavelength=[700.0, 900.0])
+    np.testing.assert_allclose(part.interp(**at).reflectance, expected.reflectance, rtol=1e-9)
+
+
+REFUSED = {
+    "no dataset": (lambda ds: ds.reflectance, "table = 'DataArray': must be what splits.table"),
+    "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
+    "a table": (splits.Table, "table = 'Table': must be"),
+    "another dataset": (lambda ds: ds.drop_attrs(), "table = 'a dataset': must be"),
+    "values alone": (lambda ds: ds[["reflectance"]], "with a quantity and its error"),
+    "one wavelength": (lambda ds: ds.isel(wavelength=0), r"over wavelength \(select a list"),
+    "no values of an axis": (lambda ds: ds.drop_vars(ANGLE), f"table.{ANGLE} = None: must be"),
+    "gaps": (lambda ds: ds.reindex({ANGLE: [0.0, 10.0]}), "table.reflectance = nan: must be a num"),
+    "a gap in an axis": (lambda ds: ds.assign_coords({ANGLE: [0.0, np.nan, 60.0]}),
+                         f"table.{ANGLE} = .*: must be numbers, or texts"),
+    "a node twice": (lambda ds: ds.isel({ANGLE: [0, 0, 1]}), f"table.{ANGLE} = .*different values"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_whole_table_is_refused_when_it_is_made(name, dataset):
+    change, line = REFUSED[name]
+    with pytest.raises(Refusal, match=line):
+        splits.Table(change(dataset))
+
+
+def test_directions_for_isofit_in_any_order(dataset):
+    axes = {
+        ANGLE: [0.0, 30.0, 60.0], "polar": [0.0, 20.0, 40.0], "azimuth": [0.0, 90.0, 180.0, 270.0],
+        SIZE: dataset[SIZE].values[:3], "wavelength": [700.0, 900.0],
+    }  # fmt: skip
+    values = np.random.default_rng(1).random([len(row) for row in axes.values()])
+    directions = xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
+    expected = for_isofit(dataset, directions, **{DIRT: 0.0})
+    found = for_isofit(dataset, directions.sortby([*axes], ascending=False), **{DIRT: 0.0})
+    xr.testing.assert_equal(found, expected)
+
+
+ORDERS = {
+    "descending": lambda ds: ds.sortby("order", ascending=False),
+    "transposed": lambda ds: ds.transpose(),
+}
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize("function", [splits.phase_function, splits.with_diffraction, for_eradiate])
+def test_moments_in_any_order(function):
+    optics = splits.single_scattering(splits.Snow(), [500, 900], moments=64, rays=1000)
+    for change in ORDERS.values():
+        xr.testing.assert_equal(function(change(optics)), function(optics))
+    with pytest.raises(Refusal, match=r"optics.order = \[0, 2, 4, .*: must be 0, 1, 2"):
+        function(optics.isel(order=slice(0, None, 2)))

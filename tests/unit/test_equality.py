@@ -53,7 +53,9 @@ MADE = {
     "index, constant": lambda: refractive_index("ice", 1.3 + 1e-7j),
     "index, own": lambda: refractive_index("ice", OWN_INDEX),
     "sky": splits.sky,
-    "sky, own": lambda: splits.sky({"wavelength_nm": ENDS, "direct": [1, 2], "diffuse": [0, 1]}),
+    "sky, own": lambda: splits.sky(
+        {"wavelength_nm": ENDS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
+    ),
     "band": lambda: Band.between(400.0, 700.0),
 }
 WAYS = {

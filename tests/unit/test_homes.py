@@ -119,7 +119,7 @@ READS = {
     "ground": lambda: snow(ground="~/ground.csv"),
     "ground, a Path": lambda: snow(ground=Path("~/ground.csv")),
     "impurity": lambda: snow(impurities_ng_g={"mine": {"ng_g": 5, "table": "~/soot.csv"}}),
-    "sky": lambda: splits.sky("~/sky.csv"),
+    "sky": lambda: splits.sky("~/sky.csv", 50.0),
     "band": lambda: splits.sky().bands({"mine": "~/band.csv"}),
     "measured": lambda: read_measured("~/measured.csv"),
     "experiment": lambda: load_experiment("~/experiments/small.yaml", "~/media", "~/measured"),

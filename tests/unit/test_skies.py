@@ -38,7 +38,7 @@ FRAME = pd.DataFrame(MINE)
 def test_columns_of_a_frame_are_taken_as_lists_of_these_names():
     for frame in (FRAME, FRAME[["diffuse", "wavelength_nm", "direct"]],
                   FRAME.set_index("wavelength_nm")):  # fmt: skip
-        assert splits.sky(frame) == splits.sky(MINE)
+        assert splits.sky(frame, 50.0) == splits.sky(MINE, 50.0)
     response = FRAME[["wavelength_nm", "direct"]].rename(columns={"direct": "response"})
     assert Band.of("mine", response) == Band.of("mine", response.to_dict("list"))
     albedo = pd.DataFrame({"wavelength_nm": [200, 3000], "albedo": [0.1, 0.2]})

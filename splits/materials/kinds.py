@@ -7,6 +7,7 @@ magnitude and its tables are coarse where water absorbs most steeply.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -36,15 +37,21 @@ class RefractiveIndex(Protocol):
 def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
     """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
     w = np.asarray(wavelength_nm, dtype=float)
-    outside = w[~((w >= low) & (w <= high))]
-    if outside.size:
+    inside = (w >= low) & (w <= high)
+    if not inside.all():
         raise refuse(
             "wavelength_nm",
-            float(outside.flat[0]),
+            float(w[~inside].flat[0]),
             f"in [{low:g}, {high:g}] nm, the range of {name}",
-            "choose another dataset for this material or other wavelengths",
+            f"give wavelengths within it, such as {_example(w[inside], low, high)}, or choose other data",
         )
     return w
+
+
+def _example(inside: np.ndarray, low: float, high: float) -> str:
+    """Return wavelengths of a range as a user writes them: of those asked for, if many are in it."""
+    first, last = (inside.min(), inside.max()) if inside.size > 1 else (low, high)
+    return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import pandas as pd
 
 from splits.checks import in_range, increasing, refuse, row_of, suggestion
 from splits.extras import optional
+from splits.materials.kinds import within
 from splits.materials.tables import user_table
 from splits.skies.bands import Band, bands_of
 
@@ -89,13 +90,7 @@ class Sky:
 
     def check_covers(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
-        first, last = self.wavelength_nm[[0, -1]]
-        outside = wavelength_nm[(wavelength_nm < first) | (wavelength_nm > last)]
-        if outside.size:
-            raise refuse(
-                "wavelength_nm", float(outside[0]), f"in [{first:g}, {last:g}] nm",
-                f"the range of the sky {self.name}",
-            )  # fmt: skip
+        within(wavelength_nm, *self.wavelength_nm[[0, -1]], f"the sky {self.name}")
 
     def direct_share(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the part of the light that comes straight from the sun, by wavelength (nm)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -35,6 +37,18 @@ def test_direct_share_is_that_of_irradiances():
         splits.sky(MINE).direct_share(np.array([300.0, 450.0, 600.0, 1200.0])),
         [0.5, 2.0 / 2.5, 1.0, 0.0],
     )
+
+
+def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
+    medium, how = splits.Snow(ground="camborthid"), r"such as wavelength_nm=range\((.*), 10\)"
+    with pytest.raises(ValueError, match=how) as caught:
+        splits.albedo(medium, splits.sky(MINE))
+    assert re.search(how, str(caught.value))[1] == "400, 991"
+    # Those are known to the ground and to the sky.
+    w = np.arange(400.0, 991.0, 10.0)
+    assert medium.ground.albedo(w).size == splits.sky(MINE).direct_share(w).size == 60
+    with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
+        splits.sky(MINE).check_covers(np.array([400.0, 1200.0, 1210.0]))
 
 
 @pytest.mark.parametrize("name", names())

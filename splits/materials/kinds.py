@@ -43,13 +43,14 @@ def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray
             "wavelength_nm",
             float(w[~inside].flat[0]),
             f"in [{low:g}, {high:g}] nm, the range of {name}",
-            f"give wavelengths within it, such as {_example(w[inside], low, high)}, or choose other data",
+            f"give wavelengths within it, such as {_row_of(w[inside], low, high)}, or choose other "
+            "data",
         )
     return w
 
 
-def _example(inside: np.ndarray, low: float, high: float) -> str:
-    """Return wavelengths of a range as a user writes them: of those asked for, if many are in it."""
+def _row_of(inside: np.ndarray, low: float, high: float) -> str:
+    """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
     first, last = (inside.min(), inside.max()) if inside.size > 1 else (low, high)
     return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 

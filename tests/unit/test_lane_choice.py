@@ -13,8 +13,8 @@ from scipy import integrate
 
 import splits
 from splits.transport.compiling.features import Features
-from splits.transport.grains.scene import DRY_PORE, WET_PORE
 from splits.transport.grains.flight import Fates, Flier, Space, next_grain
+from splits.transport.grains.scene import DRY_PORE, WET_PORE
 from splits.transport.grains.spheroid import UNIFORM, Aim, Segment, Size
 from splits.transport.lanes.choice import (
     DEEPEST,

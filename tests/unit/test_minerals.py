@@ -61,8 +61,8 @@ def test_outside_its_range_quartz_is_refused_like_a_table(outside, inside, examp
             "wavelength_nm",
             outside,
             "in [198, 2053.1] nm, the range of ghosh_1999_ordinary",
-            f"give wavelengths within it, such as wavelength_nm=range({example}, 10), or choose other "
-            "data",
+            f"give wavelengths within it, such as wavelength_nm=range({example}, 10), or choose "
+            "other data",
         )
     )
     with pytest.raises(ValueError) as caught:

@@ -43,10 +43,10 @@ def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
     medium, how = splits.Snow(ground="camborthid"), r"such as wavelength_nm=range\((.*), 10\)"
     with pytest.raises(ValueError, match=how) as caught:
         splits.albedo(medium, splits.sky(MINE))
-    assert re.search(how, str(caught.value))[1] == "400, 991"
+    assert re.search(how, str(caught.value))[1] == "400, 1001"
     # Those are known to the ground and to the sky.
-    w = np.arange(400.0, 991.0, 10.0)
-    assert medium.ground.albedo(w).size == splits.sky(MINE).direct_share(w).size == 60
+    w = np.arange(400.0, 1001.0, 10.0)
+    assert medium.ground.albedo(w).size == splits.sky(MINE).direct_share(w).size == 61
     with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
         splits.sky(MINE).check_covers(np.array([400.0, 1200.0, 1210.0]))
 

@@ -35,8 +35,8 @@ def features_for(scene: Scene, optics: Optics) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
     Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
-    more than one coating, samples of more than `DEEPEST` mean distances, beams that meet their first
-    grain above `MIN_FIRST_DEPTH`, and indices beyond `LARGEST`; and they need a compiler.
+    more than one coating, samples of more than `DEEPEST` mean distances, beams that meet their
+    first grain above `MIN_FIRST_DEPTH`, and indices beyond `LARGEST`; and they need a compiler.
 
     Parameters
     ----------

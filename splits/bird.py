@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import refuse
+from splits.checks import known_arguments, refuse
 from splits.files import whole
 from splits.names import parameter_about
 from splits.versions import package_version
@@ -34,6 +34,7 @@ PAPERS = {
 }
 
 
+@known_arguments
 def save_brdf(
     datasets: xr.Dataset | Sequence[xr.Dataset],
     path: str | Path,

@@ -11,6 +11,7 @@ import numpy as np
 
 from splits.checks import in_range, known_keywords, one_of, refuse, row_of
 from splits.media.rough_surface import RoughSurface
+from splits.media.words import call, unusual
 from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
 from splits.transport.particles.turbid import OPEN, Turbid
 from splits.transport.rough.waves import Fields
@@ -26,7 +27,7 @@ PHASES = ("henyey_greenstein", "rayleigh")
 
 
 @known_keywords
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Layer:
     """A homogeneous layer of small particles in a transparent matrix.
 
@@ -140,6 +141,10 @@ class Layer:
         if given == "rayleigh":
             return rayleigh()
         return henyey_greenstein(self.asymmetry, self.max_polarization)
+
+    def __repr__(self) -> str:
+        """Return the layer on one line, as it was given."""
+        return call("Layer", unusual(self, type(self)()))
 
     @property
     def extinction_per_m(self) -> float:

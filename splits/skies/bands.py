@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import increasing, listed, numbers, one_of, refuse, row_of
+from splits.checks import increasing, known_arguments, listed, numbers, one_of, refuse, row_of
 from splits.extras import optional
 from splits.materials.tables import user_table
 
@@ -27,7 +27,7 @@ SENSORS = {
 """Satellite and instrument of every sensor, as pyrsr calls them."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Band:
     """How much a sensor makes of light at each wavelength.
 
@@ -93,12 +93,17 @@ class Band:
             )
         return cls(w, response, digest)
 
+    def __repr__(self) -> str:
+        """Return the band on one line."""
+        return f"Band({self.ends[0]:g} to {self.ends[1]:g} nm)"
+
     @property
     def ends(self) -> tuple[float, float]:
         """First and last wavelength (nm)."""
         return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
 
 
+@known_arguments
 def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     """Return the bands of a sensor, as `splits.albedo` takes them.
 

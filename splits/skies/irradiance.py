@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.checks import in_range, increasing, refuse, row_of, suggestion
+from splits.checks import in_range, increasing, known_arguments, refuse, row_of, suggestion
 from splits.extras import optional
 from splits.materials.kinds import within
 from splits.materials.tables import user_table
@@ -37,7 +37,7 @@ ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
 """What a clear sky depends on besides the sun: value by default, and range."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sky:
     """Light on a horizontal surface.
 
@@ -65,6 +65,12 @@ class Sky:
     sha256: str = ""
     relative: bool = False
 
+    def __repr__(self) -> str:
+        """Return the sky on one line."""
+        first, last = self.wavelength_nm[[0, -1]]
+        span = f"{first:g} to {last:g} nm"
+        return f"Sky({self.name!r}, zenith_deg={self.zenith_deg:g}, {span}: {self.source})"
+
     @property
     def total(self) -> np.ndarray:
         """Direct and diffuse irradiance together."""
@@ -90,7 +96,8 @@ class Sky:
 
     def check_covers(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
-        within(wavelength_nm, *self.wavelength_nm[[0, -1]], f"the sky {self.name}")
+        first, last = self.wavelength_nm[[0, -1]]
+        within(wavelength_nm, first, last, f"the sky {self.name}")
 
     def direct_share(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the part of the light that comes straight from the sun, by wavelength (nm)."""
@@ -165,8 +172,16 @@ def names() -> tuple[str, ...]:
     return tuple(name for name in _known().columns if name != "wavelength_nm")
 
 
+@known_arguments
 def sky(
-    given: Any = "midlatitude_winter", zenith_deg: float | None = None, **atmosphere: float
+    given: Any = "midlatitude_winter",
+    zenith_deg: float | None = None,
+    *,
+    pressure_pa: float | None = None,
+    precipitable_water_cm: float | None = None,
+    ozone_atm_cm: float | None = None,
+    turbidity_500nm: float | None = None,
+    ground_albedo: float | None = None,
 ) -> Sky:
     """Return the light of a sky.
 
@@ -181,15 +196,19 @@ def sky(
     zenith_deg : float, optional
         Polar angle of the sun, 0 to 89 degrees; 60 by default, and 48.19 for ``astm_g173``,
         which has no other.
-    **atmosphere
-        For ``"clear"`` (Bird & Riordan 1986): ``pressure_pa``, ``precipitable_water_cm``,
-        ``ozone_atm_cm``, ``turbidity_500nm`` (aerosol optical thickness) and ``ground_albedo``, of
-        which light comes back from the sky: 0.8 by default, for snow.
+    pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
+        Of the air, for ``"clear"`` alone (Bird & Riordan 1986); `ATMOSPHERE` has their ranges and
+        defaults.
+    turbidity_500nm, ground_albedo : float, optional
+        Likewise: optical thickness of aerosol, and albedo of the ground from which light comes back
+        by way of the sky, 0.8 by default, for snow.
 
     Raises
     ------
     ValueError
         For an unknown name, a malformed table or a value outside its range.
+    TypeError
+        For an unknown keyword.
     ModuleNotFoundError
         Without pvlib where it is needed.
     """
@@ -198,11 +217,18 @@ def sky(
     zenith = in_range(
         "zenith_deg", 60.0 if zenith_deg is None else zenith_deg, 0.0, 89.0, "degrees"
     )
-    air = _checked(atmosphere)
+    given_air = {
+        "pressure_pa": pressure_pa,
+        "precipitable_water_cm": precipitable_water_cm,
+        "ozone_atm_cm": ozone_atm_cm,
+        "turbidity_500nm": turbidity_500nm,
+        "ground_albedo": ground_albedo,
+    }
+    atmosphere = {name: value for name, value in given_air.items() if value is not None}
     if given == CLEAR:
-        return _clear(zenith, air)
-    if atmosphere:
-        raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
+        return _clear(zenith, atmosphere)
+    for name, value in atmosphere.items():
+        raise refuse(name, value, "left out", f"it is for the sky {CLEAR} only")
     if given == ASTM:
         return _astm()
     if isinstance(given, Mapping):
@@ -242,20 +268,12 @@ def _own(name: str, zenith: float, columns: list[Any], sha256: str = "") -> Sky:
     return Sky(name, "given by the user", zenith, w, direct, diffuse, digest)
 
 
-def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
-    """Return all that a clear sky depends on, or refuse what is given."""
-    names = ["zenith_deg", *ATMOSPHERE]
-    for name in atmosphere:
-        if name not in ATMOSPHERE:
-            raise refuse("sky", name, "one of " + ", ".join(names), suggestion(name, names))
-    return {
+def _clear(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
+    """Return a clear sky after Bird & Riordan (1986), as pvlib has it, or refuse its atmosphere."""
+    air = {
         name: in_range(name, atmosphere.get(name, default), *limits)
         for name, (default, limits) in ATMOSPHERE.items()
     }
-
-
-def _clear(zenith: float, air: Mapping[str, float]) -> Sky:
-    """Return a clear sky after Bird & Riordan (1986), as pvlib has it."""
     air_mass = optional("pvlib.atmosphere", "sky", "clear skies need").get_relative_airmass
     found = optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
         apparent_zenith=zenith,

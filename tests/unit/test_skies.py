@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits.skies.bands import Band
-from splits.skies.irradiance import names
+from splits.skies.irradiance import ATMOSPHERE, names
 from splits.skies.mixing import mixed
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
@@ -93,7 +93,8 @@ def test_clear_skies_and_the_standard():
     ],
 )
 def test_bad_skies_are_refused_in_one_line(given, more, text):
-    with pytest.raises(ValueError, match=text) as error:
+    unknown = not set(more) <= {"zenith_deg", *ATMOSPHERE}
+    with pytest.raises(TypeError if unknown else ValueError, match=text) as error:
         splits.sky(given, **more)
     assert "\n" not in str(error.value)
 

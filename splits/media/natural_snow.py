@@ -83,8 +83,8 @@ def natural(
         From 10 kg/m³ on: no lighter snow lies.
     depth_m : float
         Spectra and albedos take infinite depths alone; give a finite one for the others.
-    temperature_c, saturation, …
-        As for `Snow`; what is left out is that of dry, clean snow.
+    others
+        As for `Snow`; without them snow is dry and clean.
 
     Raises
     ------

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from splits.arrays import check_gaps
-from splits.checks import refuse
+from splits.checks import known_arguments, refuse
 from splits.files import whole
 from splits.names import parameter_about
 from splits.versions import package_version
@@ -35,6 +35,7 @@ PAPERS = {
 }
 
 
+@known_arguments
 def save_brdf(
     datasets: xr.Dataset | Sequence[xr.Dataset],
     path: str | Path,

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from difflib import get_close_matches
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, signature
 from numbers import Real
 from reprlib import Repr
 from typing import Any, ParamSpec, TypeVar
@@ -125,31 +125,34 @@ def keywords_taken(kind: Any) -> list[str]:
 
 
 def known_keywords(kind: Class) -> Class:
-    """Let a dataclass refuse keywords that it does not have by the list of those it has."""
+    """Let a dataclass refuse keywords that it does not have by the list of those it has.
+
+    Refusals are raised from here, see `known_arguments`.
+    """
     construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
 
     @wraps(construct)
     def checked(self: Any, *values: Any, **keywords: Any) -> None:
-        names = keywords_taken(kind)
-        for key in keywords:
-            if key not in names:
-                raise TypeError(str(unknown_key(key, names)))
-        construct(self, *values, **keywords)
+        _call(construct, keywords_taken(kind), (self, *values), keywords)
 
     kind.__init__ = checked  # type: ignore[misc]
     return kind
 
 
 def known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Let a function refuse keywords that it does not have as `known_keywords` does."""
-    names = list(signature(function).parameters)
+    """Let a public function refuse keywords that it does not have by the list of those it has.
+
+    Refusals, and the news that a file is not there, are raised from here: a traceback shows the
+    line that holds the mistake, and not what lies between it and the check.
+    """
+    parameters = signature(function).parameters
+    open_ended = any(one.kind is Parameter.VAR_KEYWORD for one in parameters.values())
+    names = None if open_ended else [name for name in parameters if name not in ("self", "cls")]
 
     @wraps(function)
     def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
-        for key in keywords:
-            if key not in names:
-                raise TypeError(str(unknown_key(key, names)))
-        return function(*values, **keywords)
+        found: Result = _call(function, names, values, keywords)
+        return found
 
     return checked
 
@@ -162,6 +165,22 @@ def name_as_texts(key: str, given: Mapping[Any, Any]) -> dict[str, Any]:
             raise refuse(key, name, "names that differ as texts", f"{name} is there twice")
         found[str(name)] = value
     return found
+
+
+def _call(
+    function: Callable[..., Any],
+    names: list[str] | None,
+    values: tuple[Any, ...],
+    keywords: Mapping[str, Any],
+) -> Any:
+    """Call a function; raise from here that a keyword is unknown, or that a value is refused."""
+    for key in keywords:
+        if names is not None and key not in names:
+            raise TypeError(str(unknown_key(key, names)))
+    try:
+        return function(*values, **keywords)
+    except (Refusal, FileNotFoundError) as error:
+        raise error.with_traceback(None) from None
 
 
 @contextmanager

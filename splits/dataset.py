@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import listed, number, one_of, refuse
+from splits.checks import known_arguments, listed, number, one_of, refuse
 from splits.checksum import CHECKSUM, LOCK, check, seal
 from splits.files import whole
 from splits.layout import as_stored, stored_as
@@ -73,6 +73,7 @@ def without_volatile(dataset: xr.Dataset) -> xr.Dataset:
     return copy
 
 
+@known_arguments
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to netCDF so that the file appears whole or not at all.
 
@@ -142,6 +143,7 @@ def _checked(dataset: Any, name: str) -> xr.Dataset:
     return dataset
 
 
+@known_arguments
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory and check that this package wrote it and that it is undamaged.
 

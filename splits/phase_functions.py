@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.arrays import check_each, check_gaps, row_of
-from splits.checks import in_range, refuse
+from splits.checks import in_range, known_arguments, refuse
 from splits.dataset import attributes
 from splits.files import whole
 from splits.uncertainty import jackknife, quantity
@@ -22,6 +22,7 @@ ALBEDO, G, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre
 ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
 
 
+@known_arguments
 def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.Dataset:
     """Return single-scattering properties with what light does that passes a grain by.
 
@@ -110,6 +111,7 @@ def diffraction_moments(
     return moments
 
 
+@known_arguments
 def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Dataset:
     """Return the phase function by scattering angle.
 
@@ -306,9 +308,10 @@ def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
 
 def _in_order(optics: xr.Dataset) -> xr.Dataset:
     """Return what `splits.single_scattering` returned, moments ascending and last, or refuse it."""
-    if "diffraction" not in optics.attrs or f"{MOMENT}_left_out" not in optics:
-        title = optics.attrs.get("title", "a dataset")
-        raise refuse("optics", title, "what splits.single_scattering returns")
+    attrs = optics.attrs if isinstance(optics, xr.Dataset) else {"title": type(optics).__name__}
+    if "diffraction" not in attrs or f"{MOMENT}_left_out" not in optics:
+        given = attrs.get("title", "a dataset")
+        raise refuse("optics", given, "what splits.single_scattering returns")
     check_gaps("optics", optics)
     optics = optics.sortby("order").transpose(..., "wavelength", "order")
     if not np.array_equal(optics.order, np.arange(optics.sizes["order"])):

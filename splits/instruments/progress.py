@@ -13,6 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 from tqdm import tqdm
 
 from splits.checks import refuse
+from splits.transport.compiling.notice import listeners
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class ProgressBar:
     def __init__(self, description: str = "") -> None:
         before = f"{description}: " if description else ""
         self._bar = _kind()(total=1.0, desc=before, bar_format=f"{_FORMAT} starting")
+        listeners.append(self._tell)
 
     def __call__(self, progress: Progress) -> None:
         """Show what has been reached."""
@@ -85,9 +87,15 @@ class ProgressBar:
 
     def close(self, *, done: bool = True) -> None:
         """Leave the bar as it is, full if the simulation is done."""
+        if self._tell in listeners:
+            listeners.remove(self._tell)
         if done and not self._bar.disable:
             self._show(1.0, "done")
         self._bar.close()
+
+    def _tell(self, notice: str) -> None:
+        """Show what keeps the simulation from starting."""
+        self._show(self._bar.n, notice)
 
     def _show(self, share: float, text: str) -> None:
         self._bar.n = share

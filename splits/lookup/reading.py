@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.arrays import check_gaps, row_of
-from splits.checks import one_of, refuse
+from splits.checks import known_arguments, one_of, refuse
 from splits.checksum import LOCK
 from splits.dataset import attributes, load, opened
 from splits.lookup.axes import check_places
@@ -44,6 +44,7 @@ class Table:
         For another dataset, and where values, or what labels them, are missing.
     """
 
+    @known_arguments
     def __init__(self, dataset: xr.Dataset) -> None:
         self.dataset = ordered(dataset)
         if self.dataset.nbytes <= IN_MEMORY:
@@ -68,6 +69,7 @@ class Table:
         """Its axes, the wavelength last."""
         return [str(dim) for dim in self.dataset[self.quantities[0]].dims]
 
+    @known_arguments
     def interp(self, **at: Any) -> xr.Dataset:
         """Return values between nodes, with errors that hold what interpolation adds.
 
@@ -105,6 +107,7 @@ class Table:
             parts = [_spectra(read, wavelengths, wanted) for read in parts]
         return self._named(parts, wanted, at)
 
+    @known_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
         """Return what interpolation along each axis misses, with its sign along the spectrum.
 
@@ -132,6 +135,7 @@ class Table:
         largest = [max(rows, key=lambda r: float((r**2).sum()), default=none) for rows in found]
         return np.array(largest).reshape(-1, values.size)
 
+    @known_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
         """Return how far groups of rays take a value off, of a table that keeps its covariance.
 
@@ -160,6 +164,7 @@ class Table:
             values = np.tensordot(w.share, values[w.nodes], 1)
         return values
 
+    @known_arguments
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
         """Return derivatives to parameters along the axes, with errors that hold interpolation.
 
@@ -215,14 +220,17 @@ class Table:
             part = part.isel({name: needed})
         return load_part(part), weights
 
+    @known_arguments
     def to_csv(self, path: str | Path) -> None:
         """Write it as CSV, see `splits.lookup.formats.write_csv`."""
         write_csv(self.dataset, path)
 
+    @known_arguments
     def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
         """Return it as the package spires takes it, see `splits.lookup.formats.for_spires`."""
         return for_spires(self.dataset, impurity, bands, per_unit, **at)
 
+    @known_arguments
     def to_isofit(self, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
         """Return it as isofit looks it up, see `splits.lookup.isofit.for_isofit`."""
         return for_isofit(self.dataset, directions, **at)
@@ -297,6 +305,7 @@ def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
     return _Read(value, stderr, missed)
 
 
+@known_arguments
 def open_table(path: str | Path) -> Table:
     """Open a table that was written; of a large one only what is asked for is read.
 

@@ -7,6 +7,7 @@ magnitude and its tables are coarse where water absorbs most steeply.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -38,15 +39,22 @@ class RefractiveIndex(Protocol):
 def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
     """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
     w = snap_to_ends(read_numbers("wavelength_nm", wavelength_nm, gaps=True), low, high)
-    outside = w[~((w >= low) & (w <= high))]
-    if outside.size:
+    inside = (w >= low) & (w <= high)
+    if not inside.all():
         raise refuse(
             "wavelength_nm",
-            float(outside.flat[0]),
+            float(w[~inside].flat[0]),
             f"in [{low:g}, {high:g}] nm, the range of {name}",
-            "choose another dataset for this material or other wavelengths",
+            f"give wavelengths within it, such as {_row_of(w[inside], low, high)}, or choose other "
+            "data",
         )
     return w
+
+
+def _row_of(inside: np.ndarray, low: float, high: float) -> str:
+    """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
+    first, last = (inside.min(), inside.max()) if inside.size > 1 else (low, high)
+    return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from splits.checks import in_range, number, refuse, suggestion
 from splits.equality import ByContent
 from splits.materials.kinds import within
 from splits.materials.tables import columns_of, user_table
+from splits.media.words import word
 
 OPEN = "open"
 BLACK = "black"
@@ -26,7 +27,7 @@ BLACK_DEPTH = 1e4
 _SOILS = Path(__file__).with_name("soils.csv")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ground(ByContent):
     """A Lambertian ground by its albedo, the same at all wavelengths or a table.
 
@@ -79,6 +80,18 @@ class Ground(ByContent):
         albedo = in_range("ground", number("ground", given, _ALLOWED), 0.0, 1.0)
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
+    def as_input(self) -> Any:
+        """Return what a user gives for this ground, see `of`; of a file, its name."""
+        if self.name == TABLE:
+            return {"wavelength_nm": self.wavelength_nm, "albedo": self.values}
+        if self.wavelength_nm is None:
+            return BLACK if self.name == BLACK else float(self.values[0])
+        return self.name if self.sha256 else _soil(self.name)
+
+    def __repr__(self) -> str:
+        """Return the ground on one line."""
+        return f"Ground.of({word(self)})"
+
     @property
     def reflecting(self) -> bool:
         """Whether light comes back at any wavelength."""
@@ -127,9 +140,13 @@ def soils() -> dict[str, Ground]:
     w = table["wavelength_nm"].to_numpy(dtype=float)
     columns = [name for name in table.columns if name != "wavelength_nm"]
     return {
-        name.partition("_")[0]: Ground(name, source, table[name].to_numpy(dtype=float), w)
-        for name in columns
+        _soil(name): Ground(name, source, table[name].to_numpy(dtype=float), w) for name in columns
     }
+
+
+def _soil(name: str) -> str:
+    """Return what users call the soil of a column."""
+    return name.partition("_")[0]
 
 
 def _named(name: str) -> Ground | None:

@@ -13,6 +13,7 @@ from splits.arrays import read_columns
 from splits.checks import ROUNDING, in_range, known_keywords, one_of, refuse, scalar, snap_to_ends
 from splits.equality import ByContent
 from splits.media.rough_surface import RoughSurface
+from splits.media.words import call, unusual
 from splits.transport.optics.phase import Phase, henyey_greenstein, rayleigh, tabulated
 from splits.transport.particles.turbid import OPEN, Turbid
 from splits.transport.rough.waves import Fields
@@ -28,7 +29,7 @@ PHASES = ("henyey_greenstein", "rayleigh")
 
 
 @known_keywords
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Layer(ByContent):
     """A homogeneous layer of small particles in a transparent matrix.
 
@@ -143,6 +144,10 @@ class Layer(ByContent):
         if given == "rayleigh":
             return rayleigh()
         return henyey_greenstein(self.asymmetry, self.max_polarization)
+
+    def __repr__(self) -> str:
+        """Return the layer on one line, as it was given."""
+        return call("Layer", unusual(self, type(self)()))
 
     @property
     def extinction_per_m(self) -> float:

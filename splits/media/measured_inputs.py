@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from functools import wraps
+from inspect import Parameter, signature
 from typing import Any, TypeVar
 
 from splits.checks import in_range, refuse
 from splits.materials import ice_density
+from splits.media.words import digits
 
 Kind = TypeVar("Kind")
 
@@ -29,8 +31,8 @@ def takes_measured(kind: type[Kind]) -> type[Kind]:
 
     @wraps(construct)
     def measured(self: Any, *values: Any, **keywords: Any) -> None:
-        given = [name for name in REPLACES if name in keywords]
-        if given:
+        keywords = {k: v for k, v in keywords.items() if k not in REPLACES or v is not None}
+        if any(name in keywords for name in REPLACES):
             names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
             keywords = {**dict(zip(names, values, strict=False)), **keywords}
             values = ()
@@ -38,6 +40,11 @@ def takes_measured(kind: type[Kind]) -> type[Kind]:
             keywords = in_own_words(kind, keywords)
         construct(self, *values, **keywords)
 
+    own = signature(construct)
+    others = [Parameter(n, Parameter.KEYWORD_ONLY, default=None, annotation="float | None")
+              for n in REPLACES]  # fmt: skip
+    whole = own.replace(parameters=[*own.parameters.values(), *others])
+    measured.__signature__ = whole  # type: ignore[attr-defined]
     kind.__init__ = measured  # type: ignore[method-assign,misc]
     kind.OTHER_KEYWORDS = tuple(REPLACES)  # type: ignore[attr-defined]
     return kind
@@ -85,6 +92,23 @@ def in_own_words(kind: Callable[..., Any], keywords: dict[str, Any]) -> dict[str
         factor = plain.specific_surface_area_m2_kg / area
         rest["grain_size_um"] = tuple(factor * size for size in plain.grain_size_um)
     return rest
+
+
+def in_words_of_input(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return inputs of snow with what they stand for in the words that need the fewest digits.
+
+    Sizes in the ratio that they have by default stand for a surface area or a radius, as well.
+    """
+    found = dict(inputs)
+    usual = type(snow)().grain_size_um
+    ratios = [largest / smallest for smallest, largest in (snow.grain_size_um, usual)]
+    scaled = abs(ratios[0] / ratios[1] - 1.0) < 1e-9
+    for field, measured in (("grain_size_um", (AREA, RADIUS)), ("saturation", (WATER,))):
+        if field in inputs and (scaled or field != "grain_size_um"):
+            words = sorted((*measured, field), key=lambda name: digits(getattr(snow, name)))
+            del found[field]
+            found = {words[0]: getattr(snow, words[0]), **found}
+    return found
 
 
 def _area_of(radius_um: Any, temperature_c: float) -> float:

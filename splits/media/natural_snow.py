@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from splits.checks import in_range, refuse
+from splits.checks import in_range, known_arguments, refuse
 from splits.media.measured_inputs import AREA, RADIUS
-from splits.media.readings import together
+from splits.media.readings import Readings, together
+
+if TYPE_CHECKING:
+    from splits.media.snow import Snow
 
 FACETNESS = 0.05
 SPHERICITY = 0.75
@@ -41,6 +44,65 @@ GRAINS: dict[str, Any] = {
     "sphericity": (SPHERICITY, SPHERICITY, SPHERICITY, 0.0),
 }
 READINGS = "radiative_transfer"
+
+
+@known_arguments
+def natural(
+    cls: type[Snow],
+    *,
+    specific_surface_area_m2_kg: float | None = None,
+    optical_radius_um: float | None = None,
+    grain_size_um: tuple[float, float] | None = None,
+    density_kg_m3: float = 300.0,
+    depth_m: float = math.inf,
+    temperature_c: float = -1.0,
+    saturation: float | None = None,
+    liquid_water_content: float | None = None,
+    impurities_ng_g: Mapping[str, Any] | None = None,
+    algae_cells_ml: Mapping[str, float] | None = None,
+    impurities_in: str = "ice",
+    ground: Any = None,
+    facetness: tuple[float, float, float, float] | None = None,
+    sphericity: tuple[float, float, float, float] | None = None,
+    pores: Mapping[str, float] | None = None,
+    refractive_index: Mapping[str, Any] | None = None,
+    readings: Readings | str | Mapping[str, Any] | None = None,
+) -> Snow:
+    """Return snow as it lies, by its surface area: dry, deep and clean unless said.
+
+    Its grains have the absorption enhancement and the asymmetry parameter that natural snow
+    was measured to have at 900 nm (`splits.media.natural_snow`).  They are point scatterers
+    (readings ``radiative_transfer``), so that the reflectance of a half-space does not depend on
+    its density, the BRDF is reciprocal, and the mean path inside is that of equilibrium.  Its ice
+    absorbs as Picard et al. (2016) found below 600 nm, and its water is Segelstein's.
+
+    Parameters
+    ----------
+    specific_surface_area_m2_kg, optical_radius_um, grain_size_um
+        One of the three, as for `Snow`.
+    density_kg_m3 : float
+        From 10 kg/m³ on: no lighter snow lies.
+    depth_m : float
+        Spectra and albedos take infinite depths alone; give a finite one for the others.
+    others
+        As for `Snow`; without them snow is dry and clean.
+
+    Raises
+    ------
+    ValueError
+        Without a size, or for a value outside its range.
+
+    Examples
+    --------
+    >>> from splits import Snow
+    >>> snow = Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=250, depth_m=1)
+    >>> round(snow.optical_radius_um, 1)
+    163.6
+    """
+    given = {**locals()}
+    given.pop("cls")
+    given = {name: value for name, value in given.items() if value is not None}
+    return cls(**natural_settings(given))
 
 
 def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,10 +134,15 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     return {**usual, **given, **indices}
 
 
+def is_natural(snow: Any) -> bool:
+    """Tell whether snow has the grains and the readings of natural snow."""
+    alike = all(getattr(snow, name) == value for name, value in GRAINS.items())
+    return alike and snow.readings == type(snow.readings).of(READINGS)
+
+
 def shape_facts(snow: Any) -> dict[str, float]:
     """Return the optical shape of natural snow's grains as attributes, of other grains nothing."""
-    alike = all(getattr(snow, name) == value for name, value in GRAINS.items())
-    if not alike or snow.readings != type(snow.readings).of(READINGS):
+    if not is_natural(snow):
         return {}
     return {
         "absorption_enhancement_900nm_dry": SHAPE.enhancement,

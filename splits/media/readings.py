@@ -13,6 +13,7 @@ from splits.checks import known_keywords, listed, one_of, refuse, suggestion
 from splits.materials import MIXING
 from splits.media.composition import EXCESS_MAGNETITE
 from splits.media.wetness import WATER
+from splits.media.words import unusual, word
 from splits.transport.grains.scene import ENTRY, EXTENT, FACETS, FATE, WRONG_SIDE, Rules
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -175,9 +176,20 @@ class TransportReadings:
         """Return all readings by name."""
         return asdict(self)
 
+    def as_input(self) -> str | dict[str, str]:
+        """Return the name of the set that these readings are, or those that are not by default."""
+        for name, chosen in SETS.items():
+            if self == type(self)(**chosen):
+                return name
+        return unusual(self, type(self)())
+
+    def __repr__(self) -> str:
+        """Return the readings on one line."""
+        return f"{type(self).__name__}.of({word(self)})"
+
 
 @known_keywords
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Readings(TransportReadings):
     """Named readings of SPLITSnow, besides those of `TransportReadings`.
 
@@ -203,7 +215,7 @@ class Readings(TransportReadings):
 
 
 @known_keywords
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SandReadings(TransportReadings):
     """Named readings of SPLITS, besides those of `TransportReadings`.
 

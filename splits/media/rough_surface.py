@@ -33,6 +33,7 @@ from splits.media.surface_laws import (
     quantiles_of,
     sum_of_cells,
 )
+from splits.media.words import call, word
 from splits.transport.numerics.rng import start_stream
 from splits.transport.rough import waves as kernels
 
@@ -41,7 +42,7 @@ _SPECTRUM = ("wave_number_per_m", "density")
 
 
 @known_keywords
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SurfaceField(ByContent):
     """One random field of heights, Budak & Grimailo 2020, Eq 3.
 
@@ -110,6 +111,19 @@ class SurfaceField(ByContent):
         else:
             put(key, in_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
 
+    def as_input(self) -> dict[str, Any]:
+        """Return the keywords of this field that are not as by default."""
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        # Without a limit, most laws need none.
+        if self.band_limit_per_m == math.inf and self.correlation != "exponential":
+            del given["band_limit_per_m"]
+        usual = {field.name: field.default for field in fields(self)}
+        return {name: value for name, value in given.items() if value != usual[name]}
+
+    def __repr__(self) -> str:
+        """Return the field on one line, as it was given."""
+        return call("SurfaceField", self.as_input())
+
     @property
     def _limit(self) -> float:
         """Band limit in units of k0."""
@@ -144,7 +158,7 @@ class SurfaceField(ByContent):
 
 
 @known_keywords
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RoughSurface:
     """Superposed random fields of heights above a plane.
 
@@ -177,6 +191,15 @@ class RoughSurface:
     def of(cls, value: Any) -> RoughSurface:
         """Return a surface given as such or as its fields, or refuse it."""
         return value if isinstance(value, cls) else cls(value)
+
+    def as_input(self) -> Any:
+        """Return the keywords of the field, of several a list."""
+        found = [field.as_input() for field in self.fields]
+        return found[0] if len(found) == 1 else found
+
+    def __repr__(self) -> str:
+        """Return the surface on one line, as it was given."""
+        return f"RoughSurface({word(self)})"
 
     @property
     def rms_height_m(self) -> float:

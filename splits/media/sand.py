@@ -23,6 +23,7 @@ from splits.media.pores import WATER, Pores, other_pores
 from splits.media.readings import SandReadings
 from splits.media.soil_sizes import SEPARATES, SoilSizes, soil_sizes
 from splits.media.wetness import Wetness, wetness
+from splits.media.words import call, unusual
 from splits.transport.grains.scene import WET_PORE, Grains, Types
 
 FILM = "water film"
@@ -30,7 +31,7 @@ FILM = "water film"
 
 
 @known_keywords
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sand(ByContent):
     """A homogeneous sand.
 
@@ -150,6 +151,10 @@ class Sand(ByContent):
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
         _ = self.sizes, self.composition
+
+    def __repr__(self) -> str:
+        """Return the sand on one line, as it was given."""
+        return call("Sand", unusual(self, type(self)()))
 
     @cached_property
     def sizes(self) -> SoilSizes:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from splits.arrays import numbers
-from splits.checks import in_range, keywords_taken, known_keywords, one_of, refuse, unknown_key
+from splits.checks import in_range, known_keywords, one_of, refuse
 from splits.equality import ByContent
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, described_impurities, impurities_of
@@ -18,16 +18,17 @@ from splits.media import grain_statistics as statistics
 from splits.media.granular import Interface, mean_leg_m
 from splits.media.ground import Ground
 from splits.media.inputs import described, indices_of, limited_normal, sample_depth
-from splits.media.measured_inputs import takes_measured
-from splits.media.natural_snow import natural_settings, shape_facts
+from splits.media.measured_inputs import in_words_of_input, takes_measured
+from splits.media.natural_snow import is_natural, natural, shape_facts
 from splits.media.pores import Pores, other_pores
 from splits.media.readings import Readings
+from splits.media.words import call, unusual
 from splits.transport.grains.scene import Grains, Types
 
 
 @known_keywords
 @takes_measured
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Snow(ByContent):
     """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
 
@@ -109,43 +110,39 @@ class Snow(ByContent):
     algae_cells_ml: Mapping[str, float] = field(default_factory=dict, compare=False)
     impurities_in: str = "ice"
 
-    @classmethod
-    def natural(cls, **settings: Any) -> Snow:
-        """Return snow as it lies, by its surface area: dry, deep and clean unless said.
+    if TYPE_CHECKING:
 
-        Its grains have the absorption enhancement and the asymmetry parameter that natural snow
-        was measured to have at 900 nm (`splits.media.natural_snow`).  They are point scatterers
-        (readings ``radiative_transfer``), so that the reflectance of a half-space does not depend
-        on its density, the BRDF is reciprocal, and the mean path inside is that of equilibrium.
-        Its ice absorbs as Picard et al. (2016) found below 600 nm, and its water is Segelstein's.
+        def __init__(
+            self,
+            grain_size_um: tuple[float, float] = ...,
+            facetness: tuple[float, float, float, float] = ...,
+            sphericity: tuple[float, float, float, float] = ...,
+            saturation: float = ...,
+            density_kg_m3: float = ...,
+            temperature_c: float = ...,
+            depth_m: float = ...,
+            refractive_index: Mapping[str, Any] = ...,
+            readings: Readings | str | Mapping[str, Any] = ...,
+            ground: Any = ...,
+            pores: Mapping[str, float] = ...,
+            impurities_ng_g: Mapping[str, Any] = ...,
+            algae_cells_ml: Mapping[str, float] = ...,
+            impurities_in: str = ...,
+            *,
+            specific_surface_area_m2_kg: float | None = ...,
+            optical_radius_um: float | None = ...,
+            liquid_water_content: float | None = ...,
+        ) -> None: ...
 
-        Parameters
-        ----------
-        specific_surface_area_m2_kg, optical_radius_um : float
-            One of the two.
-        density_kg_m3 : float
-            300 by default.
-        depth_m : float
-            Infinite by default, which spectra and albedos take alone; give it for the others.
-        **settings
-            Whatever `Snow` takes.
+    natural = classmethod(natural)
 
-        Raises
-        ------
-        ValueError
-            Without a size, or for a value outside its range.
-
-        Examples
-        --------
-        >>> from splits import Snow
-        >>> snow = Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=250, depth_m=1)
-        >>> round(snow.optical_radius_um, 1)
-        163.6
-        """
-        for key in settings:
-            if key not in keywords_taken(cls):
-                raise TypeError(str(unknown_key(key, keywords_taken(cls))))
-        return cls(**natural_settings(settings))
+    def __repr__(self) -> str:
+        """Return the snow on one line, as it was given."""
+        if is_natural(self):
+            usual = type(self).natural(grain_size_um=self.grain_size_um)
+            inputs = {"grain_size_um": self.grain_size_um, **unusual(self, usual)}
+            return call("Snow.natural", in_words_of_input(self, inputs))
+        return call("Snow", in_words_of_input(self, unusual(self, type(self)())))
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -165,19 +162,9 @@ class Snow(ByContent):
         put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
         put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         ice = ice_density(self.temperature_c)
-        put(
-            "density_kg_m3",
-            in_range(
-                "density_kg_m3",
-                self.density_kg_m3,
-                0.0,
-                ice,
-                "kg/m3",
-                open_low=True,
-                open_high=True,
-                hint=f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}",
-            ),
-        )
+        hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
+        key, ends = "density_kg_m3", {"open_low": True, "open_high": True}
+        put(key, in_range(key, self.density_kg_m3, 0.0, ice, "kg/m3", hint=hint, **ends))
         put("ground", Ground.of(self.ground))
         put("depth_m", sample_depth(self.depth_m))
         put("readings", Readings.of(self.readings))

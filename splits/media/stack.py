@@ -18,13 +18,14 @@ from splits.media.layer import Layer
 from splits.media.particles import ParticleLayer
 from splits.media.pores import Pores
 from splits.media.readings import SETS
+from splits.media.words import word
 from splits.transport.grains.scene import WET_PORE
 
 MOST_LAYERS = 200
 
 
 @known_keywords
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stack:
     """Media of grains in order, top first.
 
@@ -102,6 +103,13 @@ class Stack:
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.of(self.ground))
+
+    def __repr__(self) -> str:
+        """Return the stack, a layer to a line, as it was given."""
+        inputs = {"ground": self.ground, "readings": self.readings}
+        ends = [f", {key}={word(value)}" for key, value in inputs.items() if value is not None]
+        lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(ends)})"]
+        return "\n".join(lines)
 
     def _read_anew(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
         """Return a layer with the stack's readings."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.arrays import increasing, numbers, read_columns
-from splits.checks import listed, name_as_texts, one_of, refuse, snap_to_ends
+from splits.checks import known_arguments, listed, name_as_texts, one_of, refuse, snap_to_ends
 from splits.equality import ByContent
 from splits.extras import optional
 from splits.materials.tables import columns_of, user_table
@@ -29,7 +29,7 @@ SENSORS = {
 """Satellite and instrument of every sensor, as pyrsr calls them."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Band(ByContent):
     """How much a sensor makes of light at each wavelength.
 
@@ -94,12 +94,17 @@ class Band(ByContent):
             )
         return cls(w, response, digest)
 
+    def __repr__(self) -> str:
+        """Return the band on one line."""
+        return f"Band({self.ends[0]:g} to {self.ends[1]:g} nm)"
+
     @property
     def ends(self) -> tuple[float, float]:
         """First and last wavelength (nm)."""
         return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
 
 
+@known_arguments
 def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     """Return the bands of a sensor, as `splits.albedo` takes them.
 

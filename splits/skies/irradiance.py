@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 
 from splits.arrays import check_each, increasing, read_columns
-from splits.checks import in_range, refuse, snap_to_ends, suggestion
+from splits.checks import in_range, known_arguments, refuse, suggestion
 from splits.equality import ByContent
 from splits.extras import optional
+from splits.materials.kinds import within
 from splits.materials.tables import columns_of, user_table
 from splits.skies.bands import Band, bands_of
 
@@ -42,7 +43,7 @@ ATMOSPHERE: dict[str, tuple[float, tuple[float, float]]] = {
 """What a clear sky depends on besides the sun: value by default, and range."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sky(ByContent):
     """Light on a horizontal surface.
 
@@ -87,6 +88,12 @@ class Sky(ByContent):
         if not self.total.any():
             raise refuse("sky", "0 everywhere", "light at some wavelength")
 
+    def __repr__(self) -> str:
+        """Return the sky on one line."""
+        first, last = self.wavelength_nm[[0, -1]]
+        span = f"{first:g} to {last:g} nm"
+        return f"Sky({self.name!r}, zenith_deg={self.zenith_deg:g}, {span}: {self.source})"
+
     @property
     def total(self) -> np.ndarray:
         """Direct and diffuse irradiance together."""
@@ -113,13 +120,7 @@ class Sky(ByContent):
     def check_covers(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
         first, last = self.wavelength_nm[[0, -1]]
-        w = snap_to_ends(wavelength_nm, first, last)
-        outside = w[(w < first) | (w > last)]
-        if outside.size:
-            raise refuse(
-                "wavelength_nm", float(outside[0]), f"in [{first:g}, {last:g}] nm",
-                f"the range of the sky {self.name}",
-            )  # fmt: skip
+        within(wavelength_nm, first, last, f"the sky {self.name}")
 
     def direct_share(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the part of the light that comes straight from the sun, by wavelength (nm)."""
@@ -194,8 +195,16 @@ def names() -> tuple[str, ...]:
     return tuple(name for name in _known().columns if name != "wavelength_nm")
 
 
+@known_arguments
 def sky(
-    given: Any = "midlatitude_winter", zenith_deg: float | None = None, **atmosphere: float
+    given: Any = "midlatitude_winter",
+    zenith_deg: float | None = None,
+    *,
+    pressure_pa: float | None = None,
+    precipitable_water_cm: float | None = None,
+    ozone_atm_cm: float | None = None,
+    turbidity_500nm: float | None = None,
+    ground_albedo: float | None = None,
 ) -> Sky:
     """Return the light of a sky.
 
@@ -210,15 +219,19 @@ def sky(
     zenith_deg : float, optional
         Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
         ``astm_g173`` has 48.19 and no other; other skies with direct light need it.
-    **atmosphere
-        For ``"clear"`` (Bird & Riordan 1986): ``pressure_pa``, ``precipitable_water_cm``,
-        ``ozone_atm_cm``, ``turbidity_500nm`` (aerosol optical thickness) and ``ground_albedo``, of
-        which light comes back from the sky: 0.8 by default, for snow.
+    pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
+        Of the air, for ``"clear"`` alone (Bird & Riordan 1986); `ATMOSPHERE` has their ranges and
+        defaults.
+    turbidity_500nm, ground_albedo : float, optional
+        Likewise: optical thickness of aerosol, and albedo of the ground from which light comes back
+        by way of the sky, 0.8 by default, for snow.
 
     Raises
     ------
     ValueError
         For an unknown name, a malformed table or a value outside its range.
+    TypeError
+        For an unknown keyword.
     ModuleNotFoundError
         Without pvlib where it is needed.
     """
@@ -230,13 +243,21 @@ def sky(
     zenith = None
     if zenith_deg is not None:
         zenith = in_range("zenith_deg", zenith_deg, 0.0, HIGHEST_ZENITH_DEG, "degrees")
-    air = _checked(atmosphere)
+    given_air = {
+        "pressure_pa": pressure_pa,
+        "precipitable_water_cm": precipitable_water_cm,
+        "ozone_atm_cm": ozone_atm_cm,
+        "turbidity_500nm": turbidity_500nm,
+        "ground_albedo": ground_albedo,
+    }
+    atmosphere = {key: value for key, value in given_air.items() if value is not None}
     if name == CLEAR:
         if zenith is None:
             raise refuse("zenith_deg", None, GIVEN_ZENITH, f'splits.sky("{CLEAR}", zenith_deg=50)')
-        return _clear(zenith, air)
+        return _clear(zenith, atmosphere)
     if atmosphere:
-        raise refuse(next(iter(atmosphere)), "given", f"for the sky {CLEAR} only")
+        first, value = next(iter(atmosphere.items()))
+        raise refuse(first, value, "left out", f"it is for the sky {CLEAR} only")
     if name == ASTM:
         return _astm()
     if isinstance(given, Mapping):
@@ -275,20 +296,12 @@ def _own(name: str, zenith: float | None, columns: list[Any], sha256: str = "") 
     return replace(own, zenith_deg=own.zenith_deg if zenith is None else zenith, sha256=digest)
 
 
-def _checked(atmosphere: Mapping[str, float]) -> dict[str, float]:
-    """Return all that a clear sky depends on, or refuse what is given."""
-    names = ["zenith_deg", *ATMOSPHERE]
-    for name in atmosphere:
-        if name not in ATMOSPHERE:
-            raise refuse("sky", name, "one of " + ", ".join(names), suggestion(name, names))
-    return {
+def _clear(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
+    """Return a clear sky after Bird & Riordan (1986), as pvlib has it, or refuse its atmosphere."""
+    air = {
         name: in_range(name, atmosphere.get(name, default), *limits)
         for name, (default, limits) in ATMOSPHERE.items()
     }
-
-
-def _clear(zenith: float, air: Mapping[str, float]) -> Sky:
-    """Return a clear sky after Bird & Riordan (1986), as pvlib has it."""
     air_mass = optional("pvlib.atmosphere", "sky", "clear skies need").get_relative_airmass
     found = optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
         apparent_zenith=zenith,

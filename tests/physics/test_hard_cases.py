@@ -249,8 +249,7 @@ def test_water_reflects_its_fresnel_share_near_90_degrees(incidence, kernel):
 
 @pytest.mark.parametrize("saturation", [0.0, 1.0])
 def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
-    # Smooth spheres, and water's surface, let less through than at 89.99 degrees.  Beams so near
-    # the horizon go to the scalar kernel.
+    # Smooth spheres, and water's surface, let less through than at 89.99 degrees.
     # With an error of 0.007 twice as much is seen in 98 of 100 cases.
     medium = splits.Snow(**MIRRORS, saturation=saturation)
     value, error = passed_at(medium, 89.9999, stderr=0.007, kernel=kernel)

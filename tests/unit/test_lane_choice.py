@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -12,8 +13,18 @@ from scipy import integrate
 
 import splits
 from splits.transport.compiling.features import Features
+from splits.transport.grains.flight import Fates, Flier, Space, next_grain
 from splits.transport.grains.scene import DRY_PORE, WET_PORE
-from splits.transport.lanes.choice import DEEPEST, FAINT, GRAZING, extinction_shows, features_for
+from splits.transport.grains.spheroid import UNIFORM, Aim, Segment, Size
+from splits.transport.lanes.choice import (
+    DEEPEST,
+    FAINT,
+    MIN_FIRST_DEPTH,
+    extinction_shows,
+    features_for,
+)
+from splits.transport.numerics.elementary import circle
+from splits.transport.numerics.vectors import Vector, tangents
 from splits.transport.optics.fresnel import interface
 
 
@@ -56,16 +67,48 @@ def test_features_are_those_of_the_scene(scene):
     assert features(medium, **how) == having(**dict.fromkeys(expected, True))
 
 
-def test_grazing_beams_are_left_to_the_scalar_kernel_unless_there_is_none():
+def test_grazing_beams_are_left_to_the_scalar_kernel_where_grains_are_met_too_high():
     grains, optics = splits.Snow().grains(), optics_of([1.0, 1.33, 1.31])
+    lowest = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
+    assert lowest < math.cos(math.radians(89.9999))
     for cos, diffuse, served in (
-        (0.99 * GRAZING, 0.0, False),
-        (1.01 * GRAZING, 0.0, True),
-        (0.99 * GRAZING, 0.5, False),
-        (0.99 * GRAZING, 1.0, True),
+        (0.99 * lowest, 0.0, False),
+        (1.01 * lowest, 0.0, True),
+        (0.99 * lowest, 0.5, False),
+        (0.99 * lowest, 1.0, True),
     ):
         found = features_for(scene_of(grains, 0.1, cos=cos, diffuse=diffuse), optics)
         assert (found is not None) == served
+
+
+@NEEDS_JIT
+def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits():
+    # Only entry points next to the grain's top are tried: others never fit.
+    rng, major, flattening, mean_leg = np.random.default_rng(1), 3.75e-4, 0.36, 7e-4
+    cos = MIN_FIRST_DEPTH * major / mean_leg
+    d = math.sqrt(1.0 - cos * cos), 0.0, -cos
+    frame = tangents(Vector(-d[0], 0.0, cos))
+    up = 0.5 + math.atan2(frame.v.z, frame.u.z) / (2.0 * math.pi)
+    width = 10.0 * math.sqrt(cos * mean_leg / major)
+    fates = Fates(UNIFORM, True, True, False, False)
+
+    def fits(u, real):
+        """Tell whether a grain fits, with all numbers in one precision."""
+        facing, turn, axial, leg = width * u[0], u[2], u[3], u[4]
+        azimuth = (up + width * (u[1] - 0.5) / math.pi) % 1.0
+        aim = Aim(real(facing), circle(real(azimuth)), circle(real(turn)), real(axial), real(0.5))
+        origin, down = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
+        ray = Flier(origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0))
+        space = Space(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
+        return next_grain(
+            ray, Size(real(major), real(flattening)), aim, real(leg), space, fates
+        ).fits
+
+    draws = rng.random((40_000, 5))
+    double, single = (np.array([fits(u, real) for u in draws]) for real in (float, np.float32))
+    assert double.sum() > 500
+    assert (double != single).sum() < 0.05 * double.sum()
+    assert abs(int(double.sum()) - int(single.sum())) < 0.02 * double.sum()
 
 
 def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():

@@ -52,17 +52,21 @@ def test_quartz_follows_its_formula():
 
 
 @pytest.mark.parametrize("outside", [197.9, 2053.2, np.nan])
-def test_outside_its_range_quartz_is_refused_like_a_table(outside):
+@pytest.mark.parametrize(
+    ("inside", "example"), [([500.0], "198, 2054"), ([500, 799.5], "500, 800")]
+)
+def test_outside_its_range_quartz_is_refused_like_a_table(outside, inside, example):
     message = str(
         refuse(
             "wavelength_nm",
             outside,
             "in [198, 2053.1] nm, the range of ghosh_1999_ordinary",
-            "choose another dataset for this material or other wavelengths",
+            f"give wavelengths within it, such as wavelength_nm=range({example}, 10), or choose "
+            "other data",
         )
     )
     with pytest.raises(ValueError) as caught:
-        refractive_index("quartz")([500.0, outside])
+        refractive_index("quartz")([*inside, outside])
     assert str(caught.value) == message
     with pytest.raises(ValueError, match="the range of oscillators"):
         GOETHITE([500.0, 299.0])

@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 from chi2 import NEEDS_JIT
 
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/install.md"])
+def test_what_is_installed_first_is_what_the_first_example_needs(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert re.search(r"^\$ pip install (.*)$", text, re.M)[1] == "'.[sky]'"
 
 
 @NEEDS_JIT

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.checks import Refusal
 from splits.skies.bands import Band
-from splits.skies.irradiance import names
+from splits.skies.irradiance import ATMOSPHERE, names
 from splits.skies.mixing import mixed
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
@@ -66,6 +68,18 @@ def test_direct_share_is_that_of_irradiances():
     )
 
 
+def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
+    medium, how = splits.Snow(ground="camborthid"), r"such as wavelength_nm=range\((.*), 10\)"
+    with pytest.raises(ValueError, match=how) as caught:
+        splits.albedo(medium, splits.sky(MINE))
+    assert re.search(how, str(caught.value))[1] == "400, 1001"
+    # Those are known to the ground and to the sky.
+    w = np.arange(400.0, 1001.0, 10.0)
+    assert medium.ground.albedo(w).size == splits.sky(MINE).direct_share(w).size == 61
+    with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
+        splits.sky(MINE).check_covers(np.array([400.0, 1200.0, 1210.0]))
+
+
 @pytest.mark.parametrize("name", names())
 def test_skies_of_snicar_are_direct_or_diffuse(name):
     share = splits.sky(name).direct_share(np.array([350.0, 1000.0, 2400.0]))
@@ -110,7 +124,8 @@ def test_clear_skies_and_the_standard():
     ],
 )
 def test_bad_skies_are_refused_in_one_line(given, more, text):
-    with pytest.raises(ValueError, match=text) as error:
+    unknown = not set(more) <= {"zenith_deg", *ATMOSPHERE}
+    with pytest.raises(TypeError if unknown else ValueError, match=text) as error:
         splits.sky(given, **more)
     assert "\n" not in str(error.value)
 

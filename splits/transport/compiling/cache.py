@@ -21,6 +21,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 from splits.transport.compiling import turns
 from splits.transport.compiling.folders import folders, tell
+from splits.transport.compiling.notice import COMPILING, notice
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -93,7 +94,8 @@ class KernelCache(FunctionCache):
 
         def compiled(*given: Any) -> Any:
             try:
-                return compile(*given)
+                with notice(COMPILING):
+                    return compile(*given)
             except BaseException:
                 self._cache_file.leave_turns()
                 raise

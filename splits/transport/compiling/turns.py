@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import logging
 import os
 import time
 from contextlib import suppress
 from pathlib import Path
+
+from splits.transport.compiling.notice import WAITING, notice
 
 try:
     import fcntl
@@ -49,21 +50,18 @@ def take(folder: Path, name: str) -> bool:
     """
     if fcntl is None:
         return False
-    begun, told = time.monotonic(), False
+    begun = time.monotonic()
     try:
         file = _opened(folder)
-        while True:
-            with suppress(BlockingIOError, PermissionError):
-                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
-                return True
-            if time.monotonic() - begun > LONGEST_S:
-                return False
-            if not told:
-                logging.getLogger(__name__).info("another process compiles kernels: waiting")
-                told = True
-            time.sleep(_PAUSE_S)
+        with notice(WAITING):
+            while time.monotonic() - begun <= LONGEST_S:
+                with suppress(BlockingIOError, PermissionError):
+                    fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
+                    return True
+                time.sleep(_PAUSE_S)
     except OSError:
-        return False
+        pass
+    return False
 
 
 def leave(folder: Path, name: str) -> None:

@@ -16,9 +16,10 @@ FAINT = 1e-5
 """Change of the reflectance of diffuse light up to which extinction coefficients are left out of
 reflection.  They show most where light meets an absorbing medium of lower index."""
 
-GRAZING = 1e-4
-"""Cosine of incidence below which single precision no longer tells whether a grain just below the
-boundary fits."""
+MIN_FIRST_DEPTH = 1e-6
+"""Mean depth of the first grain in a beam, in semi-major axes of the largest grain, below which
+single precision no longer decides as double precision does whether the grain fits below the
+boundary: of the grains that fit it decides 1 % otherwise here, to both sides alike."""
 
 LARGEST = 1e3
 """Refractive index and extinction coefficient whose powers single precision still holds."""
@@ -34,8 +35,8 @@ def features_for(scene: Scene, optics: Optics) -> Features | None:
     """Return what a scene has, or None if only the scalar kernel serves it.
 
     Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
-    more than one coating, samples of more than `DEEPEST` mean distances, extremely grazing beams,
-    and indices beyond `LARGEST`; and they need a compiler.
+    more than one coating, samples of more than `DEEPEST` mean distances, beams that meet their
+    first grain above `MIN_FIRST_DEPTH`, and indices beyond `LARGEST`; and they need a compiler.
 
     Parameters
     ----------
@@ -50,7 +51,8 @@ def features_for(scene: Scene, optics: Optics) -> Features | None:
         return None
     if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
-    if light.diffuse < 1.0 and light.cos < GRAZING:
+    first_depth = light.cos / layers.attenuation[0] * types.curvature.min()
+    if light.diffuse < 1.0 and first_depth < MIN_FIRST_DEPTH:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None

@@ -1,0 +1,129 @@
+"""A person is told that kernels are compiled, and nothing about that can end a run."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from contextlib import contextmanager, suppress
+
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.transport.compiling import notice as notices
+from splits.transport.compiling import turns
+from splits.transport.compiling.jit import entry
+from splits.transport.compiling.notice import COMPILING, DONE, WAITING, notice
+
+openpty = getattr(os, "openpty", None)
+NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="no terminals here")
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch):
+    """Let notices come at once, and none of a test in the next."""
+    monkeypatch.setattr(notices, "FIRST_S", 0.05)
+    monkeypatch.setattr(notices, "_STEP_S", 0.01)
+    monkeypatch.setattr(notices, "_session", None)
+    yield
+    wait_for_the_end()
+
+
+@contextmanager
+def terminal(monkeypatch):
+    """Let errors go to a terminal, and give its other end."""
+    ours, theirs = openpty()
+    with open(theirs, "w", encoding="ascii") as errors:
+        monkeypatch.setattr(sys, "stderr", errors)
+        yield ours
+        wait_for_the_end()
+    monkeypatch.undo()
+    with suppress(OSError):
+        os.close(ours)
+
+
+def wait_for_the_end():
+    while notices._session is not None and not notices._session.over:
+        time.sleep(0.01)
+    time.sleep(0.1)
+
+
+@pytest.fixture
+def heard():
+    """Return all that a listener is told."""
+    told = []
+    notices.listeners.append(told.append)
+    yield told
+    notices.listeners.remove(told.append)
+
+
+@NEEDS_TERMINAL
+def test_two_lines_on_a_terminal_say_that_kernels_are_compiled(monkeypatch):
+    with terminal(monkeypatch) as ours:
+        for _ in range(2):
+            with notice(COMPILING):
+                time.sleep(0.2)
+        wait_for_the_end()
+        said = os.read(ours, 10_000).decode()
+    assert said.splitlines() == [f"splits: {COMPILING}", f"splits: {DONE}: 0 s"]
+
+
+@NEEDS_TERMINAL
+def test_what_is_compiled_at_once_needs_no_word(monkeypatch):
+    with terminal(monkeypatch) as ours:
+        with notice(COMPILING):
+            pass
+        wait_for_the_end()
+        os.set_blocking(ours, False)
+        with pytest.raises(BlockingIOError):
+            os.read(ours, 1)
+
+
+@NEEDS_TERMINAL
+def test_a_terminal_that_was_closed_ends_nothing(monkeypatch):
+    with terminal(monkeypatch) as ours:
+        os.close(ours)
+        with notice(COMPILING):
+            time.sleep(0.2)
+
+
+def test_where_nobody_sees_it_nothing_is_said(capfd):
+    with notice(COMPILING):
+        time.sleep(0.2)
+    assert notices._session is None
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bars_show_it_with_the_seconds(capsys):
+    with splits.ProgressBar("mine"), notice(COMPILING):
+        time.sleep(0.3)
+    assert f"{COMPILING}: 0 s" in capsys.readouterr().err
+    assert notices.listeners == []
+
+
+def test_a_listener_that_fails_ends_nothing(heard):
+    notices.listeners.insert(0, lambda text: 1 / 0)
+    with notice(COMPILING):
+        time.sleep(0.2)
+    del notices.listeners[0]
+    assert heard
+
+
+@pytest.mark.skipif(turns.fcntl is None, reason="no locks here")
+def test_a_process_that_waits_for_another_says_so(heard, monkeypatch, tmp_path):
+    begun = time.monotonic()
+
+    def lockf(*given):
+        if time.monotonic() - begun < 0.3:
+            raise BlockingIOError
+
+    monkeypatch.setattr(turns.fcntl, "lockf", lockf)
+    assert turns.take(tmp_path, "kernel")
+    assert heard[0] == f"{WAITING}: 0 s"
+
+
+@NEEDS_JIT
+def test_compiling_a_kernel_says_so(heard):
+    entry(lambda x: x + 1)(1)
+    assert heard[0] == f"{COMPILING}: 0 s"

@@ -1,0 +1,111 @@
+"""Media, skies and grounds as text: on one line, in the words of their input."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splits
+from splits.media.ground import Ground
+from splits.media.parameters import with_value
+from splits.media.rough_surface import SurfaceField
+from splits.skies.bands import Band
+
+WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 50, "correlation": "gaussian"}
+LIMITED = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}
+WORDS = [
+    "Snow()",
+    "Snow(specific_surface_area_m2_kg=18.3389)",
+    "Snow(optical_radius_um=100, temperature_c=-10, depth_m=inf)",
+    "Snow(liquid_water_content=0.1)",
+    "Snow(saturation=0.1, ground='camborthid')",
+    "Snow(grain_size_um=(100, 250))",
+    "Snow(grain_size_um=(1000, 2500), readings='geometric')",
+    "Snow(readings={'facets': 'projected'}, ground='black')",
+    "Snow(refractive_index={'ice': 'warren_brandt_2008_picard_2016'}, ground=0.2)",
+    "Snow(specific_surface_area_m2_kg=0.3, facetness=(0, 0, 0, 0))",
+    "Snow.natural(specific_surface_area_m2_kg=40, depth_m=1, impurities_ng_g={'dust_sahara': 5})",
+    "Snow.natural(optical_radius_um=163.6, saturation=0.1)",
+    "Snow.natural(grain_size_um=(100, 200), refractive_index={'ice': '1.31+0j'})",
+    "Sand()",
+    "Sand(iron_oxide=0.02, partition=(0, 1, 0), readings={'water': 'film'})",
+    "Sand(readings='geometric')",
+    "Layer()",
+    "Layer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
+    f"Layer(surface={WAVES})",
+    f"RoughSurface([{WAVES}, {LIMITED}])",
+    "Readings.of('splitsnow_2021')",
+    "Readings.of({'facets': 'projected'})",
+    "SandReadings.of('splits_2007')",
+    "Ground.of('quartzipsamment')",
+    "Ground.of(0.25)",
+    "Ground.of('black')",
+    "Stack([\n"
+    "    Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1),\n"
+    "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"
+    "], ground='camborthid')",
+    "Stack([\n    Snow(depth_m=0.01, readings='geometric'),\n    Layer(bottom_albedo=None),\n"
+    "], readings='geometric')",
+]
+NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
+    "Ground": Ground,
+    "inf": math.inf,
+}
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_media_read_as_the_calls_that_make_them(words):
+    made = eval(words, NAMES)
+    shown = repr(made)
+    assert eval(shown, NAMES).__class__ is made.__class__
+    assert sorted(shown) == sorted(words)
+    assert repr(eval(shown, NAMES)) == shown == repr(copy.deepcopy(made))
+    assert repr(pickle.loads(pickle.dumps(made))) == shown
+
+
+def test_a_surface_area_outlives_what_is_done_to_snow():
+    snow = splits.Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1)
+    assert repr(replace(snow, depth_m=1)) == (
+        "Snow.natural(specific_surface_area_m2_kg=40, depth_m=1)"
+    )
+    assert "specific_surface_area_m2_kg=12," in repr(
+        with_value(snow, "specific_surface_area_m2_kg", 12)
+    )
+    inside = repr(splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], readings="geometric"))
+    assert "    Snow(specific_surface_area_m2_kg=9, readings='geometric'),\n" in inside
+
+
+def test_tables_do_not_fill_the_page():
+    w = np.arange(300.0, 1001.0)
+    table = {"wavelength_nm": w, "albedo": np.full(w.size, 0.2)}
+    spectrum = {"wave_number_per_m": w.tolist(), "density": w.tolist()}
+    for one in (
+        splits.Snow(ground=table),
+        Ground.of(table),
+        splits.Snow(refractive_index={"ice": {"wavelength_nm": w, "n": w / w, "k": 0.0 * w}}),
+        splits.Layer(phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}),
+        SurfaceField(0.1, correlation="spectrum", spectrum=spectrum),
+        splits.sky({"wavelength_nm": w, "direct": w, "diffuse": w}, zenith_deg=50),
+        splits.sky("midlatitude_winter"),
+        Band(w, w),
+    ):
+        assert "\n" not in repr(one) and len(repr(one)) < 200
+    assert repr(splits.Snow(ground=table)) == (
+        "Snow(ground={'wavelength_nm': [300, ..., 1000], 'albedo': [0.2, ..., 0.2]})"
+    )
+
+
+def test_skies_say_what_they_are():
+    assert repr(splits.sky("midlatitude_winter", 50)) == (
+        "Sky('midlatitude_winter', zenith_deg=50, 305 to 3995 nm: "
+        "SNICAR-ADv3 (Flanner et al. 2021))"
+    )
+    pytest.importorskip("pvlib")
+    clear = repr(splits.sky("clear", 30, turbidity_500nm=0.2))
+    assert clear.startswith("Sky('clear', zenith_deg=30, 300 to 4000 nm: Bird & Riordan")
+    assert "turbidity_500nm 0.2" in clear and "\n" not in clear

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import stat
 import zipfile
 import zlib
@@ -16,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from splits.checks import refuse
 from splits.crate import METADATA, VERSION, About, ArchiveError, Author, metadata
 from splits.credits import software, software_files
+from splits.escaping import escape_markdown
 from splits.experiments.settings import DEFAULT_LICENCE, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
@@ -144,8 +146,9 @@ def _readme(about: About, archive: str) -> str:
     """Return README.md."""
     return README.format(
         version=about.software.version, commit=about.software.commit, date=about.date,
-        licence=about.licence, authors=", ".join(author.name for author in about.authors),
-        crate=VERSION, archive=archive,
+        licence=f"<{about.licence}>" if "://" in about.licence else about.licence,
+        authors=", ".join(escape_markdown(author.name) for author in about.authors),
+        crate=VERSION, archive=shlex.quote(archive),
     )  # fmt: skip
 
 

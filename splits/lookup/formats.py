@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import one_of, refuse
+from splits.escaping import escape_cells
 from splits.files import whole
 from splits.lookup.axes import INCIDENCE
 from splits.skies.bands import Band, bands_of
@@ -33,7 +34,7 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
         for number in range(dataset.sizes[first]):
             # A slice at a time, as all lines together take many times the table's memory.
             part = dataset[names].isel({first: [number]}).to_dataframe()
-            lines = part.reset_index()[[first, *others, *names]]
+            lines = escape_cells(part.reset_index()[[first, *others, *names]])
             lines.to_csv(aside, mode="a", header=number == 0, index=False, float_format="%.6g")
 
 

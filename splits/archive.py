@@ -168,8 +168,13 @@ def _check_names(members: Iterable[str]) -> None:
 def configuration_files(settings: Settings) -> dict[str, Path]:
     """Return the files that a run with these settings reads, by their place in an archive.
 
-    The experiments in force, all media, measured and published tables; wherever their folders
-    are, they get the usual places below ``config/``.
+    The experiments in force, all media, measured and published tables, but no hidden files;
+    wherever their folders are, they get the usual places below ``config/``.
+
+    Raises
+    ------
+    ValueError
+        For a file that `splits.unpacking` would refuse.
     """
     found = {}
     experiments = Path(settings.experiments_folder)
@@ -181,8 +186,10 @@ def configuration_files(settings: Settings) -> dict[str, Path]:
         found[f"config/media/{path.name}"] = path
     for name, folder in settings.tables.items():
         for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                found[f"config/{name}/{path.relative_to(folder).as_posix()}"] = path
+            place = path.relative_to(folder)
+            if path.is_file() and not any(part.startswith(".") for part in place.parts):
+                found[f"config/{name}/{place.as_posix()}"] = path
+    _check_names(found)
     return found
 
 

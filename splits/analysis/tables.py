@@ -24,7 +24,10 @@ TABLE1 = {
 
 
 def write_table(table: pd.DataFrame, path: str | Path) -> None:
-    """Write a table as CSV with six significant digits, its texts for spreadsheets, too."""
+    """Write a table as CSV with six significant digits.
+
+    Texts that a spreadsheet would compute begin with an apostrophe.
+    """
     with whole(path) as aside:
         escape_cells(table).to_csv(aside, index=False, float_format="%.6g")
 

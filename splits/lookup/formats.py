@@ -21,6 +21,8 @@ RADIUS = "optical_radius_um"
 def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a table as CSV: a line for each wavelength of each point, the axes as columns.
 
+    Texts that a spreadsheet would compute begin with an apostrophe.
+
     Parameters
     ----------
     dataset : xarray.Dataset

@@ -362,7 +362,10 @@ def test_of_processes_that_start_together_one_compiles(tmp_path):
     kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
     four = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
-    said = sorted(one.communicate("go\n", timeout=60)[0] for one in four)
+    for one in four:  # all of them, before any is waited for
+        one.stdin.write("go\n")
+        one.stdin.flush()
+    said = sorted(one.communicate(timeout=300)[0] for one in four)
     assert said == ["go 2 0\n"] + 3 * ["go 2 1\n"]
 
 

@@ -22,10 +22,13 @@ from splits.escaping import (
     escape_mathtext,
     escape_rst,
 )
-from splits.experiments import ConfigError, load_settings
-from splits.figures import spectra
+from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.figures import sensitivity_bars, spectra
+from splits.figures.chosen_bands import chosen_bands
 from splits.figures.shifts import shifts
+from splits.figures.sobol import sobol
 from splits.figures.style import parameter_label, style, value_label
+from splits.figures.surface_area import fitted_spectra
 from splits.lookup.formats import write_csv
 
 WORDS = [
@@ -164,6 +167,51 @@ def test_a_dollar_sign_at_the_end_of_a_line_is_no_formula(before):
     assert any(label in text.replace("\n", "") for text in found)
 
 
+def bands_dataset(word):
+    row = ("step", [1.0, 2.0])
+    return xr.Dataset(
+        {
+            "information_bits": row, "information_bits_stderr": row,
+            "spread": (("parameter", "step"), [[0.5, 0.2]]),
+        },
+        {"step": [1, 2], "parameter": [word], "band": ("step", [word, "B2"])},
+    )  # fmt: skip
+
+
+def sobol_dataset(word):
+    row = (("parameter", "wavelength"), [[0.5, 0.2]])
+    names = ("first_order", "first_order_stderr", "total", "total_stderr")
+    found = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
+    return xr.Dataset(found, {"parameter": [word], "wavelength": [500.0, 600.0]})
+
+
+def sensitivity_dataset(word):
+    row = (("quantity", "parameter"), [[0.5], [0.2]])
+    found = {"msi": row, "msi_stderr": row}
+    return xr.Dataset(found, {"quantity": ["reflectance", "transmittance"], "parameter": [word]})
+
+
+def spectra_table(word):
+    columns = ("measured", "model", "stderr", "difference", "area")
+    table = pd.DataFrame({"wavelength_nm": [500.0, 600.0], **dict.fromkeys(columns, 0.5)})
+    return table.assign(spectrum=f"{word}@30", fitted=True)
+
+
+@pytest.mark.parametrize(
+    "figure_of",
+    [
+        lambda word: chosen_bands({word: bands_dataset(word)}, f"known {word}"),
+        lambda word: sobol({word: sobol_dataset(word)}),
+        lambda word: sensitivity_bars(sensitivity_dataset(word), f"ranges: {word}"),
+        lambda word: fitted_spectra(spectra_table(word)),
+    ],
+    ids=["bands", "sobol", "sensitivity", "surface area"],
+)
+def test_names_of_samples_tables_and_parameters_are_no_formulas(figure_of):
+    word = r"a$\frac$b"
+    assert any(word in text for text in texts_of(figure_of(word)))
+
+
 def test_labels_are_not_handed_to_tex():
     with matplotlib.rc_context({"text.usetex": True}), style():
         assert not matplotlib.rcParams["text.usetex"]
@@ -178,6 +226,19 @@ def test_paths_that_the_workflow_reads_as_patterns_are_refused(key, place):
     content = {"accuracies": {"standard": {"max_stderr": 0.01}}, key: place}
     with pytest.raises(ConfigError, match=rf"{key} = .*: must be a path without {{ }} < >"):
         load_settings(content)
+
+
+def test_tables_that_the_workflow_reads_as_patterns_are_refused(tmp_path):
+    table = tmp_path / "a{b}.csv"
+    table.write_text("wavelength_nm,n,k\n200,1.3,0\n3000,1.3,0\n", encoding="utf-8")
+    content = {"medium": {"refractive_index": {"ice": str(table)}}}
+    (tmp_path / "own.yaml").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"own\.yaml: table = .*: must be a path without { } < >"):
+        load_experiments(tmp_path)
+    measured = {"figure": {"measured": "a{b}.csv"}}
+    (tmp_path / "own.yaml").write_text(json.dumps(measured), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"figure\.measured = .*: must be a path without { } < >"):
+        load_experiments(tmp_path)
 
 
 def test_labels_of_the_explorer_are_one_line():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import stat
 import zipfile
 import zlib
@@ -16,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from splits.checks import refuse
 from splits.crate import METADATA, VERSION, About, ArchiveError, Author, metadata
 from splits.credits import software, software_files
+from splits.escaping import escape_markdown
 from splits.experiments.settings import DEFAULT_LICENCE, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
@@ -146,8 +148,9 @@ def _readme(about: About, archive: str) -> str:
     """Return README.md."""
     return README.format(
         version=about.software.version, commit=about.software.commit, date=about.date,
-        licence=about.licence, authors=", ".join(author.name for author in about.authors),
-        crate=VERSION, archive=archive,
+        licence=f"<{about.licence}>" if "://" in about.licence else about.licence,
+        authors=", ".join(escape_markdown(author.name) for author in about.authors),
+        crate=VERSION, archive=shlex.quote(archive),
     )  # fmt: skip
 
 
@@ -167,8 +170,13 @@ def _check_names(members: Iterable[str]) -> None:
 def configuration_files(settings: Settings) -> dict[str, Path]:
     """Return the files that a run with these settings reads, by their place in an archive.
 
-    The experiments in force, all media, measured and published tables; wherever their folders
-    are, they get the usual places below ``config/``.
+    The experiments in force, all media, measured and published tables, but no hidden files;
+    wherever their folders are, they get the usual places below ``config/``.
+
+    Raises
+    ------
+    ValueError
+        For a file that `splits.unpacking` would refuse.
     """
     found = {}
     experiments = Path(settings.experiments_folder)
@@ -180,8 +188,10 @@ def configuration_files(settings: Settings) -> dict[str, Path]:
         found[f"config/media/{path.name}"] = path
     for name, folder in settings.tables.items():
         for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                found[f"config/{name}/{path.relative_to(folder).as_posix()}"] = path
+            place = path.relative_to(folder)
+            if path.is_file() and not any(part.startswith(".") for part in place.parts):
+                found[f"config/{name}/{place.as_posix()}"] = path
+    _check_names(found)
     return found
 
 

@@ -31,13 +31,16 @@ AT_THE_ROOT = (
     "SHA256SUMS",
 )  # fmt: skip
 """Members that stand in no folder."""
-FOLDERS = ("config", "data", "figures", "tables")
-"""Where all others stand: a file of another name could steer what runs beside it."""
-PROGRAMS = (
-    ".bat", ".cmd", ".com", ".dll", ".exe", ".pth", ".py", ".pyc", ".pyd", ".pyw", ".sh", ".smk",
-    ".so",
-)  # fmt: skip
-"""What names of members do not end in."""
+SUFFIXES = {
+    "config": (".csv", ".dat", ".md", ".tsv", ".txt", ".yaml", ".yml"),
+    "data": (".nc",),
+    "figures": (".pdf", ".png", ".svg"),
+    "tables": (".csv",),
+}
+"""What names of all others end in, by the folder that they stand in.
+
+A file of another name could steer what runs beside it, or be run itself when it is opened.
+"""
 MOST_MEMBERS = 20_000
 MOST_BYTES = 2**35
 """Size of everything unpacked."""
@@ -150,10 +153,12 @@ def wrong_name(name: str) -> str:
         return "a name that not all systems have"
     if len(name) > LONGEST_NAME or max(len(p.encode()) for p in parts) > LONGEST_PART:
         return "too long a name"
-    if parts[0] not in FOLDERS if len(parts) > 1 else name not in AT_THE_ROOT:
+    if parts[0] not in SUFFIXES if len(parts) > 1 else name not in AT_THE_ROOT:
         return "no file that archives have"
-    if name.lower().endswith(PROGRAMS):
-        return "a program"
+    if any(part.startswith(".") for part in parts):
+        return "a hidden name"
+    if len(parts) > 1 and not name.lower().endswith(SUFFIXES[parts[0]]):
+        return f"no kind of file that archives have in {parts[0]}/"
     return ""
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import bands
+from splits.escaping import escape_cells
 from splits.files import whole
 
 TABLE1 = {
@@ -23,9 +24,12 @@ TABLE1 = {
 
 
 def write_table(table: pd.DataFrame, path: str | Path) -> None:
-    """Write a table as CSV with six significant digits."""
+    """Write a table as CSV with six significant digits.
+
+    Texts that a spreadsheet would compute begin with an apostrophe.
+    """
     with whole(path) as aside:
-        table.to_csv(aside, index=False, float_format="%.6g")
+        escape_cells(table).to_csv(aside, index=False, float_format="%.6g")
 
 
 def table1(sample: xr.Dataset) -> pd.DataFrame:

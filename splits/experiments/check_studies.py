@@ -17,6 +17,7 @@ from splits.experiments.rank_readings import BOUNDARIES, FATES
 from splits.experiments.simulation import NAME
 from splits.experiments.studies import SensitivityPair, Study
 from splits.experiments.study_kinds import FILES, OF_TABLES, PRODUCTS, ROLES, SOME
+from splits.experiments.texts import check_path
 from splits.experiments.yaml_files import ConfigError
 from splits.instruments.arguments import check_whole
 from splits.media.readings import CHOICES, Readings
@@ -140,6 +141,7 @@ def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None
 
 def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
     for key, file in about.files.items():
+        check_path(f"files.{key}", file)
         place = tables[FILES[about.kind][key]]
         if not (place / file).is_file():
             one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])

@@ -17,6 +17,7 @@ from splits.experiments.run_fit import check_fit
 from splits.experiments.settings import Settings
 from splits.experiments.simulation import SAMPLE
 from splits.experiments.stacks import LAYERS, with_bases
+from splits.experiments.texts import check_path
 from splits.experiments.unused import keywords_given, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
 from splits.media.measured_inputs import on_top
@@ -167,6 +168,7 @@ def load_experiments(
     for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
+            _check_tables(path, experiment)
         except ConfigError as error:
             refused.append(str(error))
             continue
@@ -179,6 +181,15 @@ def load_experiments(
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
+
+
+def _check_tables(path: Path, experiment: Experiment) -> None:
+    """Refuse users' own tables that the workflow could not take for its inputs."""
+    try:
+        for table in experiment.tables():
+            check_path("table", table)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:

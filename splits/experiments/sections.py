@@ -20,6 +20,7 @@ from splits.experiments.texts import (
     LONGEST_LABEL,
     LONGEST_TITLE,
     check_mathematics,
+    check_path,
     check_text,
 )
 
@@ -56,7 +57,7 @@ def check_file(key: str, name: str) -> str:
     """Return the name of a file of config/measured, or refuse a path that leads elsewhere."""
     if not name.isprintable() or len(name) > 100 or PurePath(name).name != name or "\\" in name:
         raise refuse(key, name, "the name of a file of config/measured, without folders")
-    return name
+    return check_path(key, name)
 
 
 class Section(BaseModel):

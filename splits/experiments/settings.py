@@ -15,13 +15,15 @@ from splits.experiments.check_studies import check_studies
 from splits.experiments.model import Experiment
 from splits.experiments.sections import Section
 from splits.experiments.studies import Study
-from splits.experiments.texts import LONGEST_TITLE, check_text
+from splits.experiments.texts import LONGEST_LABEL, LONGEST_TITLE, check_path, check_text
 from splits.experiments.yaml_files import ConfigError
 from splits.paths import expand_path
 
 DEFAULT_LICENCE = "MIT"
 """Of results, unless the configuration says another: that of the software."""
-_LICENCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[!-~]{1,300}")
+_LICENCE = re.compile(
+    r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
+)
 
 
 class Accuracy(Section):
@@ -108,6 +110,20 @@ class Settings(Section):
         if not _LICENCE.fullmatch(value):
             allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
             raise refuse("archive_license", value, allowed)
+        return value
+
+    @field_validator(
+        "results", "experiments_folder", "media_folder", "measured_folder", "published_folder"
+    )
+    @classmethod
+    def _path(cls, value: str, info: ValidationInfo) -> str:
+        return check_path(str(info.field_name), value)
+
+    @field_validator("explorer")
+    @classmethod
+    def _labels(cls, value: dict[str, str]) -> dict[str, str]:
+        for label in value:
+            check_text("explorer (label)", label, LONGEST_LABEL)
         return value
 
     @model_validator(mode="after")

@@ -28,6 +28,14 @@ def check_text(key: str, value: str, longest: int, lines: bool = False) -> str:
     return value
 
 
+def check_path(key: str, value: str) -> str:
+    """Return the path of a folder or file, or refuse one that the workflow reads as a pattern."""
+    if not value.isprintable() or set(value) & set("{}<>"):
+        allowed = "a path without { } < > and control characters"
+        raise refuse(key, value, allowed, "Snakemake takes braces for wildcards")
+    return value
+
+
 def check_mathematics(key: str, value: str) -> str:
     """Return a text that may hold formulas between dollar signs, or refuse what cannot be set."""
     # One dollar sign alone is a dollar sign.

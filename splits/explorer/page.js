@@ -217,13 +217,18 @@ function python(table) {
 
 function sliders() {
   const table = tables[chosen];
-  show("sliders").innerHTML = "";
+  show("sliders").replaceChildren();
   table.axes.forEach((axis, k) => {
     const [there, back] = laws[axis.law], box = document.createElement("div");
     const low = there(axis.nodes[0]), high = there(axis.nodes[axis.nodes.length - 1]), id = `axis${k}`;
     box.className = "slider";
-    box.innerHTML = `<label for="${id}"><span>${axis.label}</span><output for="${id}"></output></label><input type="range" id="${id}" min="0" max="1000" step="1">`;
-    const input = box.querySelector("input"), told = box.querySelector("output");
+    const words = document.createElement("span"), told = document.createElement("output");
+    const label = document.createElement("label"), input = document.createElement("input");
+    words.textContent = axis.label;
+    for (const one of [label, told]) one.setAttribute("for", id);
+    for (const [key, value] of Object.entries({ type: "range", id, min: 0, max: 1000, step: 1 })) input.setAttribute(key, value);
+    label.append(words, told);
+    box.append(label, input);
     input.value = Math.round(1000 * (there(table.at[k]) - low) / (high - low));
     const tell = () => {
       told.textContent = `${digits(table.at[k])} ${axis.unit}`.trim();
@@ -244,9 +249,10 @@ function sliders() {
 
 function media() {
   tables.forEach((table, number) => {
-    const label = document.createElement("label");
-    label.innerHTML = `<input type="radio" name="medium" ${number === chosen ? "checked" : ""}> ${table.label}`;
-    label.querySelector("input").addEventListener("change", () => { chosen = number; cursor = null; start(); });
+    const label = document.createElement("label"), input = document.createElement("input");
+    Object.assign(input, { type: "radio", name: "medium", defaultChecked: number === chosen });
+    input.addEventListener("change", () => { chosen = number; cursor = null; start(); });
+    label.append(input, ` ${table.label}`);
     show("media").append(label);
   });
 }

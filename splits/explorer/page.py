@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import refuse
+from splits.escaping import escape_json
 from splits.files import whole
 from splits.lookup.interpolation import law, spaced
 from splits.lookup.reading import Table
@@ -63,8 +63,7 @@ def write_page(tables: Mapping[str, Shown], path: str | Path) -> None:
     parts = {
         "{{STYLE}}": (_HERE / "page.css").read_text(encoding="utf-8"),
         "{{SCRIPT}}": (_HERE / "page.js").read_text(encoding="utf-8"),
-        # No text of a table may end the element that holds it.
-        "{{DATA}}": json.dumps(data, ensure_ascii=False).replace("</", "<\\/"),
+        "{{DATA}}": escape_json(data),
     }
     for key, text in parts.items():
         page = page.replace(key, text)

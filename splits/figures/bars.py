@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.escaping import escape_mathtext
 from splits.figures.notes import finished
 from splits.figures.style import BAND, colours, style, subplots
 
@@ -38,7 +39,8 @@ def sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
                     at, part.published, "D", color="white", mec="black", mew=0.7, ms=4, ls="none",
                     label="published" if i == 0 else None,
                 )  # fmt: skip
-        axes.set_xticks(x, [str(p).replace("_", " ") for p in dataset.parameter.values])
+        names = [str(p).replace("_", " ") for p in dataset.parameter.values]
+        axes.set_xticks(x, list(map(escape_mathtext, names)))
         axes.set_ylabel("mean sensitivity index")
         axes.set_ylim(0, 1.05)
         axes.spines[["top", "right"]].set_visible(False)
@@ -46,4 +48,4 @@ def sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
             *axes.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside upper center"
         )
         errors = f"Bars of errors: {BAND:g} standard errors."
-        return finished(figure, [axes], " ".join([note, errors]).strip())
+        return finished(figure, [axes], " ".join([escape_mathtext(note), errors]).strip())

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.escaping import escape_mathtext
 from splits.figures.notes import finished
 from splits.figures.style import (
     BAND,
@@ -45,13 +45,14 @@ def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
             top.bar(x, bits, color=blue, alpha=0.5)
             top.errorbar(x, bits, BAND * dataset.information_bits_stderr.values, fmt="none",
                          color="black", lw=0.8)  # fmt: skip
-            top.set_title(title)
+            top.set_title(escape_mathtext(title))
             names = list(map(str, dataset.parameter.values))
             for name, colour in zip(names, colours(len(names), "medium"), strict=True):
                 left = dataset.spread.sel(parameter=name).values
                 bottom.plot(x, left, "o-", color=colour, ms=3, lw=1.0, label=parameter_label(name))
             bottom.set_ylim(0.0, 1.05)
-            bottom.set_xticks(x, np.char.add("+ ", dataset.band.values.astype(str)), rotation=45)
+            bands = [f"+ {escape_mathtext(str(band))}" for band in dataset.band.values]
+            bottom.set_xticks(x, bands, rotation=45)
             for label in bottom.get_xticklabels():
                 label.set_horizontalalignment("right")
             bottom.legend(frameon=False, fontsize=SMALLEST)
@@ -63,5 +64,5 @@ def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
             "Bands from left to right, each the one that adds most to those before it, in the mean "
             "over the ranges of the table. Error bars: two standard errors of that mean."
         )
-        note += f" {known.replace('_', ' ')}." if known else ""
+        note += f" {escape_mathtext(known.replace('_', ' '))}." if known else ""
         return finished(figure, panels[0], note)

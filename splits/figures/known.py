@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.proportion import proportion
+from splits.escaping import escape_mathtext
 from splits.figures.style import SMALLEST, colours, parameter_label, value_label
 
 FEWEST = 3
@@ -52,7 +53,7 @@ def against(
         highest = max(highest, float(most.max()))
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    axes.set_title(group.strip() or "against what is known")
+    axes.set_title(escape_mathtext(group.strip()) or "against what is known")
     axes.set_xlabel(f"{parameter_label(name)}, known")
     axes.set_ylabel(f"{parameter_label(name)}, retrieved")
     axes.set_xlim(0.0, top)

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.escaping import escape_mathtext
 from splits.figures.conditions import conditions
 from splits.figures.lines import DEFAULT, Lines, beside
 from splits.figures.notes import finished
@@ -70,7 +71,7 @@ def points(
             height=0.7 + 0.17 * max(len(names), 4), sharey=True, squeeze=False,
         )  # fmt: skip
         for axes, name in zip(panels[0], quantity, strict=True):
-            long_name = str(dataset[name].attrs.get("long_name", name))
+            long_name = escape_mathtext(str(dataset[name].attrs.get("long_name", name)))
             if "wavelength" in dataset[name].dims:
                 _series(axes, dataset, name, series, dim)
                 axes.set_xlabel(_stated(dataset, name, long_name, dim))

@@ -118,7 +118,9 @@ def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: s
         _curve(axes, x, shift.sel(at).values, error.sel(at).values, SHADE)
         axes.axhline(0.0, color="black", lw=0.6, zorder=1.5)
         axes.set_ylim(-reach, reach)
-        axes.set_title(fill(value_label(other, dim), _LONGEST_TITLE))
+        # A line may end between a dollar sign and what escapes it.
+        title = fill(value_label(other, dim), _LONGEST_TITLE).replace("\\\n$", "\n\\$")
+        axes.set_title(title)
     for axes in panels[1 + len(others) :]:
         axes.set_visible(False)
 

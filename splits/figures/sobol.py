@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from splits.escaping import escape_mathtext
 from splits.figures.notes import finished
 from splits.figures.style import (
     BAND,
@@ -49,7 +50,7 @@ def sobol(found: Mapping[str, xr.Dataset]) -> Figure:
                     low, high = value - error, value + error
                     top.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
             bottom.plot(x, dataset.standard_deviation.values, color="black", lw=1.0)
-            top.set_title(title)
+            top.set_title(escape_mathtext(title))
             top.set_ylim(-0.03, 1.19)
             top.set_yticks(np.linspace(0.0, 1.0, 6))
             top.legend(frameon=False, fontsize=SMALLEST, ncols=2, loc="upper center")

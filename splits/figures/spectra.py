@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.dataset import at_points
+from splits.escaping import escape_mathtext
 from splits.figures.conditions import conditions
 from splits.figures.facets import faceted
 from splits.figures.lines import Lines, above
@@ -129,7 +130,7 @@ def _measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
 
 def _label(variable: xr.DataArray) -> str:
     """Return what an axis shows, on two lines if it is long."""
-    words = str(variable.attrs.get("long_name", variable.name))
+    words = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
     first, _, last = words.rpartition(" ")
     return f"{first}\n{last}" if first and len(words) > _LONGEST_LINE else words
 

@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 
+from splits.escaping import escape_mathtext
 from splits.files import whole
 from splits.names import amount_of
 from splits.paths import expand_path
@@ -100,8 +101,8 @@ def parameter_label(parameter: str) -> str:
     amount = amount_of(parameter)
     if amount:
         unit = "ng/g" if amount[0] == "impurities_ng_g" else "cells/ml"
-        return f"{amount[1].replace('_', ' ')} ({unit})"
-    return LABELS.get(parameter, parameter.replace("_", " "))
+        return escape_mathtext(f"{amount[1].replace('_', ' ')} ({unit})")
+    return LABELS.get(parameter, escape_mathtext(parameter.replace("_", " ")))
 
 
 def value_label(value: object, parameter: str | None = None) -> str:
@@ -132,7 +133,7 @@ def value_label(value: object, parameter: str | None = None) -> str:
     if whole := re.fullmatch(f"({_NUMBER})([+-])({_NUMBER})j", text):
         real, sign, imaginary = whole.groups()
         return f"{_printed(real)} {sign.replace('-', '−')} {_printed(imaginary)}i"
-    return text.replace("_", " ")
+    return escape_mathtext(text.replace("_", " "))
 
 
 def _printed(number: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
+from splits.escaping import escape_mathtext
 from splits.figures.notes import finished
 from splits.figures.style import BAND, SMALLEST, colours, style, subplots
 
@@ -53,7 +54,7 @@ def fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
 def _named(column: str, area: float) -> str:
     """Return how the legend calls a spectrum, such as ``ID2081@47.66``."""
     name, _, angle = column.partition("@")
-    return f"{name}, {angle}°: {area:.1f} m²/kg"
+    return f"{escape_mathtext(f'{name}, {angle}')}°: {area:.1f} m²/kg"
 
 
 def area_law(table: pd.DataFrame, note: str = "") -> Figure:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.arrays import check_gaps
 from splits.checks import ROUNDING, number, one_of, refuse, scalar, snap_to_ends
+from splits.escaping import escape_cells
 from splits.files import whole
 from splits.lookup.axes import INCIDENCE, check_places
 from splits.skies.bands import Band, bands_of
@@ -20,6 +21,8 @@ RADIUS = "optical_radius_um"
 
 def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a table as CSV: a line for each wavelength of each point, the axes as columns.
+
+    Texts that a spreadsheet would compute begin with an apostrophe.
 
     Parameters
     ----------
@@ -34,7 +37,7 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
         for number in range(dataset.sizes[first]):
             # A slice at a time, as all lines together take many times the table's memory.
             part = dataset[names].isel({first: [number]}).to_dataframe()
-            lines = part.reset_index()[[first, *others, *names]]
+            lines = escape_cells(part.reset_index()[[first, *others, *names]])
             lines.to_csv(aside, mode="a", header=number == 0, index=False, float_format="%.6g")
 
 

@@ -180,7 +180,8 @@ BASES = {
 
 NAMES = [
     "default", "a b", "Ångström µ", "0.10", "1e3", "yes", "a=b", "λ/2", "100-200", "x" * 60,
-    "%d {}", "$x$", "_", "$",
+    "%d {}", "$x$", "_", "$", r"$\frac$", "a_$b^$", "=1+1", "</script>", "<!-- <script>",
+    "*half r_",
 ]  # fmt: skip
 LABELS = st.sampled_from(NAMES) | st.text(
     st.characters(codec="utf-8", categories=["L", "N", "P"]), min_size=1, max_size=8

@@ -239,6 +239,43 @@ def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monk
         assert len(kernels(places[1])) == 1
 
 
+@NEEDS_JIT
+@pytest.mark.skipif(os.name == "nt", reason="owners of POSIX")
+@pytest.mark.parametrize("way", ["of another user", "open to the group", "open to all"])
+def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, monkeypatch):
+    shared = Folder(places[0].path, True)
+    monkeypatch.setattr(cache, "folders", lambda: (shared, places[1]))
+    plant((shared,))
+    shared.path.chmod(0o777)
+    (path,) = kernels(shared)
+    planted = path.read_bytes()
+    if way == "of another user" and os.getuid() == 0:
+        os.chown(path, 12_345, -1)
+    elif way == "of another user":
+        # Only root can give files away: another number stands for another user.
+        monkeypatch.setattr(places_of_kernels, "_user", lambda: os.getuid() + 1)
+    else:
+        path.chmod(0o664 if "group" in way else 0o666)
+    assert compiled()(1) == 2
+    assert "other users" in caplog.messages[0] and str(shared.path) in caplog.messages[0]
+    # Nor are they replaced, which their owners would do in turn: the next folder serves.
+    assert path.read_bytes() == planted
+    if places_of_kernels._user() == os.getuid():
+        assert len(kernels(places[1])) == 1
+
+
+@NEEDS_JIT
+def test_files_of_root_in_a_named_folder_are_loaded(places, monkeypatch):
+    shared = Folder(places[0].path, True)
+    monkeypatch.setattr(cache, "folders", lambda: (shared,))
+    compiled()(1)
+    if kernels(shared)[0].stat().st_uid != 0:
+        pytest.skip("needs a file of root's")
+    monkeypatch.setattr(places_of_kernels, "_user", lambda: 12_345)
+    again = compiled()
+    assert again(1) == 2 and hits(again) == 1
+
+
 def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     first, last = folders.__wrapped__()
@@ -325,7 +362,10 @@ def test_of_processes_that_start_together_one_compiles(tmp_path):
     kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
     four = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
-    said = sorted(one.communicate("go\n", timeout=60)[0] for one in four)
+    for one in four:  # all of them, before any is waited for
+        one.stdin.write("go\n")
+        one.stdin.flush()
+    said = sorted(one.communicate(timeout=300)[0] for one in four)
     assert said == ["go 2 0\n"] + 3 * ["go 2 1\n"]
 
 

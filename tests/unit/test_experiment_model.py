@@ -19,6 +19,7 @@ from splits.experiments.model import RULES
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
 SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
+SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measured", "published")}
 
 
 def points(**content):

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import html
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 import xarray as xr
+from browser import NEEDS_BROWSER, page_of
 
 from splits.checks import Refusal
 from splits.explorer import page
 from splits.explorer.page import Shown, colour_weights, write_page
 from splits.lookup.reading import Table
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 AXES = {
     "optical_radius_um": np.array([30.0, 80.0, 200.0, 500.0, 1000.0, 2000.0]),
     "incidence_deg": np.array([0.0, 40.0, 70.0]),
@@ -82,13 +81,7 @@ AT = [
 
 def shown(written, folder, number, at):
     """Return the page as a browser has it at a place."""
-    address = f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}"
-    command = [
-        CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync",
-        f"--user-data-dir={folder}", "--virtual-time-budget=2000", "--dump-dom", address,
-    ]  # fmt: skip
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    return page_of(f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}", folder)
 
 
 def told(text, name):
@@ -96,7 +89,7 @@ def told(text, name):
     return np.array(re.search(rf'data-{name}="([^"]*)"', text)[1].split(), dtype=float)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+@NEEDS_BROWSER
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("at", AT, ids=str)
 def test_a_browser_reads_what_python_reads(written, tmp_path, number, at):
@@ -113,7 +106,40 @@ def test_a_browser_reads_what_python_reads(written, tmp_path, number, at):
     assert ("data-factors" in text) == (number == 0)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+WORDS = [
+    "<!-- <script>", "</script><script>document.title='OWNED'</script>",
+    "<img src=x onerror=\"document.title='OWNED'\">", "a < b & c", "&lt;", "{{SCRIPT}}", "a\u2028b",
+    '"q" \'q\' `${1}`', "grain *size* r_",
+]  # fmt: skip
+"""Labels, hostile and innocent."""
+
+
+@NEEDS_BROWSER
+def test_a_browser_shows_words_as_they_are(tmp_path):
+    path, axes = tmp_path / "explorer.html", list(AXES)[1:-1]
+    given = {}
+    for number, word in enumerate(WORDS):
+        made = table("none")
+        name = f"own_{number}"
+        made.dataset[axes[0]].attrs = {"long_name": word, "units": word}
+        renamed = Table(made.dataset.rename({axes[0]: name}))
+        given[word] = Shown(renamed, f"{word}.nc", word)
+    write_page(given, path)
+    source = path.read_text(encoding="utf-8")
+    assert source.count("</script>") == 2 and source.count("<!--") == 0
+    for number, word in enumerate(WORDS):
+        text = shown(path, tmp_path / "browser", number, (30.0, 40.0, 3.0, 0.021))
+        said, escaped = text.replace("&nbsp;", "\u00a0"), html.escape(word, quote=False)
+        assert "<title>SPLITS explorer</title>" in said
+        labels = re.findall(r'<input type="radio" name="medium"[^>]*> (.*?)</label>', said, re.S)
+        assert [html.unescape(label) for label in labels] == WORDS
+        assert f"<span>{escaped}</span>" in said
+        assert f'<p id="about">{escaped}</p>' in said
+        assert f"40 {escaped}</output>" in said
+        assert len(told(said, "values")) == AXES["wavelength"].size
+
+
+@NEEDS_BROWSER
 @pytest.mark.parametrize(("size", "beam"), [(60.0, 0.0), (277.0, 25.0), (1830.0, 69.0)])
 def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
     text = shown(written, tmp_path, 0, (size, beam, 0.0, 0.0))

@@ -83,9 +83,10 @@ def told(path, text):
 
 @pytest.mark.parametrize("text", FILES, ids=range(len(FILES)))
 def test_it_ends_in_one_line_and_soon(tmp_path, text):
-    begun = time.perf_counter()
+    # Time of this process alone: other work on the machine does not count.
+    begun = time.process_time()
     assert FILES[text] in told(tmp_path / "wrong.yaml", text)
-    assert time.perf_counter() - begun < 60.0
+    assert time.process_time() - begun < 60.0
 
 
 def test_large_files_are_not_read(tmp_path):

@@ -15,7 +15,9 @@ from splits.experiments.studies import left_out
 
 ROOT = Path(__file__).parents[2]
 CONTENT = read_yaml(ROOT / "config" / "config.yaml")
-CONTENT |= {"media_folder": str(ROOT / "config" / "media")}
+CONTENT |= {
+    f"{name}_folder": str(ROOT / "config" / name) for name in ("media", "measured", "published")
+}
 
 
 @pytest.fixture(scope="module")

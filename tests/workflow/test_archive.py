@@ -203,6 +203,7 @@ def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
     [
         ({"archive_license": "CC BY 4.0"}, "archive_license = 'CC BY 4.0': must be an SPDX"),
         ({"archive_license": "javascript:x"}, "archive_license = 'javascript:x': must be an SPDX"),
+        ({"archive_license": "https://a.org/<b>"}, "archive_license = .*: must be an SPDX"),
         ({"archive_authors": [{"orcid": "x"}]}, "archive_authors"),
         ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "whose last digit follows"),
         ({"archive_authors": [ADA | {"orcid": "12"}]}, r"archive_authors\.orcid = '12': must be"),
@@ -281,6 +282,28 @@ def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch
         "results": "results", "archive": ("plain",),
     }  # fmt: skip
     assert in_force == settings.model_copy(update=folders)
+
+
+def test_hidden_files_are_not_packed_and_unusual_ones_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "config" / "measured" / "field"
+    folder.mkdir(parents=True)
+    for name in ("snow.csv", "notes.md", ".DS_Store"):
+        (folder / name).write_text("x", encoding="utf-8")
+    settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
+    members = set(configuration_members(settings)) - {"config/config.yaml"}
+    assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
+    (folder / "snow.xlsx").write_text("x", encoding="utf-8")
+    line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*no kind of file that archives"
+    with pytest.raises(ValueError, match=line):
+        configuration_members(settings)
+
+
+def test_words_of_authors_are_no_markdown(made):
+    author = Author("[A](https://a.org) <b>*B*</b>")
+    readme = contents(made(authors=[author], licence="https://a.org/x_y"))["README.md"].decode()
+    assert r"Authors: \[A\](https://a.org) \<b\>\*B\*\</b\>." in readme
+    assert "Licence of the results: <https://a.org/x_y>." in readme
 
 
 def test_nothing_is_left_when_a_result_is_missing(tmp_path):

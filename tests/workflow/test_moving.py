@@ -68,7 +68,8 @@ def test_records_and_the_report_hold_no_absolute_path(finished):
     assert records
     for path in [*records, finished.folder / "report.html"]:
         text = path.read_text(encoding="utf-8")
-        for place in (finished.folder, finished.folder.parent, ROOT, Path.home()):
+        # The home of a user without one is the root, which is in every path.
+        for place in {finished.folder, finished.folder.parent, ROOT, Path.home()} - {Path("/")}:
             assert str(place) + os.sep not in text, path
 
 

@@ -16,7 +16,9 @@ for NAME in of_kind("sensitivity"):
             "../../environment.yml"
         threads: 1
         params:
-            pairs={key: pair.model_dump() for key, pair in STUDIES[NAME].pairs.items()},
+            pairs=escape_param(
+                {key: pair.model_dump() for key, pair in STUDIES[NAME].pairs.items()}
+            ),
         message:
             "Taking mean sensitivity indices"
         script:
@@ -244,7 +246,7 @@ for NAME in of_kind("bands"):
             bands=STUDIES[NAME].bands,
             noise=STUDIES[NAME].noise,
             most=STUDIES[NAME].most,
-            at=STUDIES[NAME].at,
+            at=escape_param(STUDIES[NAME].at),
             seed=SETTINGS.seed,
             program=files_digest(PACKAGE, RETRIEVING),
         message:
@@ -269,11 +271,13 @@ for NAME in of_kind("sand_compositions"):
         threads: 1
         params:
             physics=physics_digest(),
-            experiments={
-                name: e.simulation()
-                for name, e in EXPERIMENTS.items()
-                if e.medium.get("kind") == "sand"
-            },
+            experiments=escape_param(
+                {
+                    name: e.simulation()
+                    for name, e in EXPERIMENTS.items()
+                    if e.medium.get("kind") == "sand"
+                }
+            ),
         message:
             "Listing the compositions of all sands"
         script:

@@ -12,7 +12,9 @@ rule archive:
         results=[products(name) for name in ARCHIVED]
         + (study_products() if SETTINGS.archive == "all" else []),
         configuration=lambda wildcards: configuration_files(SETTINGS).values(),
-        tables=sorted({t for e in EXPERIMENTS.values() for t in e.tables()}),
+        tables=lambda wildcards: sorted(
+            {t for e in EXPERIMENTS.values() for t in e.tables()}
+        ),
     output:
         f"{RESULTS}/archive/splits-results.zip",
     log:
@@ -24,7 +26,7 @@ rule archive:
     threads: 1
     params:
         settings=SETTINGS.model_dump(mode="json"),
-        repository=str(workflow.basedir),
+        repository=lambda wildcards: str(workflow.basedir),
     message:
         "Packing results for deposit"
     script:

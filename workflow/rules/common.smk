@@ -1,3 +1,4 @@
+from splits.escaping import escape_json, escape_rst
 from splits.experiments.run_table import parts_of
 from splits.experiments.studies import left_out
 from splits.experiments.study_kinds import FIGURE, FILES
@@ -129,6 +130,14 @@ def fitted_files(name):
 def retrieved_files(name):
     """Return the measured table that an experiment's own table is used to read."""
     return [f"{SETTINGS.measured_folder}/{EXPERIMENTS[name].retrieve.measured}"]
+
+
+def escape_param(value):
+    """Return a parameter with users' text as JSON, in which Snakemake looks for no wildcards.
+
+    The report puts parameters of what it shows into a script as they are.
+    """
+    return lambda wildcards: escape_json(value)
 
 
 def all_cores():

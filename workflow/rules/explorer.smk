@@ -15,7 +15,9 @@ rule explorer:
         explorer=EXPLORED,
         directions=WHERE,
         about={name: EXPERIMENTS[name].title for name in EXPLORED.values()},
-        page=files_digest(PACKAGE / "explorer", ["page.html", "page.css", "page.js"]),
+        page=files_digest(
+            PACKAGE / "explorer", ["page.py", "page.html", "page.css", "page.js"]
+        ),
     message:
         "Writing the explorer"
     script:

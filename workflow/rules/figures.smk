@@ -21,9 +21,11 @@ rule figure:
         "../../environment.yml"
     threads: 1
     params:
-        figure=lambda wildcards: EXPERIMENTS[wildcards.experiment].drawing(),
-        title=lambda wildcards: EXPERIMENTS[wildcards.experiment].title,
-        caption=lambda wildcards: EXPERIMENTS[wildcards.experiment].caption,
+        figure=lambda wildcards: escape_json(
+            EXPERIMENTS[wildcards.experiment].drawing()
+        ),
+        title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
+        caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),
     message:
         "Drawing {wildcards.experiment}"
     script:

@@ -29,9 +29,9 @@ rule retrieve:
         "../../environment.yml"
     threads: 1
     params:
-        retrieve=lambda wildcards: EXPERIMENTS[
-            wildcards.experiment
-        ].retrieve.model_dump(),
+        retrieve=lambda wildcards: escape_json(
+            EXPERIMENTS[wildcards.experiment].retrieve.model_dump(mode="json")
+        ),
         seed=SETTINGS.seed,
         program=files_digest(PACKAGE, RETRIEVING),
     message:

@@ -1,5 +1,6 @@
 """Choose the bands that tell most (map snakemake to `splits.best_bands`)."""
 
+import json
 from pathlib import Path
 
 import pandas as pd
@@ -10,10 +11,10 @@ from splits.figures.chosen_bands import chosen_bands
 from splits.figures.style import save_figure
 from splits.lookup.axes import numeric
 
-found = {}
+found, given = {}, json.loads(snakemake.params.at)
 for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
     table = splits.open_table(path)
-    at = {n: value for n, value in snakemake.params.at.items() if n in table.axes}
+    at = {n: value for n, value in given.items() if n in table.axes}
     free = [n for n in numeric(table.dataset, table.axes[:-1]) if n not in at]
     bands = snakemake.params.bands or table.dataset.wavelength.values
     found[name.replace("_", " ")] = splits.best_bands(
@@ -22,6 +23,6 @@ for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True)
     )  # fmt: skip
 lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
 write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
-known = ", ".join(f"{n} {v}" for n, v in snakemake.params.at.items())
+known = ", ".join(f"{n} {v}" for n, v in given.items())
 note = f"Noise {snakemake.params.noise:g}" + (f", at {known}" if known else "")
 save_figure(chosen_bands(found, note), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -1,5 +1,6 @@
 """Draw one experiment's figure (map snakemake to `splits.figures`)."""
 
+import json
 from pathlib import Path
 
 from splits import load
@@ -7,5 +8,5 @@ from splits.analysis.measured import read_measured
 from splits.figures import draw, save_figure
 
 measured = [read_measured(path) for path in snakemake.input.measured]
-figure = draw(load(snakemake.input.data), snakemake.params.figure, *measured)
+figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)
 save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

@@ -12,7 +12,7 @@ from splits.figures.style import save_figure
 from splits.progress_log import progress_log
 
 with progress_log(snakemake.log[0]) as say:
-    section = RetrieveSection.model_validate(snakemake.params.retrieve)
+    section = RetrieveSection.model_validate_json(snakemake.params.retrieve)
     found = run_retrieve(
         section,
         splits.open_table(snakemake.input.table),

@@ -2,8 +2,9 @@
 
 Numba only notices a change in the file that holds a kernel, not in the files it calls: a folder is
 named after the content of all kernel sources, so that edited physics never meets stale machine
-code.  Python objects are loaded from these files, which could run foreign code: the folder must
-belong to the user, unless the user has named it in NUMBA_CACHE_DIR.
+code.  Python objects are loaded from these files, which could run foreign code: each file must
+belong to the user or to root, and so must the folder, unless the user has named it in
+NUMBA_CACHE_DIR.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ class Folder:
     ----------
     path : Path
     named : bool
-        Whether the user has named it, and says so that it may be trusted; otherwise it is made for
-        this user alone, and used only as long as it is so.
+        Whether the user has named it, so that others may write to it, too; otherwise it is made
+        for this user alone, and used only as long as it is so.
     """
 
     path: Path
@@ -66,9 +67,11 @@ class Folder:
                 tell(f"{self.path}: not a folder of the user's own, its kernels are not used")
                 return None
             with open(self.path / name, "rb") as file:
-                # A folder of the user's own may hold a file of somebody else's.
-                mine = self.named or os.fstat(file.fileno()).st_uid == _user()
-                return file.read() if mine else None
+                # The file that is open, whatever takes its name meanwhile.
+                if not _is_trusted(os.fstat(file.fileno())):
+                    tell(f"{self.path}: holds kernels of other users, which are not used")
+                    return None
+                return file.read()
         except OSError:
             return None
 
@@ -78,9 +81,14 @@ class Folder:
         Raises
         ------
         OSError
-            If it cannot be written, or the folder is not the user's own.
+            If it cannot be written, the folder is not the user's own, or the name is taken by a
+            file that is not trusted.
         """
         self.make()
+        with suppress(FileNotFoundError):
+            # Users that replaced each other's files would compile again and again.
+            if self.named and not _is_trusted((self.path / name).stat()):
+                raise PermissionError("holds kernels of other users")
         self._tidy()
         handle, aside = tempfile.mkstemp(prefix=f".{_host()}.{os.getpid()}.", dir=self.path)
         try:
@@ -133,9 +141,18 @@ class Folder:
         if self.named:
             return True
         about = self.path.lstat()
-        # Windows knows neither users' numbers nor these permissions.
-        closed = os.name == "nt" or not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        return stat.S_ISDIR(about.st_mode) and about.st_uid == _user() and closed
+        return stat.S_ISDIR(about.st_mode) and about.st_uid == _user() and _is_closed(about)
+
+
+def _is_trusted(about: os.stat_result) -> bool:
+    """Return whether the user or root owns a file, and nobody else can write to it."""
+    return about.st_uid in (_user(), 0) and _is_closed(about)
+
+
+def _is_closed(about: os.stat_result) -> bool:
+    """Return whether only its owner can write to a file or folder."""
+    # Windows knows neither users' numbers nor these permissions.
+    return os.name == "nt" or not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _user() -> int:

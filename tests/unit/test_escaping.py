@@ -1,0 +1,247 @@
+"""Text of users stays text, hostile or innocent, for every program that it is handed to."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import json
+import re
+
+import matplotlib.text
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.analysis.tables import write_table
+from splits.escaping import (
+    escape_cell,
+    escape_json,
+    escape_markdown,
+    escape_mathtext,
+    escape_rst,
+)
+from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.figures import sensitivity_bars, spectra
+from splits.figures.chosen_bands import chosen_bands
+from splits.figures.shifts import shifts
+from splits.figures.sobol import sobol
+from splits.figures.style import parameter_label, style, value_label
+from splits.figures.surface_area import fitted_spectra
+from splits.lookup.formats import write_csv
+
+WORDS = [
+    "</script><script>alert(1)</script>", "<!-- <script>", "<img src=x onerror=alert(1)>",
+    "a < b & c > d", "&lt;b&gt;", "&amp;", '"quoted" and \'quoted\'', "*half", "r_", "|y|", "`tick",
+    "``two``", "[1]_",
+    ":sup:`2`", "https://example.org/a_b", "Ångström µ 積雪", "a\\b", "\\", "{x}",
+    "{{ snakemake }}", "{% raw %}", "$x$", "$5", r"$\frac$", "a_$b^$", r"\$", "=1+1", "@sum", "%d",
+    "..", "- a", "1. a", "* a", "> a", "# a", "::", "--", "====", "a_ b__", "| a", "_a_", "__x__",
+]  # fmt: skip
+"""Hostile and innocent."""
+DIRECTIVES = [
+    ".. raw:: html\n   :file: secret.txt", ".. include:: secret.txt", ".. |y| replace:: z",
+    "a\n\n.. raw:: html\n\n   <b>x</b>", "Title\n=====\n\nText", "a\n  b\n\n  * c", "x::\n\n   y",
+]  # fmt: skip
+
+
+def shown_by_rst(source):
+    """Return the paragraphs that docutils makes, as text."""
+    core = pytest.importorskip("docutils.core")
+    writer = importlib.import_module("docutils.writers").get_writer_class("html")()
+    made = core.publish_parts(source, writer=writer, settings_overrides={"report_level": 1})
+    body = made["body"]
+    assert "system-message" not in body and "<a" not in body
+    assert set(re.findall(r"</?(\w+)", body)) <= {"p", "strong"}
+    return [html.unescape(re.sub("<[^>]*>", "", p)) for p in re.findall(r"<p>.*?</p>", body, re.S)]
+
+
+@pytest.mark.parametrize("text", [*WORDS, *DIRECTIVES])
+def test_captions_are_paragraphs_of_words(text):
+    source = escape_rst(text)
+    # It is put into a script, too.
+    assert "<" not in source
+    source = source.replace("&lt;", "\\<")
+    words = [" ".join(part.split()) for part in re.split(r"\n\s*\n", text.strip())]
+    assert shown_by_rst(source) == words
+    # As the template of figures has title and caption.
+    first = words[0] if len(words) > 1 else f"{words[0]} And more."
+    caption = f"**{escape_rst(words[0])}.** {source}\nAnd more.".replace("&lt;", "\\<")
+    assert " ".join(shown_by_rst(caption)[0].split()) == f"{words[0]}. {first}"
+
+
+@pytest.mark.parametrize("text", WORDS)
+def test_json_leaves_no_script(text):
+    source = escape_json({text: [text, 1.5, float("inf"), None]})
+    assert "<" not in source
+    assert json.loads(source) == {text: [text, 1.5, float("inf"), None]}
+
+
+@pytest.mark.parametrize("text", WORDS)
+def test_markdown_shows_words(text):
+    parser = pytest.importorskip("markdown_it").MarkdownIt("commonmark")
+    made = parser.render(f"Authors: {escape_markdown(text)}, and others.")
+    assert set(re.findall(r"</?(\w+)", made)) == {"p"}
+    assert html.unescape(made) == f"<p>Authors: {text}, and others.</p>\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "cell"),
+    [
+        ("=1+1", "'=1+1"), ("@sum(A1)", "'@sum(A1)"), ("+A1", "'+A1"), ("-2+3", "'-2+3"),
+        ("-cmd|' /C calc'!A0", "'-cmd|' /C calc'!A0"), ("\t=1", "'\t=1"), ("\r=1", "'\r=1"),
+        ("＝1", "'＝1"), ("-10--5", "'-10--5"), ("-5", "-5"), ("+1e-3", "+1e-3"), ("-inf", "-inf"),
+        ("-", "-"), ("a=b", "a=b"), ("300-750", "300-750"), ("ID2081@47", "ID2081@47"), ("", ""),
+        (-2.5, -2.5), (None, None), (True, True),
+    ],
+)  # fmt: skip
+def test_cells_are_no_formulas(value, cell):
+    assert escape_cell(value) == cell
+
+
+def test_tables_hold_no_formulas(tmp_path):
+    table = pd.DataFrame({"@name": ["=1+1", "fine"], "value": [-1.0, 2.0], "mixed": ["-a", -3.0]})
+    before = table.copy()
+    write_table(table, tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    assert lines == ["'@name,value,mixed", "'=1+1,-1,'-a", "fine,2,-3.0"]
+    pd.testing.assert_frame_equal(table, before)
+
+
+def test_look_up_tables_hold_no_formulas(tmp_path):
+    axes = {"ground": ["=1+1", "dry"], "wavelength": [500.0, 600.0]}
+    values = (("ground", "wavelength"), np.array([[-0.5, 0.25], [0.5, 0.75]]))
+    write_csv(xr.Dataset({"reflectance": values}, axes), tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[:3] == ["ground,wavelength,reflectance", "'=1+1,500,-0.5", "'=1+1,600,0.25"]
+
+
+# --- figures ----------------------------------------------------------------------------------
+
+
+def printed(text):
+    """Return what matplotlib prints of a text, or fail if it takes it for a formula."""
+    with style():
+        made = matplotlib.text.Text(0, 0, text, figure=Figure())
+        plain, is_formula = made._preprocess_math(text)
+    assert not is_formula
+    return plain
+
+
+@pytest.mark.parametrize("text", WORDS)
+def test_figures_print_words(text):
+    assert printed(escape_mathtext(text)) == text
+    assert printed(" · ".join([escape_mathtext(text)] * 2)) == f"{text} · {text}"
+    assert printed(value_label(text)) == text.replace("_", " ")
+    assert printed(parameter_label(text)) == text.replace("_", " ")
+
+
+def drawn_dataset(labels, dim="ground"):
+    shape = (len(labels), 3)
+    found = {
+        "reflectance": ((dim, "wavelength"), np.full(shape, 0.5), {"long_name": "part_$b^$ of it"}),
+        "reflectance_stderr": ((dim, "wavelength"), np.full(shape, 0.01)),
+    }
+    return xr.Dataset(found, {dim: labels, "wavelength": [500.0, 600.0, 700.0]})
+
+
+def texts_of(figure):
+    figure.canvas.draw()
+    return [printed(one.get_text()) for one in figure.findobj(matplotlib.text.Text)]
+
+
+def test_labels_that_are_no_formulas_are_drawn_as_they_are():
+    labels = [r"$\frac$", "a_$b^$", "$x$"]
+    found = texts_of(spectra(drawn_dataset(labels)))
+    assert {label.replace("_", " ") for label in labels} <= set(found)
+    assert "part_$b^$ of\nit" in found or "part_$b^$ of it" in found
+
+
+@pytest.mark.parametrize("before", range(18, 24))
+def test_a_dollar_sign_at_the_end_of_a_line_is_no_formula(before):
+    label = "x" * before + "$" + "y" * 5 + r"$\frac$"
+    data = drawn_dataset(["default", label])
+    labels = ("wavelength (nm)", ["reflectance"])
+    found = texts_of(shifts(data, ["reflectance"], "ground", "wavelength", labels))
+    assert any(label in text.replace("\n", "") for text in found)
+
+
+def bands_dataset(word):
+    row = ("step", [1.0, 2.0])
+    return xr.Dataset(
+        {
+            "information_bits": row, "information_bits_stderr": row,
+            "spread": (("parameter", "step"), [[0.5, 0.2]]),
+        },
+        {"step": [1, 2], "parameter": [word], "band": ("step", [word, "B2"])},
+    )  # fmt: skip
+
+
+def sobol_dataset(word):
+    row = (("parameter", "wavelength"), [[0.5, 0.2]])
+    names = ("first_order", "first_order_stderr", "total", "total_stderr")
+    found = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
+    return xr.Dataset(found, {"parameter": [word], "wavelength": [500.0, 600.0]})
+
+
+def sensitivity_dataset(word):
+    row = (("quantity", "parameter"), [[0.5], [0.2]])
+    found = {"msi": row, "msi_stderr": row}
+    return xr.Dataset(found, {"quantity": ["reflectance", "transmittance"], "parameter": [word]})
+
+
+def spectra_table(word):
+    columns = ("measured", "model", "stderr", "difference", "area")
+    table = pd.DataFrame({"wavelength_nm": [500.0, 600.0], **dict.fromkeys(columns, 0.5)})
+    return table.assign(spectrum=f"{word}@30", fitted=True)
+
+
+@pytest.mark.parametrize(
+    "figure_of",
+    [
+        lambda word: chosen_bands({word: bands_dataset(word)}, f"known {word}"),
+        lambda word: sobol({word: sobol_dataset(word)}),
+        lambda word: sensitivity_bars(sensitivity_dataset(word), f"ranges: {word}"),
+        lambda word: fitted_spectra(spectra_table(word)),
+    ],
+    ids=["bands", "sobol", "sensitivity", "surface area"],
+)
+def test_names_of_samples_tables_and_parameters_are_no_formulas(figure_of):
+    word = r"a$\frac$b"
+    assert any(word in text for text in texts_of(figure_of(word)))
+
+
+def test_labels_are_not_handed_to_tex():
+    with matplotlib.rc_context({"text.usetex": True}), style():
+        assert not matplotlib.rcParams["text.usetex"]
+
+
+# --- configuration ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", ["a{b}", "a</script>", "a\nb", "<b"])
+@pytest.mark.parametrize("key", ["results", "experiments_folder", "measured_folder"])
+def test_paths_that_the_workflow_reads_as_patterns_are_refused(key, place):
+    content = {"accuracies": {"standard": {"max_stderr": 0.01}}, key: place}
+    with pytest.raises(ConfigError, match=rf"{key} = .*: must be a path without {{ }} < >"):
+        load_settings(content)
+
+
+def test_tables_that_the_workflow_reads_as_patterns_are_refused(tmp_path):
+    table = tmp_path / "a{b}.csv"
+    table.write_text("wavelength_nm,n,k\n200,1.3,0\n3000,1.3,0\n", encoding="utf-8")
+    content = {"medium": {"refractive_index": {"ice": str(table)}}}
+    (tmp_path / "own.yaml").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"own\.yaml: table = .*: must be a path without { } < >"):
+        load_experiments(tmp_path)
+    measured = {"figure": {"measured": "a{b}.csv"}}
+    (tmp_path / "own.yaml").write_text(json.dumps(measured), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"figure\.measured = .*: must be a path without { } < >"):
+        load_experiments(tmp_path)
+
+
+def test_labels_of_the_explorer_are_one_line():
+    content = {"accuracies": {"standard": {"max_stderr": 0.01}}, "explorer": {"a\nb": "deep"}}
+    with pytest.raises(ConfigError, match=r"explorer \(label\) = .*control characters"):
+        load_settings(content)

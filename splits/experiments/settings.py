@@ -102,7 +102,8 @@ class Settings(Section):
     )
     @classmethod
     def _path(cls, value: str, info: ValidationInfo) -> str:
-        return str(expand_path(value, str(info.field_name)))
+        key = str(info.field_name)
+        return check_path(key, str(expand_path(value, key)))
 
     @field_validator("archive_license")
     @classmethod
@@ -111,13 +112,6 @@ class Settings(Section):
             allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
             raise refuse("archive_license", value, allowed)
         return value
-
-    @field_validator(
-        "results", "experiments_folder", "media_folder", "measured_folder", "published_folder"
-    )
-    @classmethod
-    def _path(cls, value: str, info: ValidationInfo) -> str:
-        return check_path(str(info.field_name), value)
 
     @field_validator("explorer")
     @classmethod

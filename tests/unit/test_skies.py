@@ -71,13 +71,13 @@ def test_direct_share_is_that_of_irradiances():
 def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
     medium, how = splits.Snow(ground="camborthid"), r"such as wavelength_nm=range\((.*), 10\)"
     with pytest.raises(ValueError, match=how) as caught:
-        splits.albedo(medium, splits.sky(MINE))
+        splits.albedo(medium, splits.sky(MINE, 50.0))
     assert re.search(how, str(caught.value))[1] == "400, 1001"
     # Those are known to the ground and to the sky.
     w = np.arange(400.0, 1001.0, 10.0)
-    assert medium.ground.albedo(w).size == splits.sky(MINE).direct_share(w).size == 61
+    assert medium.ground.albedo(w).size == splits.sky(MINE, 50.0).direct_share(w).size == 61
     with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
-        splits.sky(MINE).check_covers(np.array([400.0, 1200.0, 1210.0]))
+        splits.sky(MINE, 50.0).check_covers(np.array([400.0, 1200.0, 1210.0]))
 
 
 @pytest.mark.parametrize("name", names())
@@ -110,7 +110,7 @@ def test_clear_skies_and_the_standard():
         ("clear", {"zenith_deg": 95.0}, "zenith_deg"),
         ("clear", {"zenith_deg": 50.0, "turbidity": 0.1}, "turbidity_500nm"),
         ("midlatitude_winter", {"zenith": 50.0}, "did you mean zenith_deg"),
-        ("clear", {"ground_albedo": 2.0}, "ground_albedo"),
+        ("clear", {"zenith_deg": 50.0, "ground_albedo": 2.0}, "ground_albedo"),
         ("high_mountain", {"ozone_atm_cm": 0.3}, "for the sky clear only"),
         ("astm_g173", {"zenith_deg": 30.0}, "left out"),
         ("no.csv", {}, "an existing CSV file"),

@@ -13,8 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import listed, number, one_of, refuse
-from splits.checksum import CHECKSUM, LOCK, check, seal
-from splits.files import whole
+from splits.checksum import CHECKSUM, LOCK, check, prepare_netcdf, seal
 from splits.schema import SCHEMA, VERSION, upgraded
 from splits.versions import commit, package_version
 
@@ -105,7 +104,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         name: {"_FillValue": None, "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf")}
         for name, v in stored.variables.items()
     }
-    with LOCK, whole(path) as aside:
+    with prepare_netcdf(path, stored.nbytes) as aside:
         stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
         seal(aside)
         if not _read(aside).equals(dataset):

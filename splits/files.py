@@ -8,6 +8,7 @@ on another machine, or through another mount, need not be seen here: there age d
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import os
@@ -30,6 +31,8 @@ except ImportError:  # Windows has none: age alone decides there.
 
 DAMAGED = ".damaged"
 """What the name of a file gets at its end when it is set aside."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Numbers of errors that say that no space is left."""
 ABANDONED_S = 7 * 86_400.0
 """Time without a change after which a file is abandoned whose lock says nothing."""
 _ASIDE = re.compile(r"(?P<lock>\.aside\.[0-9a-f]{16}\.[0-9a-f]{16})(\.[0-9a-f]{8}\..+)?")
@@ -106,7 +109,9 @@ def _beside(path: Path) -> Iterator[Path]:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield aside
     except OSError as error:
-        if error.errno is None or str(error.filename) not in (str(lock), str(aside)):
+        # What fails in the midst of a file knows no name.
+        nameless = error.filename is None and error.errno in FULL
+        if not nameless and str(error.filename) not in (str(lock), str(aside)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
 
@@ -185,6 +190,35 @@ def _system() -> str:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
     except (OSError, ValueError):
         return f"{socket.gethostname()} {uuid.getnode()}"
+
+
+def check_room(path: Path, size: int) -> None:
+    """Take the space that a file needs for a moment, and leave the file empty.
+
+    Parameters
+    ----------
+    path : path
+        Of a new file.
+    size : int
+        Bytes.
+
+    Raises
+    ------
+    OSError
+        If no such space is left.
+    """
+    with open(path, "wb") as file:
+        try:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            elif shutil.disk_usage(path.parent).free < size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        except OSError as error:
+            # Not all file systems take space in advance.
+            if error.errno in FULL:
+                raise
+        finally:
+            file.truncate(0)
 
 
 def set_aside(path: str | Path) -> Path:

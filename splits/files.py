@@ -192,6 +192,24 @@ def _system() -> str:
         return f"{socket.gethostname()} {uuid.getnode()}"
 
 
+def check_writable(path: str | Path) -> None:
+    """Make the folder of a file, and refuse a path at which no file can be put.
+
+    What takes long to compute is not to be lost at its end.
+
+    Raises
+    ------
+    OSError
+        As writing there would.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _beside(path) as aside, half_written(aside):
+        aside.touch()
+
+
 def check_room(path: Path, size: int) -> None:
     """Take the space that a file needs for a moment, and leave the file empty.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from splits.checks import one_of, refuse, suggestion
 from splits.crate import ORCID, Author
@@ -67,6 +68,10 @@ DIRECTIONS = ("optical_radius_um", "incidence_deg")
 """Axes of experiments that show where the light of the explorer goes."""
 
 
+FOLDERS = ("experiments_folder", "media_folder", "measured_folder", "published_folder", "results")
+"""Settings that are paths of folders."""
+
+
 class Settings(Section):
     """The main configuration file."""
 
@@ -86,13 +91,22 @@ class Settings(Section):
     explorer: dict[str, str] = Field(default_factory=dict)
     explorer_directions: dict[str, str] = Field(default_factory=dict)
 
-    @field_validator("experiments", mode="before")
+    @field_validator("experiments", "archive", mode="before")
     @classmethod
     def _names(cls, value: Any) -> Any:
         # On the command line a list is written with commas.
         if isinstance(value, str) and value != "all":
-            return tuple(value.split(","))
+            return tuple(name.strip() for name in value.split(","))
         return value
+
+    @field_validator(*FOLDERS)
+    @classmethod
+    def _folder(cls, value: str, info: ValidationInfo) -> str:
+        # Snakemake takes paths as texts: those of one file must be spelt alike.
+        path = posixpath.normpath(value) if value else "."
+        if path == "." or not path.isprintable() or set(path) & set("{}"):
+            raise refuse(str(info.field_name), value, "the path of a folder, without braces")
+        return path
 
     @field_validator("archive_license")
     @classmethod
@@ -116,6 +130,15 @@ class Settings(Section):
     def tables(self) -> dict[str, Path]:
         """Where tables of measured and of published numbers are."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
+
+    def archived(self) -> Settings:
+        """Return the settings of a run that makes what an archive holds, and nothing else."""
+        if self.archive == "all":
+            return self
+        every = self.experiments == "all"
+        names = tuple(name for name in self.archive if every or name in self.experiments)
+        others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
+        return self.model_copy(update={"experiments": names, "archive": "all", **others})
 
     def authors(self) -> tuple[Author, ...]:
         """Return the authors of results that an archive names, if any are given."""
@@ -152,6 +175,9 @@ class Settings(Section):
                 if name not in available:
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+        if not self.archived().experiments:
+            allowed = "one or more of the experiments selected"
+            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         check_studies(self.studies, available, self.tables)
         self._check_explorer(available)
         chosen = available if self.experiments == "all" else self.experiments

@@ -150,6 +150,11 @@ class Settings(Section):
             if name in available and available[name].instrument.kind != "table":
                 kind = available[name].instrument.kind
                 raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+            rows = dict(zip(*available[name].axes(), strict=True)) if name in available else {}
+            for axis, row in rows.items():
+                if len(row) < 2 or isinstance(row[0], str):
+                    key = f"explorer.{label} = {name!r}"
+                    raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
         for label, name in self.explorer_directions.items():
             key = f"explorer_directions.{label} = {name!r}"
             if label not in self.explorer:

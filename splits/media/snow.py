@@ -30,6 +30,9 @@ from splits.media.pores import Pores, other_pores
 from splits.media.readings import Readings
 from splits.transport.grains.scene import Grains, Types
 
+THINNEST_KG_M3 = 1e-6
+"""Least density: one grain in a hundred kilometres of a ray."""
+
 
 @known_keywords
 @takes_measured
@@ -68,7 +71,7 @@ class Snow:
     impurities_in : {"ice", "pores"}
         Where they are, evenly spread: within the grains, or in all pores between them.
     density_kg_m3 : float
-        Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
+        Mass of ice (water not counted) per volume of snow, from 1e-6 to below the density of ice.
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
@@ -174,10 +177,9 @@ class Snow:
             in_range(
                 "density_kg_m3",
                 self.density_kg_m3,
-                0.0,
+                THINNEST_KG_M3,
                 ice,
                 "kg/m3",
-                open_low=True,
                 open_high=True,
                 hint=f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}",
             ),

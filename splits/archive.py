@@ -18,7 +18,7 @@ from splits.checks import refuse
 from splits.crate import METADATA, VERSION, About, ArchiveError, Author, metadata
 from splits.credits import software, software_files
 from splits.escaping import escape_markdown
-from splits.experiments.settings import DEFAULT_LICENCE, Settings
+from splits.experiments.settings import DEFAULT_LICENCE, FOLDERS, Settings
 from splits.experiments.user_tables import renamed, tables_in
 from splits.experiments.yaml_files import read_yaml, yaml_of
 from splits.files import whole
@@ -104,7 +104,7 @@ def pack(
     versions = {d.metadata["Name"]: d.version for d in distributions()}
     members["versions.json"] = json.dumps(versions, indent=2, sort_keys=True).encode()
 
-    now, program = _now(), software(place)
+    now, program = packing_time(), software(place)
     about = About(now.date().isoformat(), licence, tuple(authors) or program.authors, program)
     members["README.md"] = _readme(about, target.name).encode()
     _check_names(members)
@@ -133,8 +133,14 @@ def _method(content: bytes) -> int:
     return zipfile.ZIP_STORED
 
 
-def _now() -> datetime:
-    """Return the time that counts as now."""
+def packing_time() -> datetime:
+    """Return the time that counts as now, see `DATE`.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
     given = os.environ.get(DATE)
     if given is None:
         return datetime.now(UTC)
@@ -196,7 +202,7 @@ def configuration_files(settings: Settings) -> dict[str, Path]:
 
 
 def configuration_members(settings: Settings) -> dict[str, bytes]:
-    """Return the members of an archive from which these settings' run can be repeated.
+    """Return the members of an archive from which what it holds can be made again.
 
     Users' own tables are packed, too: in their place if that is below ``config/``, otherwise under
     ``config/tables/``, and the files that name them are written anew with the new paths.
@@ -211,17 +217,12 @@ def configuration_members(settings: Settings) -> dict[str, bytes]:
     dict
         Contents by name of member.
     """
+    settings = settings.archived()
     members: dict[str, bytes] = {}
     for name, path in configuration_files(settings).items():
         is_yaml = path.suffix in (".yaml", ".yml")
         members |= _with_tables(name, path) if is_yaml else {name: path.read_bytes()}
-    folders = (
-        "experiments_folder", "media_folder", "measured_folder", "published_folder", "results",
-    )  # fmt: skip
-    moved = {key: Settings.model_fields[key].default for key in folders}
-    if settings.archive != "all" and settings.experiments != "all":
-        # What is not in force is not in the archive, where it could not be archived again.
-        moved["archive"] = [n for n in settings.archive if n in settings.experiments] or "all"
+    moved = {key: Settings.model_fields[key].default for key in FOLDERS}
     members["config/config.yaml"] = yaml_of(settings.model_dump(mode="json") | moved).encode()
     return members
 

@@ -12,17 +12,21 @@ crashes or never comes back from some damaged files, so the bytes are checked be
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import netCDF4
 import numpy as np
+
+from splits.files import check_room, whole
 
 CHECKSUM = "content_sha256"
 LOCK = threading.RLock()
@@ -32,6 +36,8 @@ _SEAL = b"splits-sha256:"
 _SEAL_SIZE = len(_SEAL) + 64
 _AT_ONCE = 2**24
 """Bytes of a file that are read at a time."""
+_MARGIN = 2**20
+"""Bytes of a file besides its values, more than enough: its structure, attributes and texts."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -50,6 +56,33 @@ def content_sha256(file: netCDF4.Dataset) -> str:
         for part in _parts(variable):
             digest.update(part)
     return digest.hexdigest()
+
+
+@contextmanager
+def prepare_netcdf(path: Path, size: int) -> Iterator[Path]:
+    """Give a name to write a netCDF file to, which then takes the place of a path; see `whole`.
+
+    Parameters
+    ----------
+    path : path
+    size : int
+        Bytes of its values.
+
+    Raises
+    ------
+    OSError
+        If there is no space for it, or it cannot be written.
+    """
+    with LOCK, whole(path) as aside:
+        # HDF5 keeps a file open for good that a full disk does not let it complete.
+        check_room(aside, size + size // 16 + _MARGIN)
+        try:
+            yield aside
+        except RuntimeError as error:
+            # So that at least its space is free, if another program took what was left meanwhile.
+            os.truncate(aside, 0)
+            what = f"cannot be written, perhaps no space is left ({error})"
+            raise OSError(errno.EIO, what, str(path)) from None
 
 
 def seal(path: str | Path) -> None:

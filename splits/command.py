@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from splits.extras import optional
 from splits.paths import expand_path
+from splits.progress_log import write_line
 
 ACCURACIES = {"tiny": (0.05, 0.3), "draft": (0.01, 0.05), "standard": (0.002, 0.02),
               "fine": (0.001, 0.01)}  # fmt: skip
@@ -34,16 +37,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, or 1 after one line that says what is wrong.
     """
-    given = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    given = _parser().parse_args(words, argparse.Namespace(words=words))
+    _open_standard_files()
     try:
         for name, value in vars(given).items():
             if isinstance(value, Path):
                 setattr(given, name, expand_path(value, name))
         given.action(given)
-    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
-        print(f"splits: {error}", file=sys.stderr)
-        return 1
-    return 0
+    except OSError as error:
+        named = error.filename is not None and error.strerror
+        _say(f"splits: {error.filename}: {error.strerror}" if named else f"splits: {error}")
+    except MemoryError as error:
+        _say(f"splits: not enough memory ({error or 'no more is to be had'})")
+    except (ValueError, TypeError, ModuleNotFoundError) as error:
+        _say(f"splits: {error}")
+    else:
+        return 0
+    return 1
+
+
+def _open_standard_files() -> None:
+    """Let standard files that are closed lead nowhere, or what is opened next would be these."""
+    while (file := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(file)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -86,45 +104,55 @@ def _run(given: argparse.Namespace) -> None:
     optional("pydantic", "experiments", "experiment files need")
     optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_measured
-    from splits.dataset import save
+    from splits.dataset import load, save
     from splits.experiments.load import load_experiment
-    from splits.experiments.run import run
+    from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit
     from splits.experiments.settings import Accuracy
     from splits.experiments.simulation import Simulation
+    from splits.files import check_writable
     from splits.instruments.arguments import check_threads, check_whole
     from splits.interrupts import end_on_signals
 
     seed = check_whole("--seed", given.seed, 0)
     threads = check_threads(given.threads)
     experiment = load_experiment(given.file, given.media)
+    drawn = experiment.figure.kind != "none"
+    if drawn:
+        optional("matplotlib", "figures", "figures need")
+        optional("seaborn", "figures", "figures need")
     measured = given.media.parent / "measured"
+    shown = experiment.figure.measured
+    beside = [read_measured(measured / shown)] if shown else []
+    target = given.output / f"{experiment.name}.nc"
+    check_writable(target)
     max_stderr, relative_stderr = ACCURACIES[given.accuracy]
     accuracy = Accuracy(max_stderr=max_stderr, relative_stderr=relative_stderr)
-    end_on_signals("splits run")
+    again = shlex.join(["splits", *map(str, given.words)])
+    end_on_signals("splits run", f"to go on where it stopped, type: {again}")
     simulation = Simulation.model_validate(experiment.simulation())
     if experiment.fit:
         table = read_measured(measured / experiment.fit.measured)
-        dataset = run_fit(simulation, accuracy, table, seed, threads, _say)
+        save(run_fit(simulation, accuracy, table, seed, threads, _say), target)
     else:
-        blocks = given.output / "blocks" / experiment.name
-        dataset = run(simulation, accuracy, seed, threads, _say, blocks)
-    target = given.output / f"{experiment.name}.nc"
-    save(dataset, target)
-    print(target)
-    if experiment.figure.kind != "none":
-        optional("matplotlib", "figures", "figures need")
-        optional("seaborn", "figures", "figures need")
+        kept = given.output / "blocks" / experiment.name
+        write_run(simulation, accuracy, seed, kept, target, threads, _say)
+    _print(target)
+    if drawn:
         from splits.figures import draw, save_figure
 
-        shown = experiment.figure.measured
-        beside = [read_measured(measured / shown)] if shown else []
-        save_figure(draw(dataset, experiment.drawing(), *beside), target.with_suffix(""))
-        print(target.with_suffix(".png"))
+        save_figure(draw(load(target), experiment.drawing(), *beside), target.with_suffix(""))
+        _print(target.with_suffix(".png"))
 
 
 def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    """Say how far a run is, or why it ends."""
+    write_line(line, sys.stderr)
+
+
+def _print(line: object) -> None:
+    """Say what was made."""
+    write_line(str(line), sys.stdout)
 
 
 def _versions(given: argparse.Namespace) -> None:
@@ -136,14 +164,14 @@ def _versions(given: argparse.Namespace) -> None:
     from splits.schema import VERSION
     from splits.versions import commit, package_version
 
-    print(f"{DISTRIBUTION} {package_version()} (commit {commit()})")
-    print(f"schema of datasets {VERSION}")
-    print(f"python {platform.python_version()} on {platform.platform()}")
+    _print(f"{DISTRIBUTION} {package_version()} (commit {commit()})")
+    _print(f"schema of datasets {VERSION}")
+    _print(f"python {platform.python_version()} on {platform.platform()}")
     for name in SHOWN:
         try:
-            print(f"{name} {version(name)}")
+            _print(f"{name} {version(name)}")
         except PackageNotFoundError:
-            print(f"{name} not installed")
+            _print(f"{name} not installed")
 
 
 def _cache(given: argparse.Namespace) -> None:
@@ -153,18 +181,18 @@ def _cache(given: argparse.Namespace) -> None:
     for folder in folders():
         kept = sorted(folder.path.glob("*.nbc"))
         size = sum(path.stat().st_size for path in kept) / 1e6
-        print(f"{folder.path}: {len(kept)} compiled kernels, {size:.1f} MB")
+        _print(f"{folder.path}: {len(kept)} compiled kernels, {size:.1f} MB")
         if given.clear:
             for path in kept:
                 folder.drop(path.name)
-            print(f"deleted {len(kept)}")
+            _print(f"deleted {len(kept)}")
 
 
 def _unpack(given: argparse.Namespace) -> None:
     """Verify an archive and, where a folder is given, unpack it."""
     from splits.unpacking import unpack, verify
 
-    print(unpack(given.archive, given.folder) if given.folder else verify(given.archive))
+    _print(unpack(given.archive, given.folder) if given.folder else verify(given.archive))
 
 
 if __name__ == "__main__":

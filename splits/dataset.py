@@ -13,8 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import known_arguments, listed, number, one_of, refuse
-from splits.checksum import CHECKSUM, LOCK, check, seal
-from splits.files import whole
+from splits.checksum import CHECKSUM, LOCK, check, prepare_netcdf, seal
 from splits.layout import as_stored, stored_as
 from splits.paths import expand_path
 from splits.schema import SCHEMA, VERSION, upgraded
@@ -115,7 +114,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         }
         for name, v in stored.variables.items()
     }
-    with LOCK, whole(path) as aside:
+    with prepare_netcdf(path, stored.nbytes) as aside:
         stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
         seal(aside)
         if not _read(aside).equals(dataset):

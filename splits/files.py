@@ -1,24 +1,42 @@
-"""Files and folders that appear whole or not at all, and what killed writers have left."""
+"""Files and folders that appear whole or not at all, and what killed writers have left.
+
+A writer holds a lock on a file of its own beside what it writes.  Locks end with the process that
+holds them, however that ends, and wherever it is seen from: neither names of hosts nor numbers of
+processes tell whether a writer lives, since containers and nodes share them.  A lock that was set
+on another machine, or through another mount, need not be seen here: there age decides.
+"""
 
 from __future__ import annotations
 
+import errno
+import functools
+import hashlib
 import os
 import re
 import secrets
 import shutil
 import socket
-from collections.abc import Iterator
+import time
+import uuid
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from splits.interrupts import half_written
 from splits.paths import expand_path
 
+try:
+    import fcntl
+except ImportError:  # Windows has none: age alone decides there.
+    fcntl = None  # type: ignore[assignment]
+
 DAMAGED = ".damaged"
 """What the name of a file gets at its end when it is set aside."""
-_ASIDE = re.compile(r"\.aside\.(?P<host>[^.]+)\.(?P<process>\d+)\.[0-9a-f]{8}\..+")
-_OPEN: set[str] = set()
-"""Names that this process is writing to."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Numbers of errors that say that no space is left."""
+ABANDONED_S = 7 * 86_400.0
+"""Time without a change after which a file is abandoned whose lock says nothing."""
+_ASIDE = re.compile(r"(?P<lock>\.aside\.[0-9a-f]{16}\.[0-9a-f]{16})(\.[0-9a-f]{8}\..+)?")
 
 
 @contextmanager
@@ -36,7 +54,7 @@ def whole(path: str | Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        In the same folder, with the same suffix; a hidden name that carries host and process.
+        In the same folder, with the same suffix; a hidden name.
     """
     path = expand_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +78,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        In the same folder; a hidden name that carries host and process.
+        In the same folder; a hidden name.
     """
     path = expand_path(path)
     with _beside(path) as aside:
@@ -76,22 +94,34 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """Give a name beside a path that `sweep` knows, where leftovers are removed first."""
+    """Give a name beside a path that `sweep` knows, where leftovers are removed first.
+
+    What cannot be written is reported with the name of the path, not with the hidden one.
+    """
     sweep(path.parent)
-    # Names of files may have 255 bytes; a host's name can take 64 of them.
-    name = path.name[-40:]
-    aside = path.with_name(f".aside.{_host()}.{os.getpid()}.{secrets.token_hex(4)}.{name}")
-    _OPEN.add(aside.name)
+    lock = path.with_name(f".aside.{_machine(path.parent)}.{secrets.token_hex(8)}")
+    # Names of files may have 255 bytes.  The second number keeps others from foreseeing this one.
+    aside = path.with_name(f"{lock.name}.{secrets.token_hex(4)}.{path.name[-40:]}")
     try:
-        yield aside
-    finally:
-        _OPEN.discard(aside.name)
+        with half_written(lock), open(lock, "xb") as file:
+            if fcntl:
+                # Where files cannot be locked, age decides.
+                with suppress(OSError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield aside
+    except OSError as error:
+        # What fails in the midst of a file knows no name.
+        nameless = error.filename is None and error.errno in FULL
+        if not nameless and str(error.filename) not in (str(lock), str(aside)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def sweep(folder: str | Path) -> list[Path]:
-    """Delete what processes of this host that are gone have left unfinished in a folder.
+    """Delete what writers that have ended left unfinished in a folder.
 
-    What is of running processes and of other hosts stays: nobody here can tell whether those run.
+    What is locked stays.  So does what was written on another machine or through another mount, or
+    where files cannot be locked, until nothing has changed there for `ABANDONED_S`.
 
     Parameters
     ----------
@@ -103,40 +133,114 @@ def sweep(folder: str | Path) -> list[Path]:
     list of Path
         What was deleted.
     """
-    gone = []
+    left: dict[Path, list[Path]] = {}
     for path in Path(folder).glob(".aside.*"):
-        found = _ASIDE.fullmatch(path.name)
-        if not found or found["host"] != _host() or path.name in _OPEN:
-            continue
-        process = int(found["process"])
-        # A file of a process with our own number that we did not open is of one before us.
-        if process != os.getpid() and _runs(process):
-            continue
+        if found := _ASIDE.fullmatch(path.name):
+            left.setdefault(path.with_name(found["lock"]), []).append(path)
+    gone = []
+    for lock, paths in left.items():
         with suppress(OSError):
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-            gone.append(path)
+            ended = _ended(lock)
+            if not (_old(paths) if ended is None else ended):
+                continue
+        # The lock last: what is without one is judged by its age.
+        for path in sorted(paths, key=lambda one: one == lock):
+            with suppress(OSError):
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
+                gone.append(path)
     return gone
+
+
+def _ended(lock: Path) -> bool | None:
+    """Return whether the writer that held a lock has ended; None where that cannot be known."""
+    if fcntl is None:
+        return None
+    try:
+        # NFS locks only what is open for writing.
+        with open(lock, "r+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True if lock.name.split(".")[2] == _machine(lock.parent) else None
+
+
+def _old(paths: Sequence[Path]) -> bool:
+    """Return whether nothing in some files and folders has changed for `ABANDONED_S`."""
+    every = [one for path in paths for one in (path, *path.rglob("*"))]
+    return time.time() - max(one.lstat().st_mtime for one in every) > ABANDONED_S
+
+
+def _machine(folder: Path) -> str:
+    """Return a name of the running system and of the mount that a folder is on.
+
+    Processes that agree in it see each other's locks.
+    """
+    seen = f"{_system()} {folder.stat().st_dev}"
+    return hashlib.sha256(seen.encode()).hexdigest()[:16]
+
+
+@functools.cache
+def _system() -> str:
+    """Return what tells a running system from all others, whatever its host is called."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+    except (OSError, ValueError):
+        return f"{socket.gethostname()} {uuid.getnode()}"
+
+
+def check_writable(path: str | Path) -> None:
+    """Make the folder of a file, and refuse a path at which no file can be put.
+
+    What takes long to compute is not to be lost at its end.
+
+    Raises
+    ------
+    OSError
+        As writing there would.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _beside(path) as aside, half_written(aside):
+        aside.touch()
+
+
+def check_room(path: Path, size: int) -> None:
+    """Take the space that a file needs for a moment, and leave the file empty.
+
+    Parameters
+    ----------
+    path : path
+        Of a new file.
+    size : int
+        Bytes.
+
+    Raises
+    ------
+    OSError
+        If no such space is left.
+    """
+    with open(path, "wb") as file:
+        try:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            elif shutil.disk_usage(path.parent).free < size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        except OSError as error:
+            # Not all file systems take space in advance.
+            if error.errno in FULL:
+                raise
+        finally:
+            file.truncate(0)
 
 
 def set_aside(path: str | Path) -> Path:
     """Rename a damaged file to ``NAME.damaged``, over an earlier one, and return its new name."""
     path = Path(path)
     return path.replace(path.with_name(path.name + DAMAGED))
-
-
-def _host() -> str:
-    return socket.gethostname().replace(".", "_") or "unknown"
-
-
-def _runs(process: int) -> bool:
-    """Tell whether a process of that number runs on this host, whosoever it is."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True

@@ -37,11 +37,17 @@ def half_written(path: Path) -> Iterator[None]:
         _half_written.discard(path)
 
 
-def end_on_signals(name: str) -> None:
+def end_on_signals(name: str, how_to_go_on: str = "") -> None:
     """Let SIGINT and SIGTERM end this process within about `GRACE_S`, with a line of `name`.
 
     To be called once, in the main thread of a process that does nothing but one job.  A process
     that ignores SIGINT, as shells start those in the background, goes on to do so.
+
+    Parameters
+    ----------
+    name : str
+    how_to_go_on : str, optional
+        A last line.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -62,7 +68,9 @@ def end_on_signals(name: str) -> None:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
         # Not by way of Python's own end, which waits for threads and for whoever is compiling.
-        os.write(2, f"{name}: interrupted\n".encode())
+        said = f"{name}: interrupted\n" + (f"{how_to_go_on}\n" if how_to_go_on else "")
+        with suppress(OSError):
+            os.write(2, said.encode(errors="backslashreplace"))
         os._exit(INTERRUPTED)
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -12,6 +12,7 @@ from splits.lookup.axes import INCIDENCE
 from splits.media.measured_inputs import AREA, RADIUS
 from splits.retrieval.coordinates import LEVEL, Free
 from splits.retrieval.forward import ranges_of_axes
+from splits.retrieval.least_squares import check_enough
 from splits.retrieval.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -54,6 +55,11 @@ def check_retrieve(experiment: Experiment) -> None:
             raise refuse(f"retrieve.at.{name}", None, "given", "or make it free")
     for name in section.known:
         one_of("retrieve.known", name, list(section.free))
+    for name in section.at:
+        if name in section.free:
+            raise refuse(f"retrieve.at.{name}", section.at[name], "left out, as it is free")
+    if not [name for name in section.free if name != LEVEL]:
+        raise refuse("retrieve.free", list(section.free), "at least one parameter of the grid")
     _check_values(section, rows)
     _check_law(section, rows, experiment.medium)
 
@@ -73,7 +79,8 @@ def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
     first = {one.sample: one.at for one in section.prior_from}
     for name, spectrum in section.spectra(measured, experiment.instrument.wavelengths()).items():
         with under(f"retrieve ({name})"):
-            Measurement.of(spectrum, section.noise_of(spectrum.to_numpy()))
+            known = Measurement.of(spectrum, section.noise_of(spectrum.to_numpy()))
+            check_enough(len([n for n in section.free if n not in first.get(name, {})]), known)
         where = section.where(name, list(rows))
         for axis, value in where.items():
             check_within(f"retrieve ({name}): {axis}", value, rows.get(axis))

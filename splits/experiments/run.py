@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.dataset import attributes, provenance
+from splits.dataset import attributes, provenance, save
 from splits.experiments.coordinates import grid_coordinates
-from splits.experiments.run_points import REACHED, Measured, measured_points
-from splits.experiments.run_table import run_table
+from splits.experiments.kept_points import KeptPoints
+from splits.experiments.run_points import REACHED, Measured, Say, measured_points
+from splits.experiments.run_table import run_table, write_table
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
+from splits.files import check_writable
 from splits.instruments.labels import wavelength_axis
 from splits.sources import physics_digest
 
@@ -37,8 +38,7 @@ def run(
     accuracy: Accuracy,
     seed: int = 1,
     threads: int | None = None,
-    say: Callable[[str], None] = lambda line: None,
-    blocks: Path | None = None,
+    say: Say = lambda line: None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -53,8 +53,6 @@ def run(
     threads : int, optional
     say : callable
         Receives lines of progress.
-    blocks : path, optional
-        Folder that keeps the blocks of a table.
 
     Returns
     -------
@@ -64,9 +62,52 @@ def run(
     if experiment.instrument.kind == "refractive_index":
         return refractive_indices(experiment)
     if experiment.instrument.kind == "table":
-        return run_table(experiment, accuracy, seed, blocks, threads, say)
+        return run_table(experiment, accuracy, seed, None, threads, say)
+    return _points(experiment, accuracy, seed, threads, say)
+
+
+def write_run(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    folder: Path,
+    path: Path,
+    threads: int | None = None,
+    say: Say = lambda line: None,
+) -> None:
+    """Write what `run` returns; a run that is interrupted goes on where it stopped.
+
+    Parameters
+    ----------
+    experiment, accuracy, seed, threads, say
+        As for `run`.
+    folder : path
+        Keeps what was measured: points until the file is written, blocks of a table for good.
+    path : path
+        The file appears whole or not at all.
+    """
+    check_writable(path)
+    if experiment.instrument.kind == "table":
+        write_table(experiment, accuracy, seed, folder, path, threads, say)
+    elif experiment.instrument.kind == "refractive_index":
+        save(refractive_indices(experiment), path)
+    else:
+        kept = KeptPoints(folder, experiment, accuracy, seed)
+        save(_points(experiment, accuracy, seed, threads, say, kept), path)
+        kept.drop()
+
+
+def _points(
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    say: Say,
+    kept: KeptPoints | None = None,
+) -> xr.Dataset:
+    """Return the points of a grid, those not kept measured."""
     begun = time.perf_counter()
-    results = measured_points(experiment, accuracy, seed, threads, say)
+    results = measured_points(experiment, accuracy, seed, threads, say, kept)
     return _stack(experiment, results, time.perf_counter() - begun)
 
 

@@ -21,6 +21,7 @@ from splits.experiments.simulation import Simulation
 from splits.instruments.arguments import check_wavelengths
 from splits.instruments.labels import wavelength_axis
 from splits.instruments.threads import Threads, cpus
+from splits.retrieval.misfit import SPARE
 from splits.sources import physics_digest
 from splits.uncertainty import Variable, quantity
 
@@ -94,8 +95,9 @@ def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
     Raises
     ------
     ValueError
-        For a table without wavelengths, a sample that it does not have, reflectances outside
-        [0, 1], wavelengths without refractive indices, or keywords that the fit varies itself.
+        For a table without wavelengths or with too few, a sample that it does not have,
+        reflectances outside [0, 1], wavelengths without refractive indices, or keywords that the
+        fit varies itself.
     """
     section = experiment.fit
     if section is None:
@@ -117,6 +119,9 @@ def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
             cube = Cube(settings, section.ranges)
         with under("fit.measured"):
             cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
+        least = len(cube.names) + SPARE
+        if wavelength.size < least:
+            raise refuse("fit.measured", f"{wavelength.size} wavelengths", f"{least} at least")
     return samples
 
 

@@ -10,6 +10,7 @@ import xarray as xr
 
 from splits.dataset import attributes
 from splits.experiments.instrument_section import SURFACES, Instrument
+from splits.experiments.kept_points import KeptPoints
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.instruments import (
@@ -51,9 +52,14 @@ class Measured(NamedTuple):
 
 
 def measured_points(
-    experiment: Simulation, accuracy: Accuracy, seed: int, threads: int | None, say: Say
+    experiment: Simulation,
+    accuracy: Accuracy,
+    seed: int,
+    threads: int | None,
+    say: Say,
+    kept: KeptPoints | None = None,
 ) -> Measured:
-    """Measure all points of an experiment, see `splits.experiments.run.run`.
+    """Measure all points of an experiment but those kept, see `splits.experiments.run.run`.
 
     Points whose spectra need the same paths share them: those that differ in what absorbs, in the
     albedo of a ground, or in the size of everything.
@@ -67,6 +73,12 @@ def measured_points(
     rays = 0
     for places, members in groups:
         head = _head(experiment.name, points, places)
+        before = kept.load(places) if kept else None
+        if before:
+            say(f"{head}: kept from an earlier run")
+            found |= dict(zip(places, before, strict=True))
+            rays += int(before[0].attrs["rays"])
+            continue
         show = _shown(head, say)
         some = [points[place] for place in places]
         if members is None:
@@ -74,6 +86,7 @@ def measured_points(
             datasets = [measure(instrument, medium, incidence, accuracy, seed, threads, show)]
         else:
             datasets = _together(some, members, instrument, accuracy, seed, threads, show)
+        datasets = kept.keep(places, datasets) if kept else datasets
         found |= dict(zip(places, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
         _tell(head, datasets, instrument, say)

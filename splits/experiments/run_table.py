@@ -19,7 +19,7 @@ from splits.instruments.spectral_run import Run
 from splits.lookup.assembly import blank, fill, finished
 from splits.lookup.block import Order, block_file
 from splits.lookup.large import IN_MEMORY, bytes_of, write_by_blocks
-from splits.lookup.measuring import blocks
+from splits.lookup.measuring import blocks, digest_of
 from splits.lookup.plan import Ensemble, Plan
 
 BLOCKS = 8
@@ -87,7 +87,7 @@ def run_part(
     say(f"{experiment.name}: {plan}")
     for _ in _measured(experiment, order, mine, folder, say):
         pass
-    return [block_file(folder, ensemble.number) for ensemble in mine]
+    return [block_file(folder, one.number, digest_of(one, order)) for one in mine]
 
 
 def run_table(
@@ -173,3 +173,11 @@ def note_part(files: Sequence[Path], path: Path) -> None:
     made = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     with whole(path) as aside:
         aside.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+
+
+def drop_unused(notes: Sequence[Path]) -> None:
+    """Delete the blocks beside the notes of a table's parts that none of these names."""
+    made = {name for note in notes for name in json.loads(note.read_text(encoding="utf-8"))}
+    for file in notes[0].parent.glob("block_*.nc"):
+        if file.name not in made:
+            file.unlink(missing_ok=True)

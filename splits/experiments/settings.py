@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -70,6 +71,10 @@ DIRECTIONS = ("optical_radius_um", "incidence_deg")
 """Axes of experiments that show where the light of the explorer goes."""
 
 
+FOLDERS = ("experiments_folder", "media_folder", "measured_folder", "published_folder", "results")
+"""Settings that are paths of folders."""
+
+
 class Settings(Section):
     """The main configuration file."""
 
@@ -89,21 +94,23 @@ class Settings(Section):
     explorer: dict[str, str] = Field(default_factory=dict)
     explorer_directions: dict[str, str] = Field(default_factory=dict)
 
-    @field_validator("experiments", mode="before")
+    @field_validator("experiments", "archive", mode="before")
     @classmethod
     def _names(cls, value: Any) -> Any:
         # On the command line a list is written with commas.
         if isinstance(value, str) and value != "all":
-            return tuple(value.split(","))
+            return tuple(name.strip() for name in value.split(","))
         return value
 
-    @field_validator(
-        "experiments_folder", "media_folder", "measured_folder", "published_folder", "results"
-    )
+    @field_validator(*FOLDERS)
     @classmethod
-    def _path(cls, value: str, info: ValidationInfo) -> str:
+    def _folder(cls, value: str, info: ValidationInfo) -> str:
         key = str(info.field_name)
-        return check_path(key, str(expand_path(value, key)))
+        # Snakemake takes paths as texts: those of one file must be spelt alike.
+        path = posixpath.normpath(str(expand_path(value, key))) if value else "."
+        if path == ".":
+            raise refuse(key, value, "the path of a folder")
+        return check_path(key, path)
 
     @field_validator("archive_license")
     @classmethod
@@ -135,6 +142,15 @@ class Settings(Section):
         """Where tables of measured and of published numbers are."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
 
+    def archived(self) -> Settings:
+        """Return the settings of a run that makes what an archive holds, and nothing else."""
+        if self.archive == "all":
+            return self
+        every = self.experiments == "all"
+        names = tuple(name for name in self.archive if every or name in self.experiments)
+        others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
+        return self.model_copy(update={"experiments": names, "archive": "all", **others})
+
     def authors(self) -> tuple[Author, ...]:
         """Return the authors of results that an archive names, if any are given."""
         return tuple(Author(**author.model_dump()) for author in self.archive_authors)
@@ -145,6 +161,11 @@ class Settings(Section):
             if name in available and available[name].instrument.kind != "table":
                 kind = available[name].instrument.kind
                 raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+            rows = dict(zip(*available[name].axes(), strict=True)) if name in available else {}
+            for axis, row in rows.items():
+                if len(row) < 2 or isinstance(row[0], str):
+                    key = f"explorer.{label} = {name!r}"
+                    raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
         for label, name in self.explorer_directions.items():
             key = f"explorer_directions.{label} = {name!r}"
             if label not in self.explorer:
@@ -170,6 +191,9 @@ class Settings(Section):
                 if name not in available:
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+        if not self.archived().experiments:
+            allowed = "one or more of the experiments selected"
+            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         check_studies(self.studies, available, self.tables)
         self._check_explorer(available)
         chosen = available if self.experiments == "all" else self.experiments

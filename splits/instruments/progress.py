@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
 from importlib.util import find_spec
@@ -78,7 +79,9 @@ class ProgressBar:
 
     def __init__(self, description: str = "") -> None:
         before = f"{description}: " if description else ""
-        self._bar = _kind()(total=1.0, desc=before, bar_format=f"{_FORMAT} starting")
+        where = {} if _in_notebook() else {"file": _Stream(sys.stderr), "disable": not sys.stderr}
+        form = f"{_FORMAT} starting"
+        self._bar: tqdm = _kind()(total=1.0, desc=before, bar_format=form, **where)
         listeners.append(self._tell)
 
     def __call__(self, progress: Progress) -> None:
@@ -114,9 +117,39 @@ class ProgressBar:
         self.close(done=kind is None)
 
 
+class _Stream:
+    """A stream whose errors end nothing: a bar that cannot be shown is not shown.
+
+    Parameters
+    ----------
+    stream : text file
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        """Write a text if that is possible."""
+        with suppress(OSError, ValueError):
+            self._stream.write(text)
+
+    def flush(self) -> None:
+        """Let what was written appear if that is possible."""
+        with suppress(OSError, ValueError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _in_notebook() -> bool:
+    """Tell whether bars of notebooks can be shown."""
+    return "ipykernel" in sys.modules and bool(find_spec("ipywidgets"))
+
+
 def _kind() -> type[tqdm]:
     """Return the bar of notebooks where there is one, the terminal's elsewhere."""
-    if "ipykernel" in sys.modules and find_spec("ipywidgets"):
+    if _in_notebook():
         from tqdm.notebook import tqdm as in_notebooks
 
         kind: type[tqdm] = in_notebooks
@@ -129,7 +162,10 @@ Result = TypeVar("Result")
 
 
 def shows_progress(instrument: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Let ``progress=True`` of an instrument stand for a bar, and refuse what is no function."""
+    """Let ``progress=True`` of an instrument stand for a bar, and refuse what is no function.
+
+    A function that cannot write what it is told ends no run.
+    """
 
     @wraps(instrument)
     def measured(*args: Given.args, **given: Given.kwargs) -> Result:
@@ -142,6 +178,18 @@ def shows_progress(instrument: Callable[Given, Result]) -> Callable[Given, Resul
         if progress is not None and not callable(progress):
             allowed = "True for a bar, or a function that takes a splits.Progress"
             raise refuse("progress", progress, allowed)
+        if progress is not None and not isinstance(progress, ProgressBar):
+            given["progress"] = _unfailing(progress)
         return instrument(*args, **given)
 
     return measured
+
+
+def _unfailing(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """Return a function that does what another does, and passes over what that cannot write."""
+
+    def told(progress: Progress) -> None:
+        with suppress(OSError, UnicodeError):
+            report(progress)
+
+    return told

@@ -97,14 +97,14 @@ def measure(
     return xr.Dataset(variables, {"point": places, "wavelength": run.wavelengths}, facts)
 
 
-def block_file(folder: Path, number: int) -> Path:
-    """Return where a block is kept."""
-    return folder / f"block_{number:06d}.nc"
+def block_file(folder: Path, number: int, digest: str) -> Path:
+    """Return where a block is kept; one of another digest has another place."""
+    return folder / f"block_{number:06d}_{digest[:16]}.nc"
 
 
 def kept(folder: Path, number: int, digest: str) -> xr.Dataset | None:
     """Return a block that was kept, None where there is none, or one that is of no use."""
-    path = block_file(folder, number)
+    path = block_file(folder, number, digest)
     if not path.exists():
         return None
     try:
@@ -117,4 +117,4 @@ def kept(folder: Path, number: int, digest: str) -> xr.Dataset | None:
 
 def keep(block: xr.Dataset, folder: Path) -> None:
     """Write a block, whole or not at all."""
-    save(block, block_file(folder, int(block.attrs["ensemble"])))
+    save(block, block_file(folder, int(block.attrs["ensemble"]), block.attrs[DIGEST]))

@@ -10,8 +10,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from splits.checksum import LOCK, seal
-from splits.files import whole
+from splits.checksum import prepare_netcdf, seal
 from splits.instruments.ensemble import GROUPS
 from splits.layout import stored_as
 from splits.lookup.assembly import arrays_of, finished
@@ -53,9 +52,9 @@ def write_by_blocks(
     Raises
     ------
     OSError
-        If the file does not hold the blocks afterwards.
+        If there is no space for it, or the file does not hold the blocks afterwards.
     """
-    with LOCK, whole(path) as aside:
+    with prepare_netcdf(path, bytes_of(plan, order)) as aside:
         skeleton = stored_as(described(_hollow(plan, order, [block.attrs for block in blocks()])))
         values = [str(name) for name in skeleton.data_vars]
         skeleton.drop_vars(values).to_netcdf(aside, engine="netcdf4")

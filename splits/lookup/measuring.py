@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from splits.checks import known_arguments, one_of, refuse
+from splits.files import check_writable
 from splits.instruments.families import absorbing, likeness
 from splits.instruments.progress import Progress, Report, shows_progress
 from splits.instruments.spectral_run import SIDES, Run
@@ -148,6 +149,8 @@ def blocks(
     progress : callable, optional
         Told of the whole.
     """
+    if folder is not None:
+        check_writable(folder / "block.nc")
     begun, cuts, measured = time.perf_counter(), Cuts(), 0
     for number, ensemble in enumerate(ensembles):
         digest = digest_of(ensemble, order)

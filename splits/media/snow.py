@@ -25,6 +25,9 @@ from splits.media.readings import Readings
 from splits.media.words import call, unusual
 from splits.transport.grains.scene import Grains, Types
 
+THINNEST_KG_M3 = 1e-6
+"""Least density: one grain in a hundred kilometres of a ray."""
+
 
 @known_keywords
 @takes_measured
@@ -63,7 +66,7 @@ class Snow(ByContent):
     impurities_in : {"ice", "pores"}
         Where they are, evenly spread: within the grains, or in all pores between them.
     density_kg_m3 : float
-        Mass of ice (water not counted) per volume of snow, above 0 and below the density of ice.
+        Mass of ice (water not counted) per volume of snow, from 1e-6 to below the density of ice.
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float
@@ -163,8 +166,8 @@ class Snow(ByContent):
         put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         ice = ice_density(self.temperature_c)
         hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
-        key, ends = "density_kg_m3", {"open_low": True, "open_high": True}
-        put(key, in_range(key, self.density_kg_m3, 0.0, ice, "kg/m3", hint=hint, **ends))
+        key, density = "density_kg_m3", self.density_kg_m3
+        put(key, in_range(key, density, THINNEST_KG_M3, ice, "kg/m3", hint=hint, open_high=True))
         put("ground", Ground.of(self.ground))
         put("depth_m", sample_depth(self.depth_m))
         put("readings", Readings.of(self.readings))

@@ -66,7 +66,7 @@ def estimated(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) 
 
 def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
     """Return what a measurement of unknown noise tells in a table, and the noise found."""
-    _check(model.free, measurement)
+    check_enough(len(model.free.names), measurement)
     free = model.free
     model.free = free.flat()
     best, *others = sorted(optima(model, measurement, *model.nodes()), key=lambda end: end.cost)
@@ -81,7 +81,7 @@ def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found
 
 def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
     """Return what a measurement of unknown noise tells by runs, and the noise found."""
-    _check(runs.free, measurement)
+    check_enough(len(runs.free.names), measurement)
     free = runs.free
     runs.free = free.flat()
     settled = runs.settled()
@@ -94,10 +94,10 @@ def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, M
     return _found(runs.last, Around(free, best), measurement, left, rivals, seed)
 
 
-def _check(free: Free, measurement: Measurement) -> None:
-    """Refuse too few values to tell noise."""
-    least, count = len(free.names) + SPARE, measurement.values.size
-    if count < least:
+def check_enough(free: int, measurement: Measurement) -> None:
+    """Refuse a measurement of unknown noise with too few values for so many free parameters."""
+    least, count = free + SPARE, measurement.values.size
+    if not measurement.told and count < least:
         hint = f"{count} values are too few to find it from the misfit, {least} are needed"
         raise refuse("noise", None, "given", hint)
 

@@ -19,6 +19,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
+from splits import files
 from splits.transport.compiling import cache, turns
 from splits.transport.compiling import folders as places_of_kernels
 from splits.transport.compiling.cache import KernelCache, keep
@@ -137,10 +138,9 @@ def test_whole_files_of_no_use_are_compiled_again(places, caplog, monkeypatch):
 class _Full:
     """A file on a full disk."""
 
-    def __init__(self, handle, mode):
+    def __init__(self, path, mode):
         if "r" in mode:
             raise FileNotFoundError
-        os.close(handle)
 
     def __enter__(self):
         return self
@@ -197,15 +197,23 @@ def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
     assert left == {"numba-recent", "numba-new", "notes"}
 
 
+KILLED = """
+import os, pathlib, signal, sys
+from splits.transport.compiling.folders import Folder
+
+os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
+Folder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
+"""
+
+
 def test_what_killed_writers_left_is_removed(tmp_path):
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    host = places_of_kernels._host()
-    stay = {f".{host}.{os.getpid()}.x", f".other_{host}.{dead.pid}.x", ".x", ".y.z"}
-    for name in (*stay, f".{host}.{dead.pid}.x"):
-        (tmp_path / name).write_text("half")
-    Folder(tmp_path, True).write("kernel", b"content")
-    assert {path.name for path in tmp_path.iterdir()} == stay | {"kernel"}
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)])
+    assert len(list(tmp_path.iterdir())) == 2
+    with files.whole(tmp_path / "living") as living:
+        living.write_text("whole")
+        Folder(tmp_path, True).write("kernel", b"content")
+        assert living.exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"kernel", "living"}
 
 
 def plant(places):

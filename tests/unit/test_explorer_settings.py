@@ -9,6 +9,16 @@ import pytest
 from splits.experiments import ConfigError, load_experiments, load_settings
 
 EXPERIMENTS = {
+    "one": """
+medium: {kind: natural_snow}
+instrument: {kind: table}
+grid: {optical_radius_um: [100, 200], incidence_deg: [60]}
+""",
+    "texts": """
+medium: {kind: natural_snow, depth_m: 0.1}
+instrument: {kind: table, wavelength_nm: [500, 900]}
+grid: {optical_radius_um: [100, 200], ground: [camborthid, open]}
+""",
     "deep": """
 title: A table
 medium: {kind: natural_snow}
@@ -56,6 +66,8 @@ def test_tables_and_directions_are_taken(available):
     ("given", "line"),
     [
         ({"explorer": {"snow": "spectra"}}, r"explorer.snow = 'spectra': must be a table"),
+        ({"explorer": {"snow": "one"}}, ".*its axis incidence_deg must have at least two numbers"),
+        ({"explorer": {"snow": "texts"}}, ".*its axis ground must have at least two numbers"),
         (
             {"explorer": {"snow": "deep"}, "explorer_directions": {"sand": "where"}},
             r"explorer_directions.sand = 'where': no table is called so",

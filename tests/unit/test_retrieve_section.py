@@ -263,3 +263,25 @@ def test_noise_is_added_in_quadrature_unless_it_goes_together():
     np.testing.assert_allclose(plain, np.hypot(0.003, 0.01 * values))
     both = Noise(absolute=0.003, relative=0.01, correlation_nm=100).of(values)
     assert both["independent"] == 0.003
+
+
+def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read():
+    section = {key: value for key, value in SECTION.items() if key != "noise"}
+    experiment = Experiment.model_validate(TABLE | {"retrieve": section})
+    few = pd.DataFrame({"wavelength_nm": [500, 700, 900], "a": [0.9, 0.8, 0.5]})
+    line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to find it"
+    with pytest.raises(ValueError, match=line):
+        check_spectra(experiment, few)
+    check_spectra(Experiment.model_validate(TABLE), few)
+
+
+@pytest.mark.parametrize(
+    ("section", "line"),
+    [
+        ({"at": {SIZE: 50}}, r"retrieve\.at\.optical_radius_um = 50.0: must be left out, as it"),
+        ({"free": ["level"], "at": {SIZE: 50, DIRT: 0}}, r"retrieve\.free = .*at least one para"),
+    ],
+)
+def test_what_retrievals_refuse_is_refused_when_the_file_is_read(section, line):
+    with pytest.raises(ValueError, match=line):
+        Experiment.model_validate(TABLE | {"retrieve": SECTION | section})

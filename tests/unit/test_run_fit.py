@@ -154,6 +154,7 @@ def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
         ),
         ("wavelength_nm,a\n100,0.3\n", r": fit\.measured\.wavelength_nm = 100\.0: must be in"),
         ("wavelength_nm,a\n2600,0.3\n", r": fit\.measured\.wavelength_nm = 2600\.0: must be in"),
+        ("wavelength_nm,a\n600,0.3\n", r": fit\.measured = '1 wavelengths': must be 9 at least"),
     ],
 )
 def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, message):

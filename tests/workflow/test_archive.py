@@ -89,6 +89,41 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert not any(str(own.parent) in text or str(tmp_path) in text for text in texts)
 
 
+@pytest.mark.slow
+def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory, environment):
+    table = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
+    for name in ("one", "two", "three"):
+        project.put(name, table)
+    run = project.snakemake("archive", "--cores", 2, config="accuracy=tiny archive=one,two")
+    assert run.code == 0, run.text
+    archive = project.folder / "results" / "tiny" / "archive" / "splits-results.zip"
+    again = tmp_path_factory.mktemp("again")
+    unpack(archive, again)
+    run = type(project)(again, environment).snakemake("--cores", 2, "--dry-run", config="")
+    assert run.code == 0, run.text
+    jobs = [f"{what} {name}" for what in ("Drawing", "Simulating") for name in ("one", "two")]
+    assert [job for job in run.jobs() if job.endswith(("one", "two", "three"))] == jobs
+    assert not any("three" in member for member in contents(archive))
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [("all", "all"), ("a", ("a",)), ("a, b", ("a", "b")), (["a", "b"], ("a", "b"))],
+)
+def test_experiments_to_pack_are_given_as_those_to_run(given, names):
+    accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
+    settings = load_settings(accuracies | {"archive": given, "experiments": given})
+    assert settings.archive == settings.experiments == settings.archived().experiments == names
+
+
+def test_a_time_that_is_none_is_refused_before_anything_runs(project, monkeypatch):
+    project.put("one", "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n")
+    monkeypatch.setitem(project.environment, "SOURCE_DATE_EPOCH", "yesterday")
+    run = project.snakemake("archive", "--cores", 1)
+    assert run.code != 0 and "SOURCE_DATE_EPOCH = 'yesterday': must be seconds" in run.text
+    assert run.jobs() == []
+
+
 def test_packing_keeps_relative_places(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("out/data/a.nc", "out/tables/b.csv"):
@@ -256,10 +291,12 @@ def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch
     (tmp_path / "experiments" / "deep" / "b.yml").write_text(
         f"name: second\ntitle: '1e-5'\ngrid: {{refractive_index: {{mine: {{ice: {moved}}}}}}}\n"
     )
-    (tmp_path / "experiments" / "not_chosen.yaml").write_text("{}")
+    for name in ("not_chosen", "third"):
+        (tmp_path / "experiments" / f"{name}.yaml").write_text("{}")
     (tmp_path / "media" / "base.yaml").write_text("refractive_index: {water: config/../moved.csv}")
     settings = Settings(
-        experiments=("plain", "second"), archive=("plain", "not_chosen"), accuracy="rough", seed=3,
+        experiments=("plain", "second", "third"), archive=("plain", "second", "not_chosen"),
+        accuracy="rough", seed=3,
         accuracies={"rough": {"max_stderr": 0.1}}, results="/somewhere/results",
         experiments_folder=str(tmp_path / "experiments"), media_folder="experiments/../media",
     )  # fmt: skip
@@ -279,7 +316,7 @@ def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch
     in_force = load_settings(yaml.safe_load(members["config/config.yaml"]))
     folders = {
         "experiments_folder": "config/experiments", "media_folder": "config/media",
-        "results": "results", "archive": ("plain",),
+        "results": "results", "archive": "all", "experiments": ("plain", "second"),
     }  # fmt: skip
     assert in_force == settings.model_copy(update=folders)
 

@@ -1,19 +1,22 @@
-from splits.archive import configuration_files
+from splits.archive import configuration_files, packing_time
 
-ARCHIVED = [
-    name
-    for name in EXPERIMENTS
-    if SETTINGS.archive == "all" or name in SETTINGS.archive
-]
+ARCHIVED = SETTINGS.archived()
+PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
+if "archive" in sys.argv[1:]:
+    # Refused before anything runs.
+    try:
+        packing_time()
+    except ValueError as error:
+        raise WorkflowError(str(error)) from None
 
 
 rule archive:
     input:
-        results=[products(name) for name in ARCHIVED]
+        results=[products(name) for name in PACKED]
         + (study_products() if SETTINGS.archive == "all" else []),
-        configuration=lambda wildcards: configuration_files(SETTINGS).values(),
+        configuration=lambda wildcards: configuration_files(ARCHIVED).values(),
         tables=lambda wildcards: sorted(
-            {t for e in EXPERIMENTS.values() for t in e.tables()}
+            {t for name in PACKED for t in EXPERIMENTS[name].tables()}
         ),
     output:
         f"{RESULTS}/archive/splits-results.zip",
@@ -25,7 +28,7 @@ rule archive:
         "../../environment.yml"
     threads: 1
     params:
-        settings=SETTINGS.model_dump(mode="json"),
+        settings=ARCHIVED.model_dump(mode="json"),
         repository=lambda wildcards: str(workflow.basedir),
     message:
         "Packing results for deposit"

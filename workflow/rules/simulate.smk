@@ -19,6 +19,7 @@ rule simulate:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
+        kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",
         # Not inputs: these would be recorded with the place where the package lies.
         physics=lambda wildcards: physics_digest(
             fit=bool(EXPERIMENTS[wildcards.experiment].fit)

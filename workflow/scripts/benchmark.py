@@ -4,16 +4,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+from splits.progress_log import progress_log
+
 program = Path(__file__).parents[2] / "benchmarks" / snakemake.params.program
 command = [sys.executable, str(program), snakemake.output[0], *snakemake.params.options]
 with (
-    open(snakemake.log[0], "w", encoding="utf-8") as log,
+    progress_log(snakemake.log[0]) as say,
     subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process,
 ):
     for line in process.stdout:
-        print(line, end="", file=sys.stderr, flush=True)
-        print(line, end="", file=log, flush=True)
+        say(line.rstrip("\n"))
 if process.returncode:
     sys.exit(f"{program.name} failed, see {snakemake.log[0]}")

@@ -6,6 +6,7 @@ from pathlib import Path
 from splits.analysis.marks import documents, write_marked
 from splits.analysis.quoted import quoted
 from splits.figures.gallery import write_gallery
+from splits.progress_log import write_line
 
 RESULTS = Path(snakemake.log[0]).parents[1]
 try:
@@ -16,4 +17,4 @@ try:
     )
 except (OSError, ValueError) as error:
     sys.exit(f"documented: {error}")
-print("changed:", *[*changed, *images, *deleted] or ["nothing"], file=sys.stderr)
+write_line(f"changed: {' '.join([*changed, *images, *deleted]) or 'nothing'}", sys.stderr)

@@ -2,11 +2,16 @@
 
 from splits.interrupts import end_on_signals
 
-end_on_signals(snakemake.wildcards.experiment)
+end_on_signals(
+    snakemake.wildcards.experiment,
+    "points that were measured are kept: the same command goes on from there",
+)
+
+from pathlib import Path
 
 from splits import save
 from splits.analysis.measured import read_measured
-from splits.experiments.run import run
+from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
@@ -18,7 +23,7 @@ with progress_log(snakemake.log[0]) as say:
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
     if experiment.fit:
         measured = read_measured(snakemake.input.measured[0])
-        dataset = run_fit(experiment, accuracy, measured, **settings)
+        save(run_fit(experiment, accuracy, measured, **settings), snakemake.output[0])
     else:
-        dataset = run(experiment, accuracy, **settings)
-    save(dataset, snakemake.output[0])
+        folder, target = Path(snakemake.params.kept), Path(snakemake.output[0])
+        write_run(experiment, accuracy, folder=folder, path=target, **settings)

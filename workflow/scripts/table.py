@@ -6,7 +6,7 @@ from splits.interrupts import end_on_signals
 
 end_on_signals(snakemake.wildcards.experiment)
 
-from splits.experiments.run_table import write_table
+from splits.experiments.run_table import drop_unused, write_table
 from splits.experiments.settings import Accuracy
 from splits.experiments.simulation import Simulation
 from splits.progress_log import progress_log
@@ -21,3 +21,4 @@ with progress_log(snakemake.log[0]) as say:
         snakemake.threads,
         say,
     )
+drop_unused([Path(note) for note in snakemake.input])

@@ -15,7 +15,6 @@ import hashlib
 import logging
 import os
 import shutil
-import socket
 import stat
 import sys
 import tempfile
@@ -27,6 +26,8 @@ from pathlib import Path
 import llvmlite
 import numba
 import numpy as np
+
+from splits.files import whole
 
 KEPT_S = 90 * 86_400.0
 """How long kernels of other versions are left alone."""
@@ -89,15 +90,8 @@ class Folder:
             # Users that replaced each other's files would compile again and again.
             if self.named and not _is_trusted((self.path / name).stat()):
                 raise PermissionError("holds kernels of other users")
-        self._tidy()
-        handle, aside = tempfile.mkstemp(prefix=f".{_host()}.{os.getpid()}.", dir=self.path)
-        try:
-            with open(handle, "wb") as file:
-                file.write(content)
-            os.replace(aside, self.path / name)
-        finally:
-            with suppress(OSError):
-                os.unlink(aside)
+        with whole(self.path / name) as aside, open(aside, "xb") as file:
+            file.write(content)
 
     def make(self) -> None:
         """Make the folder if there is none, and see that it may be used.
@@ -119,14 +113,6 @@ class Folder:
         """Remove a file, if that is possible."""
         with suppress(OSError):
             (self.path / name).unlink()
-
-    def _tidy(self) -> None:
-        """Remove what processes of this host that were killed have left half written."""
-        for left in self.path.glob(f".{glob.escape(_host())}.*"):
-            process = left.name.split(".")[2]
-            with suppress(OSError):
-                if process.isdigit() and not _runs(int(process)):
-                    left.unlink()
 
     def _sweep(self) -> None:
         """Remove what other versions have kept here and not added to for `KEPT_S`."""
@@ -158,22 +144,6 @@ def _is_closed(about: os.stat_result) -> bool:
 def _user() -> int:
     """Return the number of the user who runs this; 0, as files have it, on Windows."""
     return os.getuid() if hasattr(os, "getuid") else 0
-
-
-def _host() -> str:
-    """Return the name of this machine, without dots."""
-    return socket.gethostname().replace(".", "_")
-
-
-def _runs(process: int) -> bool:
-    """Tell whether a process of that number runs on this host; on Windows nobody can be asked."""
-    if os.name == "nt":
-        return True
-    try:
-        os.kill(process, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)
-    return True
 
 
 @functools.cache

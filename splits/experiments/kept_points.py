@@ -1,0 +1,88 @@
+"""Points of an experiment's grid that are kept while others are still to be measured."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import xarray as xr
+
+from splits.dataset import load, save
+from splits.experiments.settings import Accuracy
+from splits.experiments.simulation import Simulation
+from splits.experiments.user_tables import by_content, renamed
+from splits.sources import physics_digest
+
+
+class KeptPoints:
+    """A folder of points that were measured, each in a file named after what decides its numbers.
+
+    So points at another accuracy, of another seed or of another medium have other files, and none
+    takes the place of another.
+
+    Parameters
+    ----------
+    folder : path
+        Need not exist.
+    experiment : Simulation
+    accuracy : Accuracy
+    seed : int
+
+    Attributes
+    ----------
+    used : list of Path
+        Files of the points asked for so far.
+    """
+
+    def __init__(self, folder: Path, experiment: Simulation, accuracy: Accuracy, seed: int) -> None:
+        self.folder, self.used = folder, list[Path]()
+        instrument = experiment.instrument.model_dump(mode="json")
+        kind = experiment.medium.get("kind", "snow")
+        self._common = [physics_digest(), instrument, accuracy.model_dump(), seed, kind]
+        self._settings = [
+            (renamed(settings, by_content), incidence)
+            for _, settings, incidence in experiment.settings()
+        ]
+
+    def load(self, places: Sequence[int]) -> list[xr.Dataset] | None:
+        """Return the points that share paths, or None if not all of them are there and sound."""
+        found = []
+        for file in self._files(places):
+            if not file.exists():
+                return None
+            try:
+                found.append(load(file))
+            except ValueError:
+                # Damaged: it is measured again, and written over.
+                return None
+        return found
+
+    def keep(self, places: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
+        """Write points that share paths, and return them as `load` would.
+
+        Attributes of one number differ in a file: points of a resumed run must not from others.
+        """
+        files = self._files(places)
+        for file, point in zip(files, points, strict=True):
+            save(point, file)
+        return [load(file) for file in files]
+
+    def drop(self) -> None:
+        """Delete the files of the points asked for, and the folder if it holds no others."""
+        for file in self.used:
+            file.unlink(missing_ok=True)
+        for folder in (self.folder, self.folder.parent):
+            with suppress(OSError):
+                folder.rmdir()
+
+    def _files(self, places: Sequence[int]) -> list[Path]:
+        """Return where points are kept, whose numbers depend on all that share their paths."""
+        together = [self._settings[place] for place in places]
+        text = json.dumps([*self._common, together], sort_keys=True, default=repr)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:32]
+        files = [self.folder / f"point_{digest}_{number}.nc" for number in range(len(places))]
+        self.used += [file for file in files if file not in self.used]
+        return files

@@ -1,0 +1,141 @@
+"""What only says how far a run is must not end it."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits.instruments.progress import shows_progress
+from splits.progress_log import progress_log, write_line
+
+HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
+SMALL = """
+medium: {kind: snow, depth_m: 0.005}
+instrument: {wavelength_nm: [800, 1300]}
+figure: none
+"""
+FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no file that is always full")
+
+
+@shows_progress
+def instrument(*, progress=None):
+    """Report once."""
+    progress(HALF)
+    return "measured"
+
+
+def test_lines_that_an_encoding_does_not_have_are_escaped():
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding="ascii")
+    write_line("é \udce9 µ", stream)
+    assert raw.getvalue().split() == [b"\\xe9", b"\\udce9", b"\\xb5"]
+
+
+@FULL
+def test_a_stream_that_fails_takes_nothing(tmp_path):
+    write_line("a line", None)
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        write_line("a line", full)
+        write_line("a line", full)
+    with open(tmp_path / "closed", "w", encoding="utf-8") as closed:
+        pass
+    write_line("a line", closed)
+
+
+@FULL
+def test_a_log_that_cannot_be_written_leaves_the_terminal(capsys):
+    with progress_log("/dev/full") as say:
+        say("a line")
+        say("another")
+    assert capsys.readouterr().err == "a line\nanother\n"
+
+
+class Broken(io.StringIO):
+    def write(self, text=""):
+        raise BrokenPipeError
+
+    flush = write
+
+
+@pytest.mark.parametrize("stream", [Broken, lambda: None])
+def test_a_bar_that_cannot_be_shown_ends_nothing(monkeypatch, stream):
+    monkeypatch.setattr(sys, "stderr", stream())
+    assert instrument(progress=True) == "measured"
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), UnicodeEncodeError("ascii", "é", 0, 1, "")])
+def test_a_function_that_cannot_write_ends_nothing(error):
+    def show(progress):
+        raise error
+
+    assert instrument(progress=show) == "measured"
+
+
+def test_other_errors_of_a_function_are_shown():
+    def show(progress):
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        instrument(progress=show)
+
+
+def run(tmp_path, before="", after="", **environment):
+    """Run an experiment in a shell, and return its exit status and the dataset."""
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    command = f"{sys.executable} -m splits.command run small.yaml --output é --accuracy tiny"
+    shell = f"{before} {command} --threads 1 {after}"
+    done = subprocess.run(
+        ["bash", "-c", f"{shell}; exit ${{PIPESTATUS[0]}}"], cwd=tmp_path, capture_output=True,
+        text=True, env={**os.environ, **environment},
+    )  # fmt: skip
+    return done, splits.load(tmp_path / "é" / "small.nc")
+
+
+@NEEDS_JIT
+@FULL
+@pytest.mark.parametrize(
+    "after", ["2>/dev/full", ">/dev/full", "2>&- >&-", "2>&1 >/dev/null | true", "| true"]
+)
+def test_a_run_ends_well_whatever_becomes_of_its_lines(tmp_path, after):
+    done, dataset = run(tmp_path, after=after)
+    assert done.returncode == 0 and "Error" not in done.stderr
+    assert dataset.reflectance.size == 2
+
+
+@NEEDS_JIT
+def test_a_run_ends_well_in_a_terminal_of_ascii(tmp_path):
+    done, _ = run(tmp_path, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stdout) == (0, "\\xe9/small.nc\n")
+
+
+@NEEDS_JIT
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
+def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    terminal, side = os.openpty()
+    command = [sys.executable, "-m", "splits.command", "run", "small.yaml", "--accuracy", "tiny"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=side, stderr=side, start_new_session=True
+    ) as process:
+        os.close(side)
+        os.close(terminal)
+    assert process.returncode == 0
+    assert splits.load(tmp_path / "small.nc").reflectance.size == 2
+
+
+@FULL
+def test_an_interrupt_ends_a_run_whose_lines_cannot_be_written():
+    script = (
+        "import os, signal, time\nfrom splits.interrupts import end_on_signals\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nend_on_signals('a job')\n"
+        "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
+    )
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run([sys.executable, "-c", script], stderr=full, timeout=30)
+    assert done.returncode == 130

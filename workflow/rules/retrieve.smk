@@ -24,7 +24,7 @@ rule retrieve:
     benchmark:
         f"{RESULTS}/benchmarks/retrieve/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(RETRIEVED) or "none",
+        experiment=pattern(RETRIEVED),
     conda:
         "../../environment.yml"
     threads: 1

@@ -5,7 +5,7 @@ from splits.interrupts import end_on_signals
 end_on_signals(snakemake.wildcards.experiment)
 
 from splits import save
-from splits.analysis.measured import read_measured
+from splits.analysis.measured import read_spectra
 from splits.experiments.run import run
 from splits.experiments.run_fit import run_fit
 from splits.experiments.settings import Accuracy
@@ -17,7 +17,7 @@ with progress_log(snakemake.log[0]) as say:
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
     if experiment.fit:
-        measured = read_measured(snakemake.input.measured[0])
+        measured = read_spectra(snakemake.input.measured[0])
         dataset = run_fit(experiment, accuracy, measured, **settings)
     else:
         dataset = run(experiment, accuracy, **settings)

@@ -19,7 +19,6 @@ MAX_BYTES = 2**25
 """Size of a file."""
 GAPS = ("", "na", "n/a", "nan", "null")
 """What cells without a value hold, in lower case."""
-_COMMENT = re.compile(r'([^"#]*)#.*', re.DOTALL)
 _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
@@ -151,8 +150,9 @@ def read_cells(key: str, path: str | Path, needed: Sequence[str] = ()) -> Cells:
 
 def _fields(table: Cells, number: int, line: str) -> list[str]:
     """Return the fields of a line, without a comment at the end of a row."""
-    if table.names:
-        line = _COMMENT.sub(r"\1", line)
+    row = line.partition("#")[0]
+    if table.names and '"' not in row:
+        line = row
     try:
         if "\0" in line:
             raise csv.Error("it is no text in UTF-8")

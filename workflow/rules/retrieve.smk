@@ -32,6 +32,8 @@ rule retrieve:
         retrieve=lambda wildcards: EXPERIMENTS[
             wildcards.experiment
         ].retrieve.model_dump(),
+        title=lambda wildcards: EXPERIMENTS[wildcards.experiment].title,
+        caption=lambda wildcards: EXPERIMENTS[wildcards.experiment].caption,
         seed=SETTINGS.seed,
         program=files_digest(PACKAGE, RETRIEVING),
     message:

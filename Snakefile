@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
+from snakemake.utils import update_config
 
-from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
 from splits.interrupts import pass_on_interrupts
 
 # Or snakemake would wait for running jobs to complete.
@@ -29,7 +30,14 @@ configfile: "config/config.yaml"
 report: "workflow/report/workflow.rst"
 
 
+# Snakemake has read YAML 1.1, where 045 is 37 and 1:15 is 75: the same files again as YAML 1.2.
+GIVEN = workflow.config_settings
+OWN = workflow.configfiles[len(GIVEN.configfiles) :]
 try:
+    config.clear()
+    for FILE in [*([] if GIVEN.replace_workflow_config else OWN), *GIVEN.configfiles]:
+        update_config(config, read_yaml(Path(FILE)))
+    update_config(config, GIVEN.config)
     SETTINGS = load_settings(config)
     AVAILABLE = load_experiments(
         SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
@@ -59,6 +67,10 @@ onstart:
     for name, line in LEFT_OUT.items():
         if set(STUDIES[name].needed()) & set(EXPERIMENTS):
             logger.info(line)
+    if UNEXPLORED and set(SETTINGS.explorer.values()) & set(EXPERIMENTS):
+        logger.info(f"the explorer is left out: {'; '.join(UNEXPLORED)}")
+    elif EXPLORED and UNSEEN:
+        logger.info(f"the explorer has no directions: {'; '.join(UNSEEN)}")
 
 
 rule all:

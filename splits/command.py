@@ -8,10 +8,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from splits.extras import optional
 from splits.paths import expand_path
 from splits.progress_log import write_line
+
+if TYPE_CHECKING:
+    from splits.experiments.model import Experiment
 
 ACCURACIES = {"tiny": (0.05, 0.3), "draft": (0.01, 0.05), "standard": (0.002, 0.02),
               "fine": (0.001, 0.01)}  # fmt: skip
@@ -76,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
                      help="where the dataset and the figure go (default: here)")  # fmt: skip
     run.add_argument("--accuracy", choices=ACCURACIES, default="standard",
                      help="how exact (default: standard)")  # fmt: skip
-    run.add_argument("--seed", type=int, default=1, help="of the random numbers (default: 1)")
+    run.add_argument("--seed", type=int, help="of the random numbers (default: 1)")
     run.add_argument("--threads", type=int, help="default: all processors")
     run.add_argument("--media", type=Path, default=Path("config/media"), metavar="FOLDER",
                      help="where `base: NAME` finds NAME.yaml (default: config/media)")  # fmt: skip
@@ -100,10 +104,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(given: argparse.Namespace) -> None:
-    """Run an experiment; its dataset and figure appear whole or not at all."""
+    """Run an experiment; its dataset, figure and tables appear whole or not at all."""
     optional("pydantic", "experiments", "experiment files need")
     optional("yaml", "experiments", "experiment files need")
-    from splits.analysis.measured import read_measured
+    from splits.analysis.measured import read_spectra
+    from splits.checks import refuse
     from splits.dataset import load, save
     from splits.experiments.load import load_experiment
     from splits.experiments.run import write_run
@@ -114,16 +119,19 @@ def _run(given: argparse.Namespace) -> None:
     from splits.instruments.arguments import check_threads, check_whole
     from splits.interrupts import end_on_signals
 
-    seed = check_whole("--seed", given.seed, 0)
+    seed = 1 if given.seed is None else check_whole("--seed", given.seed, 0)
     threads = check_threads(given.threads)
     experiment = load_experiment(given.file, given.media)
+    own = experiment.instrument.seed
+    if given.seed is not None and own is not None:
+        raise refuse("--seed", given.seed, "left out", f"the file has instrument.seed = {own}")
     drawn = experiment.figure.kind != "none"
-    if drawn:
+    if drawn or experiment.retrieve:
         optional("matplotlib", "figures", "figures need")
         optional("seaborn", "figures", "figures need")
     measured = given.media.parent / "measured"
     shown = experiment.figure.measured
-    beside = [read_measured(measured / shown)] if shown else []
+    beside = [read_spectra(measured / shown, "figure.measured")] if shown else []
     target = given.output / f"{experiment.name}.nc"
     check_writable(target)
     max_stderr, relative_stderr = ACCURACIES[given.accuracy]
@@ -132,17 +140,49 @@ def _run(given: argparse.Namespace) -> None:
     end_on_signals("splits run", f"to go on where it stopped, type: {again}")
     simulation = Simulation.model_validate(experiment.simulation())
     if experiment.fit:
-        table = read_measured(measured / experiment.fit.measured)
+        table = read_spectra(measured / experiment.fit.measured, "fit.measured")
         save(run_fit(simulation, accuracy, table, seed, threads, _say), target)
     else:
         kept = given.output / "blocks" / experiment.name
         write_run(simulation, accuracy, seed, kept, target, threads, _say)
     _print(target)
+    if experiment.retrieve:
+        _retrieve(experiment, target, measured, seed)
+        return
+    if experiment.fit:
+        from splits.analysis.sand_tables import fitted_parameters
+        from splits.analysis.tables import write_table
+
+        parameters = given.output / f"{experiment.name}_parameters.csv"
+        write_table(fitted_parameters(load(target)), parameters)
+        _print(parameters)
     if drawn:
         from splits.figures import draw, save_figure
 
         save_figure(draw(load(target), experiment.drawing(), *beside), target.with_suffix(""))
         _print(target.with_suffix(".png"))
+
+
+def _retrieve(experiment: Experiment, path: Path, folder: Path, seed: int) -> None:
+    """Read measured spectra of a folder in a table, and write what they tell beside it."""
+    section = experiment.retrieve
+    if section is None:
+        return
+    from splits.analysis.measured import read_spectra
+    from splits.analysis.tables import write_table
+    from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
+    from splits.figures.retrievals import retrievals
+    from splits.figures.style import save_figure
+    from splits.lookup.reading import open_table
+
+    measured = read_spectra(folder / section.measured, "retrieve.measured")
+    found = run_retrieve(section, open_table(path), measured, seed, _say)
+    table = path.with_name(f"{experiment.name}_retrieved.csv")
+    write_table(retrieved_table(found, section.known), table)
+    _print(table)
+    joined = together(found, experiment.name)
+    save_figure(retrievals(joined, section.known, section.groups()), path.with_suffix(""))
+    _print(path.with_suffix(".png"))
 
 
 def _say(line: str) -> None:

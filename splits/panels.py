@@ -12,6 +12,8 @@ import numpy as np
 
 from splits.checks import refuse
 
+DEFAULT = "default"
+"""Label of a value that the others are read against: its line is black and on top."""
 MOST_LINES = 60
 """Lines that one panel can show, and series of points."""
 MOST_PANELS = 24

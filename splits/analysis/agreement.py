@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,7 @@ from splits.analysis.measured import (
     rmse,
 )
 from splits.analysis.trends import ranking_rows, trend_rows
+from splits.materials.tables import read_cells
 
 Value = tuple[float, float]
 """A number and its standard error."""
@@ -28,9 +30,13 @@ Value = tuple[float, float]
 AVIRIS_BANDS = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
 
 
-def read_published(path: str | Path) -> pd.DataFrame:
-    """Read the table of published numbers, indexed by id."""
-    return pd.read_csv(path, comment="#", dtype={"bar": str}).set_index("id")
+def read_published(path: str | Path, key: str = "published") -> pd.DataFrame:
+    """Read the table of published numbers, indexed by id, or refuse it under a key."""
+    cells = read_cells(key, path, ["published", "low", "high"])
+    columns: dict[str, Any] = {name: cells.texts(name) for name in ("quantity", "place", "bar")}
+    columns["bar"] = [bar or None for bar in columns["bar"]]
+    columns |= {name: cells.numbers(name, gaps=True) for name in ("published", "low", "high")}
+    return pd.DataFrame(columns, index=pd.Index(cells.texts("id"), name="id"))
 
 
 def agreement_table(

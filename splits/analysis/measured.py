@@ -11,7 +11,9 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.errors import weighted_error
-from splits.paths import expand_path
+from splits.checks import under
+from splits.instruments.arguments import check_wavelengths
+from splits.materials.tables import read_numbers
 
 DIFFUSE_SHARE = 0.85
 """Share of diffuse light under which Letcher et al. (2022) measured."""
@@ -20,9 +22,38 @@ LETCHER_COLUMNS = {0.34: "albedo_340mm", 0.045: "albedo_45mm_black"}
 """Measured column for each depth (m) of the experiment."""
 
 
-def read_measured(path: str | Path) -> pd.DataFrame:
-    """Read a table of measured values; lines that begin with # hold its citation."""
-    return pd.read_csv(expand_path(path), comment="#")
+WAVELENGTH = "wavelength_nm"
+
+
+def read_measured(path: str | Path, key: str = "measured") -> pd.DataFrame:
+    """Read a table of measured values, or refuse it under a key; comments hold its citation."""
+    return read_numbers(key, path)
+
+
+def read_spectra(path: str | Path, key: str = "measured") -> pd.DataFrame:
+    """Read a table of measured spectra: wavelengths, and a column for each spectrum.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file with a column ``wavelength_nm``, strictly increasing.
+    key : str
+        What is refused.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Numbers, or NaN where a cell is empty.
+
+    Raises
+    ------
+    ValueError
+        For a file that is no such table.
+    """
+    table = read_numbers(key, path, [WAVELENGTH])
+    with under(key):
+        check_wavelengths(table[WAVELENGTH])
+    return table
 
 
 def rmse(

@@ -8,7 +8,7 @@ from splits.experiments.load import load_experiment, load_experiments, load_sett
 from splits.experiments.model import Experiment
 from splits.experiments.settings import Settings
 from splits.experiments.simulation import Simulation
-from splits.experiments.yaml_files import ConfigError
+from splits.experiments.yaml_files import ConfigError, read_yaml
 
 __all__ = [
     "ConfigError",
@@ -18,4 +18,5 @@ __all__ = [
     "load_experiment",
     "load_experiments",
     "load_settings",
+    "read_yaml",
 ]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from splits.checks import one_of, refuse, snap_to_ends, under
-from splits.experiments.retrieve_section import RetrieveSection
+from splits.experiments.retrieve_section import RetrieveSection, angle_of
 from splits.lookup.axes import INCIDENCE
 from splits.media.measured_inputs import AREA, RADIUS
 from splits.retrieval.coordinates import LEVEL, Free
@@ -49,6 +49,8 @@ def check_retrieve(experiment: Experiment) -> None:
             one_of(f"retrieve.{key}", name, allowed)
     with under("retrieve"):
         Free.of(section.free, section.prior or None, ranges_of_axes(experiment.axes()))
+    for name in [n for n in section.at if n in section.free]:
+        raise refuse(f"retrieve.at.{name}", section.at[name], "left out", "it is free")
     named = {*section.free, *section.at, section.models, INCIDENCE}
     for name in [n for n, values in grid.items() if len(values) > 1]:
         if name not in named:
@@ -81,6 +83,7 @@ def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
         with under(f"retrieve ({name})"):
             known = Measurement.of(spectrum, section.noise_of(spectrum.to_numpy()))
             check_enough(len([n for n in section.free if n not in first.get(name, {})]), known)
+        _check_angle(name, experiment)
         where = section.where(name, list(rows))
         for axis, value in where.items():
             check_within(f"retrieve ({name}): {axis}", value, rows.get(axis))
@@ -88,6 +91,14 @@ def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
         if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in given:
             hint = f"its angle in the name, {name}@50, or retrieve.at.{INCIDENCE}"
             raise refuse(f"retrieve ({name}): {INCIDENCE}", None, "given", hint)
+
+
+def _check_angle(sample: str, experiment: Experiment) -> None:
+    """Refuse a sample whose name tells another angle of incidence than a table has alone."""
+    angle, beam = angle_of(sample), experiment.instrument.incidence_deg
+    if angle is not None and INCIDENCE not in experiment.grid and angle != beam:
+        allowed = f"of light from {beam}, which the table has alone"
+        raise refuse("retrieve.samples", sample, allowed, f"or give grid.{INCIDENCE}")
 
 
 def _check_models(section: RetrieveSection, rows: Rows) -> None:

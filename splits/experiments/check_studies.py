@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from splits.analysis.agreement import read_published
+from splits.analysis.measured import read_measured, read_spectra
 from splits.analysis.roles import SENSITIVITY_DEPTHS, Role
 from splits.checks import in_range, one_of, refuse, unknown_key
 from splits.experiments.check_retrieve import check_within
 from splits.experiments.model import RULES, Experiment
 from splits.experiments.rank_readings import BOUNDARIES, FATES
-from splits.experiments.simulation import NAME
+from splits.experiments.simulation import NAME, NAMES
 from splits.experiments.studies import SensitivityPair, Study
 from splits.experiments.study_kinds import FILES, OF_TABLES, PRODUCTS, ROLES, SOME
 from splits.experiments.texts import check_path
@@ -22,6 +24,9 @@ from splits.experiments.yaml_files import ConfigError
 from splits.instruments.arguments import check_whole
 from splits.media.readings import CHOICES, Readings
 from splits.skies.bands import SENSORS
+
+READERS = {"published": read_published, "directions": read_measured}
+"""What reads tables of studies that do not hold spectra."""
 
 
 def check_studies(
@@ -65,6 +70,9 @@ def _check_keys(study: Study) -> None:
     if study.kind in OF_TABLES:
         if not study.experiments:
             raise refuse("experiments", study.experiments, "at least one experiment by name")
+        if len({role.replace("_", " ") for role in study.experiments}) < len(study.experiments):
+            hint = "underscores are shown as spaces"
+            raise refuse("experiments", list(study.experiments), "names that differ", hint)
         roles = dict.fromkeys(study.experiments, Role(()))
     for key, known in (
         ("experiments", roles), ("files", FILES.get(study.kind, {})),
@@ -93,8 +101,7 @@ def _check_keys(study: Study) -> None:
             raise refuse("files", study.files, f"with {', '.join(wanted)}")
     for key, name in study.products.items():
         if not NAME.fullmatch(name):
-            allowed = "lower-case letters, digits and underscores, a letter first"
-            raise refuse(f"products.{key}", name, allowed)
+            raise refuse(f"products.{key}", name, NAMES)
 
 
 def _check_readings(study: Study) -> None:
@@ -131,8 +138,7 @@ def _check_bands(study: Study) -> None:
 
 def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None:
     if not NAME.fullmatch(study) or study in RULES:
-        allowed = "lower-case letters, digits and underscores, a letter first, no rule's name"
-        raise refuse("name", study, allowed)
+        raise refuse("name", study, f"{NAMES}, no rule's name")
     if about.sensitivity is not None:
         kinds = {name: one.kind for name, one in studies.items()}
         known = [name for name, kind in kinds.items() if kind == "sensitivity"]
@@ -145,6 +151,7 @@ def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
         place = tables[FILES[about.kind][key]]
         if not (place / file).is_file():
             one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])
+        READERS.get(key, read_spectra)(place / file, f"files.{key}")
 
 
 def _check_table(place: str, experiment: Experiment) -> None:
@@ -234,11 +241,12 @@ def check_free(studies: Mapping[str, Study], available: Mapping[str, Experiment]
                 raise ConfigError(_twice(f"studies.{study}", name, taken[name]))
     made_by_studies = set(taken)
     for name, experiment in available.items():
-        table = f"{name}_parameters"
-        if table in made_by_studies:
-            raise ConfigError(_twice(f"experiment {name}", table, taken[table]))
-        if experiment.fit:
-            taken[table] = f"the table of the experiment {name}"
+        for end, section in (("parameters", experiment.fit), ("retrieved", experiment.retrieve)):
+            table = f"{name}_{end}"
+            if table in made_by_studies:
+                raise ConfigError(_twice(f"experiment {name}", table, taken[table]))
+            if section:
+                taken[table] = f"the table of the experiment {name}"
     for name in available:
         if name in taken:
             raise ConfigError(_twice(f"experiment {name}", name, taken[name]))

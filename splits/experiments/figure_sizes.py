@@ -37,7 +37,9 @@ def check_size(experiment: Experiment) -> None:
     )  # fmt: skip
     wavelengths = experiment.instrument.wavelengths().size if several else 1
     if kind == "spectra":
-        facets(sizes, len(figure.quantity), at)
+        if facets(sizes, len(figure.quantity), at) and figure.measured:
+            allowed = f"left out for a figure of more than {MOST_LINES} lines"
+            raise refuse("figure.measured", figure.measured, allowed, "or hold more with figure.at")
     elif kind == "points":
         check_count("points", points, MOST_ROWS, at)
         _check_wavelengths(wavelengths, MOST_LINES)

@@ -51,7 +51,7 @@ ONLY_FOR = {
 IGNORED = {
     "surface": ("wavelength_nm", "incidence_deg", "error_factor"),
     "lens": ("wavelength_nm", "incidence_deg", "error_factor"),
-    "refractive_index": ("incidence_deg", "error_factor"),
+    "refractive_index": ("incidence_deg", "error_factor", "seed"),
 }
 """Settings that all others know, but not these instruments."""
 SEVERAL = "several values go under grid"
@@ -164,6 +164,9 @@ class Instrument(Section):
             if self.half_width_m is None and self.over != "origin":
                 hint = "where to look for the crest; or over: origin"
                 raise refuse("half_width_m", None, "given for lens", hint)
+            if self.half_width_m is not None and self.over == "origin":
+                hint = "nothing is searched for"
+                raise refuse("half_width_m", self.half_width_m, "left out over the origin", hint)
             depths = check_depths("screen_depth_m", self.screen_depth_m)
             check_radius(self.radius_m)
             check_ring(self.rays or RAYS, self.realisations or 1, depths.size)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
-from splits.checks import named, one_of, refuse
+from splits.analysis.measured import WAVELENGTH, read_spectra
+from splits.checks import one_of, refuse
 from splits.experiments.check_retrieve import check_spectra
 from splits.experiments.figure_sizes import check_size
 from splits.experiments.messages import line_of
@@ -18,10 +20,11 @@ from splits.experiments.settings import Settings
 from splits.experiments.simulation import SAMPLE
 from splits.experiments.stacks import LAYERS, with_bases
 from splits.experiments.texts import check_path
-from splits.experiments.unused import keywords_given, refuse_unused
+from splits.experiments.unused import keywords_given, refuse_replaced, refuse_unused
 from splits.experiments.yaml_files import ConfigError, read_yaml
 from splits.media.measured_inputs import on_top
 from splits.paths import expand_path
+from splits.retrieval.measurement import PER_CENT
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -68,6 +71,7 @@ def _line(text: str) -> str:
 def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
     """Return what an experiment file describes; errors need not name the file."""
     content = {"name": path.stem, **read_yaml(path)}
+    refuse_replaced(content)
     given = keywords_given(content)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
@@ -86,12 +90,7 @@ def _experiment(path: Path, media: Path, measured: Path) -> Experiment:
     refuse_unused(experiment, given)
     check_size(experiment)
     if experiment.figure.measured:
-        table = _measured("figure.measured", measured, experiment.figure.measured)
-        quantity = experiment.figure.quantity
-        if "wavelength_nm" not in table or not set(quantity) & set(table):
-            columns = "wavelength_nm and " + " or ".join(quantity)
-            name = experiment.figure.measured
-            raise refuse("figure.measured", name, f"a table with columns {columns}")
+        _check_drawn(experiment, _measured("figure.measured", measured, experiment.figure.measured))
     if experiment.retrieve:
         name = experiment.retrieve.measured
         check_spectra(experiment, _measured("retrieve.measured", measured, name))
@@ -109,10 +108,27 @@ def _measured(key: str, folder: Path, name: str) -> pd.DataFrame:
         if not there:
             raise refuse(key, name, f"a CSV file in {folder}", "there is none")
         one_of(key, name, there)
-    try:
-        return pd.read_csv(folder / name, comment="#")
-    except ValueError as error:
-        raise refuse(key, name, "a table, by commas", named(str(error))) from None
+    return read_spectra(folder / name, key)
+
+
+def _check_drawn(experiment: Experiment, measured: pd.DataFrame) -> None:
+    """Refuse a measured table that does not hold, as shares, what the figure shows beside it."""
+    key, quantity = "figure.measured", experiment.figure.quantity
+    drawn = [name for name in quantity if name in measured and measured[name].count()]
+    if not drawn:
+        columns = f"{WAVELENGTH} and {' or '.join(quantity)}"
+        raise refuse(key, experiment.figure.measured, f"a table with columns {columns}")
+    for name in drawn:
+        ends = [f"{name}_min", f"{name}_max"]
+        if len(set(ends) & set(measured)) == 1:
+            raise refuse(key, experiment.figure.measured, f"with both {' and '.join(ends)}")
+        rows = measured[[end for end in (ends[0], name, ends[1]) if end in measured]].to_numpy()
+        largest = np.nanmax(np.abs(rows), initial=0.0)
+        if largest > PER_CENT:
+            hint = "shares, not per cent"
+            raise refuse(f"{key} ({name})", float(largest), f"at most {PER_CENT:g}", hint)
+        if (np.diff(rows, axis=1) < 0.0).any():
+            raise refuse(key, experiment.figure.measured, f"with {ends[0]} <= {name} <= {ends[1]}")
 
 
 def _samples(given: Any, folder: Path) -> dict[str, Any]:

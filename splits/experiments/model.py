@@ -13,14 +13,21 @@ from splits.experiments.check_retrieve import check_retrieve
 from splits.experiments.coordinates import coordinate_values
 from splits.experiments.grids import label_at
 from splits.experiments.retrieve_section import RetrieveSection
-from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, FigureSection
+from splits.experiments.sections import FIGURES, OF_ONE_POINT, QUANTITIES, USED_BY, FigureSection
 from splits.experiments.simulation import Simulation
 from splits.experiments.texts import LONGEST_CAPTION, LONGEST_TITLE, check_text
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.scenes import ground_of
 from splits.media.granular import LayeredMedium
 from splits.media.turbid import Medium, TurbidMedium
-from splits.panels import FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG, mappable
+from splits.panels import (
+    DEFAULT,
+    FEWEST_AZIMUTHS,
+    FEWEST_POLAR,
+    MOST_PANELS,
+    WIDEST_GAP_DEG,
+    mappable,
+)
 
 RULES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
@@ -70,6 +77,7 @@ class Experiment(Simulation):
                 raise refuse("figure.at", dimension, "left out where there is no grid")
             one_of("figure.at", dimension, self.grid)
             label_at(dimension, self.grid[dimension], given)
+        self._check_shown()
         self._check_points()
         self._check_swatches()
         check_retrieve(self)
@@ -108,6 +116,27 @@ class Experiment(Simulation):
             raise refuse(
                 "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
             )
+
+    def _check_shown(self) -> None:
+        """Refuse settings of the figure that it would not show."""
+        figure, kind = self.figure, self.drawing()["kind"]
+        for key, kinds in USED_BY.items():
+            if getattr(figure, key) is not None and kind not in kinds and kind != "none":
+                allowed = f"left out for a figure of kind {kind}"
+                hint = f"it belongs to {' and '.join(kinds)}"
+                raise refuse(f"figure.{key}", getattr(figure, key), allowed, hint)
+        free = [values for name, values in self.grid.items() if name not in figure.at]
+        lines = [values for values in free if len(values) > 1]
+        against = len(lines) == 1 and DEFAULT in lines[0] and len(lines[0]) <= MOST_PANELS
+        bare = not free or against
+        if kind == "spectra" and figure.legend is not None and bare and not figure.measured:
+            hint = "panels show differences from the default" if against else "there is one line"
+            raise refuse("figure.legend", figure.legend, "left out", hint)
+        low, high = figure.wavelength_nm or (0.0, np.inf)
+        x = self.instrument.wavelengths()
+        if not ((x >= low) & (x <= high)).any():
+            allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
+            raise refuse("figure.wavelength_nm", [low, high], allowed)
 
     def _check_around(self) -> None:
         """Refuse a map of the hemisphere where directions do not lie all around."""

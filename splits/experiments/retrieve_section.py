@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from splits.checks import in_range, one_of, refuse, snap_to_ends, under
+from splits.checks import in_range, named, one_of, refuse, snap_to_ends, under
 from splits.experiments.sections import Section, check_file
 from splits.lookup.axes import INCIDENCE
 
@@ -40,6 +41,10 @@ class Noise(Section):
                 raise refuse("absolute", 0.0, "above 0, or relative", "no measurement is exact")
             if self.correlation_nm is not None:
                 in_range("correlation_nm", self.correlation_nm, 0.0, 1e5, open_low=True)
+                if not self.relative:
+                    hint = "absolute errors are independent"
+                    raise refuse("correlation_nm", self.correlation_nm,
+                                 "left out without relative", hint)  # fmt: skip
         return self
 
     def of(self, values: np.ndarray) -> Any:
@@ -164,10 +169,24 @@ class RetrieveSection(Section):
     def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:
         """Return what is known of a sample: `at`, and the angle that its name tells."""
         found = dict(self.at)
-        _, mark, angle = sample.rpartition(AT)
-        if mark and INCIDENCE in axes and INCIDENCE not in (*found, *self.free):
-            try:
-                found[INCIDENCE] = float(angle)
-            except ValueError:
-                raise refuse("retrieve.samples", sample, f"an angle after {AT}") from None
-        return found
+        if INCIDENCE not in axes or AT not in sample:
+            return found
+        angle = angle_of(sample)
+        known = INCIDENCE in found or INCIDENCE in self.free
+        if angle is None and not known:
+            raise refuse("retrieve.samples", sample, f"an angle after {AT}")
+        if angle is not None and (INCIDENCE in self.free or found.get(INCIDENCE, angle) != angle):
+            key = f"retrieve.at.{INCIDENCE}" if INCIDENCE in found else "retrieve.free"
+            hint = f"the name {named(sample)} tells the angle"
+            raise refuse(key, found.get(INCIDENCE, INCIDENCE), "left out", hint)
+        return found if angle is None else {**found, INCIDENCE: angle}
+
+    def groups(self) -> list[str]:
+        """Return how names of samples begin that figures show together."""
+        return [first.of for first in self.prior_from] or [""]
+
+
+def angle_of(sample: str) -> float | None:
+    """Return the angle of incidence at the end of a sample's name, or None."""
+    _, mark, angle = sample.rpartition(AT)
+    return float(angle) if mark and re.fullmatch(r"[0-9]+(\.[0-9]+)?", angle) else None

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.checks import refuse
 from splits.dataset import attributes, provenance, save
 from splits.experiments.coordinates import grid_coordinates
 from splits.experiments.kept_points import KeptPoints
@@ -59,6 +60,9 @@ def run(
     xarray.Dataset
         The instrument's variables over the grid's parameters and wavelength.
     """
+    if experiment.fit:
+        hint = "splits.experiments.run_fit.run_fit fits sands"
+        raise refuse("fit", experiment.fit.measured, "left out", hint)
     if experiment.instrument.kind == "refractive_index":
         return refractive_indices(experiment)
     if experiment.instrument.kind == "table":

@@ -47,6 +47,14 @@ SHOWN = {
     "fit": "reflectance",
 }  # fmt: skip
 """What kinds of figures show that do not let one choose."""
+USED_BY = {
+    "wavelength_nm": ("spectra",),
+    "measured": ("spectra",),
+    "ylim": ("spectra", "principal_plane"),
+    "legend": ("spectra", "points", "summary", "fit", "principal_plane", "hemisphere",
+               "polarization"),
+}  # fmt: skip
+"""Settings of figures that only some kinds show."""
 Quantity = Literal[
     "reflectance", "transmittance", "absorptance", "mean_grain_distance",
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor",

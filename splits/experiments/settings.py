@@ -22,6 +22,9 @@ from splits.paths import expand_path
 
 DEFAULT_LICENCE = "MIT"
 """Of results, unless the configuration says another: that of the software."""
+RESULT_FOLDERS = ("archive", "benchmarks", "blocks", "data", "figures", "logs", "tables")
+"""What the workflow makes in the folder of results."""
+_ACCURACY = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LICENCE = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
 )
@@ -127,6 +130,15 @@ class Settings(Section):
             check_text("explorer (label)", label, LONGEST_LABEL)
         return value
 
+    @field_validator("accuracies")
+    @classmethod
+    def _folders(cls, value: dict[str, Accuracy]) -> dict[str, Accuracy]:
+        for name in value:
+            if not _ACCURACY.fullmatch(name) or name.lower() in RESULT_FOLDERS:
+                allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
+                raise refuse("accuracies", name, f"called by {allowed}", "it names a folder")
+        return value
+
     @model_validator(mode="after")
     def _known_accuracy(self) -> Settings:
         one_of("accuracy", self.accuracy, self.accuracies)
@@ -178,6 +190,21 @@ class Settings(Section):
                 allowed = f"a goniophotometer over {' and '.join(DIRECTIONS)}"
                 raise ConfigError(f"{key}: must be {allowed}")
 
+    def _check_paths(self, available: Mapping[str, Experiment]) -> None:
+        """Refuse paths that Snakemake takes for patterns."""
+        folders = ("results", "media_folder", "measured_folder", "published_folder")
+        paths = {key: getattr(self, key) for key in folders}
+        for study, about in self.studies.items():
+            paths |= {f"studies.{study}.files.{key}": file for key, file in about.files.items()}
+        for name, one in available.items():
+            sections = {"figure": one.figure, "fit": one.fit, "retrieve": one.retrieve}
+            paths |= {f"{name}: {key}.measured": x.measured for key, x in sections.items() if x}
+            paths |= {f"{name}: medium or grid, {table}": table for table in one.tables()}
+        for key, path in paths.items():
+            if path and {"{", "}"} & set(path):
+                hint = "what stands between them is a wildcard in the workflow"
+                raise ConfigError(str(refuse(key, path, "a path without { and }", hint)))
+
     def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.
 
@@ -196,5 +223,6 @@ class Settings(Section):
             raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         check_studies(self.studies, available, self.tables)
         self._check_explorer(available)
+        self._check_paths(available)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

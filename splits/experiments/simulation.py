@@ -47,7 +47,9 @@ SAMPLE = "medium"
 """Grid dimension whose values are whole media: their settings replace those of the base medium."""
 ENDLESS = ("spectrophotometer", "refractive_index", "table")
 """Instruments that take packs without end."""
-NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
+NAME = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
+NAMES = "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
+"""What names of experiments, of studies and of what these make are: files on all systems."""
 
 
 class Simulation(Section):
@@ -69,9 +71,7 @@ class Simulation(Section):
     @classmethod
     def _name(cls, value: str) -> str:
         if not NAME.fullmatch(value):
-            raise refuse(
-                "name", value, "lower-case letters, digits and underscores, a letter first"
-            )
+            raise refuse("name", value, NAMES)
         return value
 
     @field_validator("grid", mode="before")
@@ -125,6 +125,9 @@ class Simulation(Section):
 
     def _check_fit(self, kind: str) -> None:
         """Refuse what does not go with a fit."""
+        if self.fit and self.instrument.kind != "spectrophotometer":
+            allowed = "spectrophotometer with a section fit"
+            raise refuse("instrument.kind", self.instrument.kind, allowed)
         if self.fit and kind != "sand":
             raise refuse("medium.kind", kind, "sand in an experiment with a section fit")
         if self.fit and "wavelength_nm" in self.instrument.model_fields_set:

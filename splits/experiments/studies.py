@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal
 
 from pydantic import Field
@@ -69,6 +69,20 @@ class Study(Section):
         }
 
 
+def lacked(
+    needed: Iterable[str], selected: Mapping[str, Experiment], available: Mapping[str, Experiment]
+) -> list[str]:
+    """Return which experiments are needed and not selected, in words."""
+    needed = [one for one in dict.fromkeys(needed) if one not in selected]
+    idle = [one for one in needed if one in available]
+    lacking = [f"not selected: {', '.join(idle)}"] if idle else []
+    for one in needed:
+        if one not in available:
+            hint = suggestion(one, available)
+            lacking.append(f"no such experiment: {one}" + (f" ({hint})" if hint else ""))
+    return lacking
+
+
 def left_out(
     studies: Mapping[str, Study],
     selected: Mapping[str, Experiment],
@@ -80,13 +94,7 @@ def left_out(
         needed = study.needed()
         if study.sensitivity:
             needed += studies[study.sensitivity].needed()
-        needed = [one for one in dict.fromkeys(needed) if one not in selected]
-        idle = [one for one in needed if one in available]
-        lacking = [f"not selected: {', '.join(idle)}"] if idle else []
-        for one in needed:
-            if one not in available:
-                hint = suggestion(one, available)
-                lacking.append(f"no such experiment: {one}" + (f" ({hint})" if hint else ""))
+        lacking = lacked(needed, selected, available)
         sands = [one for one in selected.values() if one.medium.get("kind") == "sand"]
         if study.kind == "sand_compositions" and not sands:
             lacking = ["no experiment with sand is selected"]

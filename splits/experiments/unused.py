@@ -6,9 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from splits.checks import refuse
+from splits.checks import named, refuse
 from splits.experiments.simulation import SAMPLE, Simulation
+from splits.experiments.stacks import LAYERS, MERGED
+from splits.lookup.axes import INCIDENCE
 from splits.media import Layer
+from splits.media.measured_inputs import REPLACES
 
 UNUSED: tuple[tuple[tuple[str, ...], Callable[[Layer], bool], str], ...] = (
     (
@@ -57,6 +60,31 @@ def keywords_given(content: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
         for key, value in given.items() if isinstance(given, Mapping) else ():
             found[key] = f"{place}.{key}", value
     return found
+
+
+def refuse_replaced(content: Mapping[str, Any]) -> None:
+    """Refuse settings that an experiment file gives and its grid replaces at every point.
+
+    Raises
+    ------
+    ValueError
+        The message says where the setting stands.
+    """
+    grid = content.get("grid")
+    grid = grid if isinstance(grid, Mapping) else {}
+    taken = {REPLACES.get(str(key), str(key)): key for key in grid}
+    samples, beam = grid.get(SAMPLE), content.get("instrument")
+    places = {"medium": content.get("medium")}
+    if isinstance(samples, Mapping):
+        places |= {f"grid.{SAMPLE}.{named(label)}": one for label, one in samples.items()}
+    if isinstance(beam, Mapping) and INCIDENCE in beam:
+        places["instrument"] = {INCIDENCE: beam[INCIDENCE]}
+    for place, given in places.items():
+        for key, value in given.items() if isinstance(given, Mapping) else ():
+            by = taken.get(REPLACES.get(str(key), str(key)))
+            # Layers are told whole, of which a grid varies some settings; mappings are merged.
+            if by is not None and key not in (*MERGED, LAYERS, SAMPLE):
+                raise refuse(f"{place}.{key}", value, "left out", f"grid.{by} has its values")
 
 
 def refuse_unused(experiment: Simulation, given: Mapping[str, tuple[str, Any]]) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 import re
 from collections.abc import Hashable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -19,22 +20,60 @@ MOST_NODES = 50_000
 """Values in a file, those that aliases stand for counted each time."""
 DEEPEST = 32
 """Lists and mappings within each other."""
+MAX_DIGITS = 1000
+"""Characters of a number."""
 
 
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message names file, key, value and range."""
 
 
-class _Loader(yaml.SafeLoader):
-    """A YAML loader with bounds, which refuses a key given twice instead of forgetting the first.
+CORE = {
+    "null": re.compile(r"~|null|Null|NULL|"),
+    "bool": re.compile(r"true|True|TRUE|false|False|FALSE"),
+    "int": re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+"),
+    "float": re.compile(
+        r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+    ),
+    "merge": re.compile("<<"),
+}
+"""Plain scalars that are no text, by tag: the core schema of YAML 1.2, and merged mappings.
 
-    What PyYAML's constructors raise of their own is told as an error of the file.
+All else is text, such as 1:15, yes, off and 2001-01-01, for which YAML 1.1 has 75, true, false and
+a date.  No expression takes more than linear time.
+"""
+_TAG = "tag:yaml.org,2002:"
+
+
+def _tag_of(text: str) -> str | None:
+    """Return the tag of a plain scalar, or None for text."""
+    return next((f"{_TAG}{kind}" for kind, form in CORE.items() if form.fullmatch(text)), None)
+
+
+class _Loader(yaml.SafeLoader):
+    """A loader of YAML 1.2's core schema with bounds, which refuses a key given twice.
+
+    It tells what PyYAML's constructors raise as an error of the file.
     """
+
+    yaml_constructors: ClassVar[dict[Any, Any]] = {
+        tag: constructor
+        for tag, constructor in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag.removeprefix(_TAG) in ("null", "str", "seq", "map")
+    }
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self.depth = 0
         self.sizes: dict[int, int] = {}
+
+    def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
+        """Return the tag of a node that has none."""
+        if kind is yaml.ScalarNode and implicit[0]:
+            return _tag_of(value or "") or f"{_TAG}str"
+        tag: str = super().resolve(kind, value, implicit)
+        return tag
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a node and count what it holds; an alias holds what its anchor does."""
@@ -66,7 +105,7 @@ class _Loader(yaml.SafeLoader):
         """Construct a mapping whose keys are plain and differ."""
         seen = set()
         for part, _ in node.value:
-            if part.tag == "tag:yaml.org,2002:merge":
+            if part.tag == f"{_TAG}merge":
                 continue
             key = self.construct_object(part, deep=True)
             if not isinstance(key, Hashable) or isinstance(key, tuple):
@@ -76,18 +115,36 @@ class _Loader(yaml.SafeLoader):
             seen.add(key)
         return super().construct_mapping(node, deep)
 
+    def construct_plain(self, node: yaml.ScalarNode) -> bool | int | float:
+        """Construct a truth value or a number, or refuse one that is too long or too large."""
+        kind, text = node.tag.removeprefix(_TAG), str(node.value)
+        if len(text) > MAX_DIGITS:
+            raise _bad(node.start_mark, f"a number of more than {MAX_DIGITS} digits")
+        if not CORE[kind].fullmatch(text):
+            raise ValueError(text)
+        if kind == "bool":
+            return text.lower() == "true"
+        if kind == "int":
+            base = {"0o": 8, "0x": 16}.get(text[:2], 10)
+            return int(text if base == 10 else text[2:], base)
+        value = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+        if math.isinf(value) and "inf" not in text.lower():
+            raise _bad(node.start_mark, f"{shown(text)} is too large a number")
+        return value
+
+
+for _kind in ("bool", "int", "float"):
+    _Loader.add_constructor(f"{_TAG}{_kind}", _Loader.construct_plain)
+
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what `_Loader` reads."""
+    """Writes what `_Loader` and readers of YAML 1.1 read alike."""
 
-
-# YAML 1.1 takes 1e5 for text, which nobody means.
-for _yaml in (_Loader, _Dumper):
-    _yaml.add_implicit_resolver(
-        "tag:yaml.org,2002:float",
-        re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)[eE][-+]?\d+$"),
-        [*"-+.0123456789"],
-    )
+    def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
+        """Return the tag that readers give to a node, one that is not text's if any does."""
+        tag: str = super().resolve(kind, value, implicit)
+        plain = kind is yaml.ScalarNode and implicit[0] and tag == f"{_TAG}str"
+        return (plain and _tag_of(value or "")) or tag
 
 
 def _bad(mark: yaml.Mark | None, problem: str) -> yaml.MarkedYAMLError:

@@ -26,10 +26,9 @@ from splits.figures.style import (
     parameter_label,
     value_label,
 )
+from splits.panels import DEFAULT
 
 DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
-DEFAULT = "default"
-"""Label of a value that the others are read against: its line is black and on top."""
 FEW = 6
 """Up to so many lines have an entry each and may have their legend on the axes."""
 LEGIBLE = 10

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from splits.dataset import at_points
 from splits.escaping import escape_mathtext
 from splits.figures.conditions import conditions
-from splits.figures.lines import DEFAULT, Lines, beside
+from splits.figures.lines import Lines, beside
 from splits.figures.notes import finished
 from splits.figures.shifts import INDEPENDENT, read_against, shift_of
 from splits.figures.style import (
@@ -28,6 +28,7 @@ from splits.figures.style import (
     subplots,
     value_label,
 )
+from splits.panels import DEFAULT
 
 _DODGE = 0.6
 """Part of a row over which the series are spread."""

@@ -10,11 +10,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.figures.lines import DEFAULT
 from splits.figures.nodes import coarse_nodes, mark_nodes, nodes_note
 from splits.figures.notes import finished
 from splits.figures.style import BAND, TWO_COLUMNS, style, subplots, value_label
-from splits.panels import MOST_PANELS
+from splits.panels import DEFAULT, MOST_PANELS
 
 COLUMNS = 4
 SHADE = "#1f6fb4"

@@ -6,6 +6,7 @@ That they scatter is left out; docs/how-to/impurities.md bounds it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +31,7 @@ PER_CELL_ML = 1e3
 MOST_NG_G = 1e8
 MOST_CELLS_ML = 1e9
 OWN_KEYS = ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"})
+OWN_NAME = re.compile(r"(?!ground$|refractive_index)[^/]{1,80}")
 HALF_BAND_NM = 5.0
 _TABLE = Path(__file__).with_suffix(".csv")
 
@@ -131,6 +133,9 @@ def _by_mass(name: Any, given: Any) -> Impurity:
         return _of_table("impurities_ng_g", name, PER_NG_G * amount, kinds())
     if name in _known().columns:
         raise refuse("impurities_ng_g", name, "a name of its own for a table of one's own")
+    if not (OWN_NAME.fullmatch(str(name)) and str(name).isprintable()):
+        allowed = "a name of at most 80 characters without /, not ground or refractive_index"
+        raise refuse("impurities_ng_g", name, allowed, "it names attributes of datasets")
     digest = ""
     if "table" in given:
         names = ("wavelength_nm", "absorption_m2_kg")

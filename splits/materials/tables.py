@@ -1,17 +1,26 @@
-"""Tables that users give as CSV files."""
+"""The reader of all CSV tables that users give: one line of refusal for what could be misread."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import io
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from splits.checks import refuse
+from splits.checks import Refusal, listed, named, refuse, suggestion
 from splits.paths import expand_path
+
+MAX_BYTES = 2**25
+"""Size of a file."""
+GAPS = ("", "na", "n/a", "nan", "null")
+"""What cells without a value hold, in lower case."""
+_NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 class UserTable(NamedTuple):
@@ -22,6 +31,153 @@ class UserTable(NamedTuple):
 
     columns: list[np.ndarray]
     sha256: str
+
+
+class Cells(NamedTuple):
+    """The cells of a CSV file as text.
+
+    Attributes
+    ----------
+    key : str
+        What is refused.
+    path : Path
+    allowed : str
+        What the file must be.
+    names : list of str
+        Of the columns; no two are the same.
+    rows : list of list of str
+        One cell for each name.
+    lines : list of int
+        Where the rows stand in the file, counted from 1.
+    sha256 : str
+        Of the file's content.
+    """
+
+    key: str
+    path: Path
+    allowed: str
+    names: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+    sha256: str
+
+    def refused(self, hint: str) -> Refusal:
+        """Return the error that says why the file cannot be taken."""
+        return refuse(self.key, str(self.path), self.allowed, hint)
+
+    def texts(self, name: str) -> list[str]:
+        """Return the cells of a column, or refuse a file that does not have it."""
+        if name not in self.names:
+            near = suggestion(name, self.names)
+            there = f"; {near}" if near else f" among {listed(map(named, self.names))}"
+            raise self.refused(f"no column {name}{there}")
+        place = self.names.index(name)
+        return [row[place] for row in self.rows]
+
+    def numbers(self, name: str, gaps: bool = False) -> np.ndarray:
+        """Return a column of finite numbers, or refuse the first cell that holds none.
+
+        Parameters
+        ----------
+        name : str
+        gaps : bool
+            Whether cells may be empty, which are NaN.
+        """
+        found = []
+        for cell, line in zip(self.texts(name), self.lines, strict=True):
+            gap = cell.lower() in GAPS
+            value = float(cell) if _NUMBER.fullmatch(cell) else np.nan
+            if not np.isfinite(value) and not (gap and gaps):
+                what = "a gap" if gap else named(cell)
+                raise self.refused(f"line {line}: {named(name)} is {what}{_advice(cell)}")
+            found.append(value)
+        return np.array(found)
+
+
+def _advice(cell: str) -> str:
+    """Return what to write instead of a cell that is nearly a number, or nothing."""
+    if cell.endswith("%"):
+        return "; write a share, 0.95 for 95 %"
+    return "; write decimals with a point, thousands without commas" if "," in cell else ""
+
+
+def read_cells(key: str, path: str | Path, needed: Sequence[str] = ()) -> Cells:
+    """Return the cells of a CSV file with comments after ``#``, or refuse it.
+
+    Parameters
+    ----------
+    key : str
+        What is refused.
+    path : path
+    needed : sequence of str
+        Columns that a refusal names.
+
+    Raises
+    ------
+    ValueError
+        If the file does not exist, is too large, has no header or no rows, or has a line with more
+        or fewer fields than the header.
+    """
+    path = expand_path(path, key)
+    try:
+        if path.is_file() and path.stat().st_size > MAX_BYTES:
+            raise refuse(key, str(path), f"a CSV file of at most {MAX_BYTES // 2**20} MiB")
+        content = path.read_bytes()
+    except OSError:
+        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
+    columns = f"{'columns' if len(needed) != 1 else 'column'} {', '.join(needed)}".rstrip()
+    allowed = f"a CSV file with {columns} of finite numbers"
+    table = Cells(key, path, allowed, [], [], [], hashlib.sha256(content).hexdigest())
+    # Comments may be in any encoding.
+    text = content.decode("utf-8-sig", errors="replace")
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        fields = _fields(table, number, line)
+        if not table.names:
+            table.names.extend(fields)
+            _check_header(table)
+            continue
+        if len(fields) != len(table.names):
+            hint = "commas separate columns, points decimals" if fields[-1] else "a comma too many"
+            counts = f"fields in line {number}: {len(fields)}, in the header: {len(table.names)}"
+            raise table.refused(f"{counts}; {hint}")
+        table.rows.append(fields)
+        table.lines.append(number)
+    if not table.rows:
+        raise table.refused("it has no rows")
+    return table
+
+
+def _fields(table: Cells, number: int, line: str) -> list[str]:
+    """Return the fields of a line, without a comment at the end of a row."""
+    row = line.partition("#")[0]
+    if table.names and '"' not in row:
+        line = row
+    try:
+        if "\0" in line:
+            raise csv.Error("it is no text in UTF-8")
+        return [field.strip() for field in next(csv.reader([line], strict=True))]
+    except csv.Error as error:
+        raise table.refused(f"line {number}: {error}") from None
+
+
+def _check_header(table: Cells) -> None:
+    """Refuse names of columns that are missing or not unique."""
+    if "" in table.names:
+        hint = "a comma too many, or numbers of rows? write it with index=False"
+        raise table.refused(f"a column without a name; {hint}")
+    twice = [name for name in table.names if table.names.count(name) > 1]
+    if twice:
+        raise table.refused(f"two columns {named(twice[0])}")
+
+
+def read_numbers(key: str, path: str | Path, needed: Sequence[str] = ()) -> pd.DataFrame:
+    """Return a CSV file whose columns hold numbers, or gaps (NaN) unless needed, or refuse it."""
+    cells = read_cells(key, path, needed)
+    for name in needed:
+        cells.numbers(name)
+    return pd.DataFrame({name: cells.numbers(name, gaps=True) for name in cells.names})
 
 
 def columns_of(given: Any) -> Any:
@@ -35,33 +191,16 @@ def columns_of(given: Any) -> Any:
     return frame.to_dict("list")
 
 
-def user_table(key: str, path: str | Path, names: tuple[str, ...]) -> UserTable:
-    """Return columns of numbers of a CSV file with comments after ``#``, or refuse it.
+def user_table(key: str, path: str | Path, names: Sequence[str]) -> UserTable:
+    """Return columns of numbers of a CSV file, or refuse it; see `read_cells`.
 
     Parameters
     ----------
     key : str
         What is refused.
     path : path
-    names : tuple of str
-        Of the columns.
-
-    Raises
-    ------
-    ValueError
-        If the file does not exist, or has not these columns of numbers.
+    names : sequence of str
+        Of the columns; others are not looked at.
     """
-    path = expand_path(path, key)
-    try:
-        content = path.read_bytes()
-    except OSError:
-        raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
-    try:
-        table = pd.read_csv(io.BytesIO(content), comment="#", skipinitialspace=True)
-        columns = [table[name].to_numpy(dtype=float) for name in names]
-    except (KeyError, ValueError) as error:
-        missing = isinstance(error, KeyError)
-        hint = f"no column {error}" if missing else " ".join(str(error).split())
-        allowed = f"a CSV file with columns {', '.join(names)} of numbers"
-        raise refuse(key, str(path), allowed, hint) from None
-    return UserTable(columns, hashlib.sha256(content).hexdigest())
+    cells = read_cells(key, path, names)
+    return UserTable([cells.numbers(name) for name in names], cells.sha256)

@@ -12,7 +12,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from splits.experiments.grids import label_of
-from splits.experiments.sections import FIGURES, OF_ONE_POINT
+from splits.experiments.sections import FIGURES, OF_ONE_POINT, USED_BY
 
 
 class Raw(str):
@@ -302,11 +302,11 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
         if shown in OF_ONE_POINT or draw(SELDOM):
             labels = [label_of(parameter, v) for v in given] if isinstance(given, list) else given
             figure.setdefault("at", {})[parameter] = draw(st.sampled_from(list(labels)))
-    if draw(SELDOM):
+    if shown in USED_BY["legend"] and grid and draw(SELDOM):
         figure["legend"] = draw(LABELS)
-    if draw(SELDOM):
+    if shown in USED_BY["ylim"] and draw(SELDOM):
         figure["ylim"] = draw(rising(0.0, 2.0))
-    if kind == "spectrophotometer" and draw(SELDOM):
+    if shown == "spectra" and draw(SELDOM):
         figure["wavelength_nm"] = draw(rising(300.0, 2500.0))
         figure["measured"] = draw(
             st.sampled_from(["aviris_ng_varsa2021.csv", "sand_reflectance_jhu.csv", "none.csv"])
@@ -324,6 +324,11 @@ def sound(draw) -> dict[str, Any]:
         "instrument": draw(instruments(instrument, kind)),
     }
     grid = {} if instrument == "refractive_index" else draw(grids(kind))
+    # What the grid replaces at every point is refused.
+    for parameter in set(grid) - {"layers"}:
+        content["medium"].pop(parameter, None)
+        if parameter == "incidence_deg":
+            content["instrument"].pop(parameter, None)
     content["grid"] = grid
     content["figure"] = draw(figures(instrument, grid))
     if kind == "sand" and draw(SELDOM):

@@ -34,7 +34,7 @@ FILES = {
         "instrument.wavelength_nm.step = 0.9: must be large enough for at most 20000 values",
     "medium: !!bool maybe": "not YAML ('maybe' is no bool)",
     "medium: !!int ''": "not YAML ('' is no int)",
-    "title: 2001-99-99": "not YAML ('2001-99-99' is no timestamp)",
+    "title: !!timestamp 2001-01-01": "not YAML (could not determine a constructor",
     "medium: !!python/object:os.system x": "not YAML (could not determine a constructor",
     f"medium: {500 * '['}{500 * ']'}": "not YAML (more than 32 lists and mappings",
     BOMB: "not YAML (more than 50000 values)",

@@ -97,6 +97,10 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
         ({"impurities_in": "air"}, "one of ice, pores"),
         ({"impurities_ng_g": {"mine": {"ng": 3}}}, "ng_g and table, or"),
         ({"impurities_ng_g": {"mine": {"ng_g": 3, "table": "no.csv"}}}, "an existing CSV file"),
+        *(
+            ({"impurities_ng_g": {name: {"ng_g": 3, "table": "no.csv"}}}, "a name of at most 80")
+            for name in ("a/b", "a\nb", "ground", "refractive_index_ice", "", 81 * "x")
+        ),
         ({"impurities_ng_g": {"snow_algae": LISTS}}, "a name of its own"),
         ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelengths, 1 values"),
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),

@@ -113,7 +113,9 @@ def test_in_files(tmp_path):
         "medium: {kind: natural_snow, depth_m: 1, optical_radius_um: 100}\n"
         "grid: {specific_surface_area_m2_kg: [10, 20]}\ninstrument: {wavelength_nm: [500]}\n"
     )
-    found = loaded(tmp_path, text)
+    with pytest.raises(ConfigError, match=r"medium.optical_radius_um = 100: must be left out"):
+        loaded(tmp_path, text)
+    found = loaded(tmp_path, text.replace(", optical_radius_um: 100", ""))
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
     assert all(one.readings == splits.Readings.of("radiative_transfer") for one in found)
     text = (

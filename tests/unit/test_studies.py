@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,10 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
          r"own\.at\.incidence: unknown key.*did you mean incidence_deg"),
         ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "at": {"incidence_deg": 85}},
          r"own\.at\.incidence_deg = 85.*0 to 82"),
+        ({"kind": "sobol", "experiments": {"a b": "explorer_snow", "a_b": "explorer_sand"}},
+         r"own\.experiments = \['a b', 'a_b'\]: must be names that differ"),
+        ({"kind": "sobol", "experiments": {"a": "explorer_snow"}, "products": {"table": "nul"}},
+         r"own\.products\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "experiments": {"a": "explorer_snow"}, "most": 2},
          r"own\.most = 2: must be left out but for kind = 'bands'"),
         ({"kind": "anisotropy", "experiments": {"directions": "sand_fig11_brdf"},
@@ -158,3 +163,25 @@ def test_a_study_of_some_roles_has_their_rows():
     ]
     assert all(row["verdict"] == "agrees" for row in rows)
     assert len(angular_trends({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
+
+
+def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
+    study = {"kind": "sobol", "experiments": {"a": "explorer_snow"}}
+    studies = {**CONTENT["studies"], "retrieved_dozier_retrieved": study}
+    with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
+        load_settings({**CONTENT, "studies": studies}).select(shipped)
+
+
+def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
+    shutil.copytree(ROOT / "config" / "measured", tmp_path / "measured")
+    file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
+    file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
+    content = {**CONTENT, "measured_folder": str(tmp_path / "measured")}
+    with pytest.raises(ConfigError, match=r"studies\.agreement\.files\.aviris = .*line 4: refl"):
+        load_settings(content).select(shipped)
+
+
+@pytest.mark.parametrize("name", ["con", "nul", "com1", "lpt9"])
+def test_names_are_files_on_all_systems(name):
+    with pytest.raises(ValueError, match=f"name = '{name}'.*no device such as con"):
+        Experiment.model_validate({"name": name})

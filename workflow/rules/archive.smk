@@ -10,6 +10,12 @@ if "archive" in sys.argv[1:]:
         raise WorkflowError(str(error)) from None
 
 
+if "archive" in sys.argv[1:]:
+    for path in map(str, configuration_files(SETTINGS).values()):
+        if {"{", "}"} & set(path):
+            raise WorkflowError(f"archive = {path!r}: must be paths without {{ and }}")
+
+
 rule archive:
     input:
         results=[products(name) for name in PACKED]

@@ -1,6 +1,6 @@
 from splits.escaping import escape_json, escape_rst
 from splits.experiments.run_table import parts_of
-from splits.experiments.studies import left_out
+from splits.experiments.studies import lacked, left_out
 from splits.experiments.study_kinds import FIGURE, FILES
 from splits.sources import PACKAGE, RETRIEVING, files_digest, physics_digest
 
@@ -11,14 +11,19 @@ for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
-# The tables of the explorer, where all of them are selected.
-EXPLORED = SETTINGS.explorer if set(SETTINGS.explorer.values()) <= set(TABLES) else {}
-# Where their light goes, as far as that is selected.
+# What the explorer lacks, which is made where all of its tables are selected; it shows where light
+# goes as far as that is selected.
+UNEXPLORED = lacked(SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE)
+UNSEEN = lacked(SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE)
+EXPLORED = {} if UNEXPLORED else SETTINGS.explorer
 WHERE = {
     label: name
     for label, name in SETTINGS.explorer_directions.items()
     if name in EXPERIMENTS
 }
+if "explorer" in sys.argv[1:] and not EXPLORED:
+    LACKING = "; ".join(UNEXPLORED) or "explorer names no tables"
+    raise WorkflowError(f"the explorer is left out: {LACKING}")
 # Experiments whose tables are used to read measured spectra.
 RETRIEVED = [name for name, e in EXPERIMENTS.items() if e.retrieve]
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
@@ -74,8 +79,13 @@ REPORTS = {
 }
 
 
+def pattern(names):
+    """Return a regular expression for names of experiments, which nothing matches without any."""
+    return "|".join(names) or "(?!)"
+
+
 wildcard_constraints:
-    experiment="|".join(EXPERIMENTS),
+    experiment=pattern(EXPERIMENTS),
 
 
 def data(names):

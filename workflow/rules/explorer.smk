@@ -1,9 +1,8 @@
 rule explorer:
     input:
-        **{
-            name: f"{RESULTS}/data/{name}.nc"
-            for name in (*EXPLORED.values(), *WHERE.values())
-        },
+        # In order: names of users could be those of methods of `snakemake.input`.
+        tables=data(EXPLORED.values()),
+        directions=data(WHERE.values()),
     output:
         f"{RESULTS}/explorer.html",
     log:
@@ -12,9 +11,9 @@ rule explorer:
         "../../environment.yml"
     threads: 1
     params:
-        explorer=EXPLORED,
-        directions=WHERE,
-        about={name: EXPERIMENTS[name].title for name in EXPLORED.values()},
+        labels=list(EXPLORED),
+        directions=list(WHERE),
+        about=[EXPERIMENTS[name].title for name in EXPLORED.values()],
         page=files_digest(
             PACKAGE / "explorer", ["page.py", "page.html", "page.css", "page.js"]
         ),

@@ -16,7 +16,7 @@ rule figure:
     benchmark:
         f"{RESULTS}/benchmarks/figure/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(set(DRAWN) - set(RETRIEVED)) or "none",
+        experiment=pattern(set(DRAWN) - set(RETRIEVED)),
     conda:
         "../../environment.yml"
     threads: 1

@@ -24,7 +24,7 @@ rule retrieve:
     benchmark:
         f"{RESULTS}/benchmarks/retrieve/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(RETRIEVED) or "none",
+        experiment=pattern(RETRIEVED),
     conda:
         "../../environment.yml"
     threads: 1
@@ -32,6 +32,8 @@ rule retrieve:
         retrieve=lambda wildcards: escape_json(
             EXPERIMENTS[wildcards.experiment].retrieve.model_dump(mode="json")
         ),
+        title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
+        caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),
         seed=SETTINGS.seed,
         program=files_digest(PACKAGE, RETRIEVING),
     message:

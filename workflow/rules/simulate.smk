@@ -9,7 +9,7 @@ rule simulate:
     benchmark:
         f"{RESULTS}/benchmarks/simulate/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(set(EXPERIMENTS) - set(TABLES)) or "none",
+        experiment=pattern(set(EXPERIMENTS) - set(TABLES)),
     priority: 1
     conda:
         "../../environment.yml"

@@ -8,7 +8,7 @@ rule table_part:
     benchmark:
         f"{RESULTS}/benchmarks/table_part/{{experiment}}_{{part}}.tsv"
     wildcard_constraints:
-        experiment="|".join(TABLES) or "none",
+        experiment=pattern(TABLES),
         part=r"\d+",
     priority: 1
     conda:
@@ -36,7 +36,7 @@ rule table:
     benchmark:
         f"{RESULTS}/benchmarks/table/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment="|".join(TABLES) or "none",
+        experiment=pattern(TABLES),
     priority: 1
     conda:
         "../../environment.yml"

@@ -4,14 +4,14 @@ from pathlib import Path
 
 from splits import load
 from splits.analysis.agreement import agreement_table, read_published
-from splits.analysis.measured import letcher_bands, read_measured
+from splits.analysis.measured import letcher_bands, read_spectra
 from splits.analysis.tables import table1, table3, write_table
 from splits.figures import conditions, measured_albedo, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
-aviris = read_measured(snakemake.input.aviris)
-letcher = read_measured(snakemake.input.letcher)
+aviris = read_spectra(snakemake.input.aviris)
+letcher = read_spectra(snakemake.input.letcher)
 published = read_published(snakemake.input.published)
 agreement = agreement_table(datasets, published, load(snakemake.input.sensitivity), aviris, letcher)
 write_table(agreement, snakemake.output.agreement)

@@ -3,16 +3,15 @@
 import splits
 from splits.explorer.page import Shown, write_page
 
-where = snakemake.params.directions
+given, asked = snakemake.input, snakemake.params
+directions = {
+    label: splits.load(path) for label, path in zip(asked.directions, given.directions, strict=True)
+}
+tables = zip(asked.labels, given.tables, asked.about, strict=True)
 write_page(
     {
-        label: Shown(
-            splits.open_table(snakemake.input[name]),
-            snakemake.input[name],
-            snakemake.params.about[name],
-            splits.load(snakemake.input[where[label]]) if label in where else None,
-        )
-        for label, name in snakemake.params.explorer.items()
+        label: Shown(splits.open_table(path), path, about, directions.get(label))
+        for label, path, about in tables
     },
     snakemake.output[0],
 )

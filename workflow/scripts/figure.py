@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 from splits import load
-from splits.analysis.measured import read_measured
+from splits.analysis.measured import read_spectra
 from splits.figures import draw, save_figure
 
-measured = [read_measured(path) for path in snakemake.input.measured]
+measured = [read_spectra(path) for path in snakemake.input.measured]
 figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)
 save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import splits
-from splits.analysis.measured import read_measured
+from splits.analysis.measured import read_spectra
 from splits.analysis.tables import write_table
 from splits.experiments.retrieve_section import RetrieveSection
 from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
@@ -16,12 +16,11 @@ with progress_log(snakemake.log[0]) as say:
     found = run_retrieve(
         section,
         splits.open_table(snakemake.input.table),
-        read_measured(snakemake.input.measured[0]),
+        read_spectra(snakemake.input.measured[0]),
         snakemake.params.seed,
         say,
     )
     write_table(retrieved_table(found, section.known), snakemake.output.table)
     joined = together(found, snakemake.wildcards.experiment)
-    groups = [first.of for first in section.prior_from] or [""]
-    figure = retrievals(joined, section.known, groups)
+    figure = retrievals(joined, section.known, section.groups())
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

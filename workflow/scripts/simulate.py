@@ -10,7 +10,7 @@ end_on_signals(
 from pathlib import Path
 
 from splits import save
-from splits.analysis.measured import read_measured
+from splits.analysis.measured import read_spectra
 from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit
 from splits.experiments.settings import Accuracy
@@ -22,7 +22,7 @@ with progress_log(snakemake.log[0]) as say:
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
     if experiment.fit:
-        measured = read_measured(snakemake.input.measured[0])
+        measured = read_spectra(snakemake.input.measured[0])
         save(run_fit(experiment, accuracy, measured, **settings), snakemake.output[0])
     else:
         folder, target = Path(snakemake.params.kept), Path(snakemake.output[0])

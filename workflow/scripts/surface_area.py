@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from splits import load
-from splits.analysis.measured import read_measured
+from splits.analysis.measured import read_spectra
 from splits.analysis.surface_area import field_law, overlay, surface_areas
 from splits.analysis.tables import write_table
 from splits.figures import area_law, conditions, fitted_spectra, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
-spectra = read_measured(snakemake.input.spectra)
+spectra = read_spectra(snakemake.input.spectra)
 found = surface_areas(datasets["spectra"], spectra)
 write_table(found, snakemake.output.table)
 figure = fitted_spectra(

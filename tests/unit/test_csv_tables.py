@@ -1,0 +1,200 @@
+"""CSV tables of users: one reader for all of them, which refuses what could be misread."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import splits
+from splits.analysis.measured import read_measured
+from splits.experiments import load_experiment
+from splits.materials.tables import MAX_BYTES, user_table
+from splits.skies.bands import bands_of
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = sorted((ROOT / "config" / "measured").glob("*.csv"))
+
+EXPERIMENTS = {
+    "figure": "medium: {kind: snow, depth_m: 0.01}\ninstrument: {wavelength_nm: [400, 500]}\n"
+    "figure: {measured: mine.csv}\n",
+    "fit": "medium: {kind: sand}\nfit: {measured: mine.csv, samples: [reflectance]}\n"
+    "figure: {kind: fit}\n",
+    "retrieve": "medium: {kind: natural_snow}\n"
+    "instrument: {kind: table, wavelength_nm: [400, 500]}\ngrid: {optical_radius_um: [50, 100]}\n"
+    "retrieve: {measured: mine.csv, samples: [reflectance], free: [optical_radius_um], "
+    "noise: {absolute: 0.01}}\n",
+}
+
+
+def of_experiment(text):
+    def read(path):
+        file = path.with_name("made.yaml")
+        file.write_text(text, encoding="utf-8")
+        load_experiment(file, path.parent / "media", path.parent)
+
+    return read
+
+
+READERS = {
+    **{name: ("reflectance", of_experiment(text)) for name, text in EXPERIMENTS.items()},
+    "ground": ("albedo", lambda path: splits.Snow(ground=path)),
+    "sky": ("direct", lambda path: splits.sky(path)),
+    "index": ("n", lambda path: splits.Snow(refractive_index={"ice": path})),
+    "band": ("response", lambda path: bands_of({"mine": str(path)})),
+    "impurity": (
+        "absorption_m2_kg",
+        lambda path: splits.Snow(impurities_ng_g={"mine": {"ng_g": 5, "table": str(path)}}),
+    ),
+}
+"""Ways to a table of a user, and the column that carries its values."""
+OTHERS = {"sky": ",diffuse", "index": ",k"}
+"""Columns that a way needs besides, all 0.1."""
+
+GOOD = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
+GOOD += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
+BAD = {
+    "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a share"),
+    "thousands": (("\n450", '\n"1,450"'), "line 3: wavelength_nm is 1,450; write decimals"),
+    "footer": (("900,0.9\n", "900,0.9\nmean,0.9\n"), "line 13: wavelength_nm is mean"),
+    "text": (("450,0.8", "450,little"), "line 3: VALUE is little"),
+    "underscore": (("\n450", "\n4_50"), "line 3: wavelength_nm is 4_50"),
+    "switch": (("450,0.8", "450,True"), "line 3: VALUE is True"),
+    "infinite": (("450,0.8", "450,inf"), "line 3: VALUE is inf"),
+    "too large": (("450,0.8", "450,1e400"), "line 3: VALUE is 1e400"),
+    "other digits": (("450,0.8", "450,٠.٨"), "line 3: VALUE is ٠.٨"),
+    "comma at the end": (
+        ("0.8\n500", "0.8,\n500"), "fields in line 3: 3, in the header: 2; a comma too many",
+    ),
+    "one field more": (
+        ("0.8\n500", "0.8,0.7\n500"), "fields in line 3: 3, in the header: 2; commas separate",
+    ),
+    "one field less": (("450,0.8", "450"), "fields in line 3: 1, in the header: 2"),
+    "header without a name": (("VALUE", "VALUE,"), "a column without a name"),
+    "numbers of rows": (("wavelength_nm", ",wavelength_nm"), "a column without a name"),
+    "same names": (("wavelength_nm", "VALUE"), "two columns VALUE"),
+    "semicolons": ((",", ";"), "it has no|no column|fields in line"),
+    "gap": (("\n450", "\n"), "line 3: wavelength_nm is a gap"),
+    "quote without end": (("450,0.8", '450,"0.8'), "line 3: unexpected end of data"),
+    "no text": (("450,0.8", "450,0.8\0"), "line 3: it is no text in UTF-8"),
+    "empty": ((GOOD, ""), "it has no rows"),
+    "header alone": ((GOOD.partition("\n")[2], ""), "it has no rows"),
+}  # fmt: skip
+
+
+def table(way, text=GOOD):
+    """Return the text of a table for a way, with all columns that it needs."""
+    value, more = READERS[way][0], OTHERS.get(way, "")
+    if more and text:
+        head, *rows = text.split("\n")
+        text = "\n".join([head + more, *(row + ",0.1" if row else row for row in rows)])
+    return text.replace("VALUE", value)
+
+
+@pytest.mark.parametrize("way", READERS)
+def test_a_sound_table_is_read_everywhere(tmp_path, way):
+    path = tmp_path / "mine.csv"
+    text = "# Citation, in µm\n\n" + table(way).replace("0.8", " 0.8 ", 2)
+    for content in (
+        text.encode(),
+        text.encode("utf-8-sig"),
+        text.replace("\n", "\r\n").encode(),
+        text.encode("latin-1"),
+        text.replace("0.9\n", "0.9 # cloudy\n", 1).encode(),
+    ):
+        path.write_bytes(content)  # fmt: skip
+        READERS[way][1](path)
+
+
+@pytest.mark.parametrize("what", BAD)
+@pytest.mark.parametrize("way", READERS)
+def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
+    (old, new), told = BAD[what]
+    if way in OTHERS:
+        told = told.replace("3, in the header: 2", "4, in the header: 3")
+        told = told.replace("1, in the header: 2", "2, in the header: 3").split("; a comma")[0]
+    path = tmp_path / "mine.csv"
+    changed = GOOD.replace(old, new, -1 if what == "semicolons" else 1)
+    path.write_text(table(way, changed), encoding="utf-8")
+    with pytest.raises(ValueError, match=told.replace("VALUE", READERS[way][0])) as caught:
+        READERS[way][1](path)
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("way", EXPERIMENTS)
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda text: text.replace("400,", "0.4,"), r"wavelength_nm = 0\.4: .*micrometres"),
+        (lambda text: text.replace("400,", "1000,"), "strictly increasing"),
+        (lambda text: text.replace("400,", "450,"), "strictly increasing"),
+        (lambda text: text.replace("0.8", "80").replace("0.9", "90"), "per cent"),
+        (lambda text: text.replace("wavelength_nm", "wavelength"), "no column wavelength_nm"),
+    ],
+)
+def test_spectra_are_shares_over_increasing_nanometres(tmp_path, way, change, told):
+    path = tmp_path / "mine.csv"
+    path.write_text(change(table(way)), encoding="utf-8")
+    with pytest.raises(ValueError, match=told):
+        READERS[way][1](path)
+
+
+def test_gaps_stay_gaps_in_figures_and_are_refused_in_fits_and_retrievals(tmp_path):
+    path = tmp_path / "mine.csv"
+    for gap in ("", "NaN", "n/a"):
+        path.write_text(table("figure").replace("0.9", gap, 1), encoding="utf-8")
+        READERS["figure"][1](path)
+        assert np.isnan(read_measured(path).reflectance[0])
+        for way in ("fit", "retrieve"):
+            with pytest.raises(ValueError, match=r"gap|nan"):
+                READERS[way][1](path)
+    path.write_text("wavelength_nm,reflectance\n400,\n500,\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="columns wavelength_nm and reflectance"):
+        READERS["figure"][1](path)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("wavelength_nm,reflectance,reflectance_min\n400,0.9,0.8\n", "with both reflectance_min"),
+        (
+            "wavelength_nm,reflectance,reflectance_min,reflectance_max\n400,0.9,0.8,0.85\n",
+            "reflectance_min <= reflectance <= reflectance_max",
+        ),
+    ],
+)
+def test_spans_of_figures_lie_around_their_values(tmp_path, text, told):
+    path = tmp_path / "mine.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=told):
+        READERS["figure"][1](path)
+
+
+def test_a_number_sign_in_a_name_is_part_of_it(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text("wavelength_nm,sample #1,sample #2\n400,0.9,0.1\n", encoding="utf-8")
+    assert list(read_measured(path)) == ["wavelength_nm", "sample #1", "sample #2"]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=[path.stem for path in SHIPPED])
+def test_shipped_tables_are_read_bit_by_bit_as_before(path):
+    ours, theirs = read_measured(path), pd.read_csv(path, comment="#")
+    assert list(ours) == list(theirs)
+    assert (ours.to_numpy() == theirs.to_numpy(dtype=float)).all()
+
+
+def test_large_files_and_long_cells_take_no_time(tmp_path):
+    path = tmp_path / "mine.csv"
+    begun = time.perf_counter()
+    for cell in (200_000 * "1" + "x", 200_000 * "1" + "e", 100_000 * "1." + "1"):
+        path.write_text(f"wavelength_nm,n\n400,{cell}\n", encoding="utf-8")
+        with pytest.raises(ValueError, match="line 2"):
+            user_table("index", path, ("wavelength_nm", "n"))
+    with path.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    with pytest.raises(ValueError, match="at most 32 MiB"):
+        user_table("index", path, ("wavelength_nm", "n"))
+    assert time.perf_counter() - begun < 10.0

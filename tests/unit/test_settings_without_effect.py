@@ -1,0 +1,158 @@
+"""Settings that would change nothing, and sections that a way to run would pass over."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from chi2 import NEEDS_JIT
+
+import splits
+from splits import command
+from splits.experiments import ConfigError, Simulation, load_experiment, load_settings
+from splits.experiments.run import run
+from splits.experiments.settings import Accuracy
+
+ROOT = Path(__file__).parents[2]
+MEDIA = ROOT / "config" / "media"
+SPECTRUM = "instrument: {wavelength_nm: [500, 600]}\n"
+GRID = "grid: {saturation: [0, 0.1]}\n"
+MEASURED = "measured: aviris_ng_varsa2021.csv"
+LENS = "medium: {kind: layer, depth_m: 10, surface: {rms_height_m: 0.1, wave_number_per_m: 1,"
+LENS += " waves: 8, correlation: gaussian}}\ninstrument: {kind: lens, radius_m: 0.1, "
+LENS += "screen_depth_m: [1], over: origin, "
+FIT = "medium: {kind: sand}\nfit: {measured: sand_reflectance_jhu.csv}\nfigure: {kind: fit}\n"
+TABLE = "medium: {kind: natural_snow}\n"
+TABLE += "instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}}\n"
+TABLE += "grid: {optical_radius_um: [50, 100, 200]}\n"
+RETRIEVE = "retrieve: {measured: snow_albedo_letcher2022.csv, samples: [albedo_340mm], "
+IDLE = {
+    SPECTRUM + GRID + "figure: {kind: points, ylim: [0, 1]}": "figure.ylim",
+    SPECTRUM + GRID + f"figure: {{kind: points, {MEASURED}}}": "figure.measured",
+    "instrument: {kind: refractive_index}\nfigure: {wavelength_nm: [400, 500]}":
+        "figure.wavelength_nm",
+    "instrument: {kind: refractive_index}\nfigure: {legend: a}": "figure.legend",
+    "instrument: {kind: goniophotometer}\nfigure: {kind: lobes, ylim: [0, 1]}": "figure.ylim",
+    SPECTRUM + "figure: {legend: a}": "figure.legend",
+    SPECTRUM + "grid: {saturation: {default: 0, wet: 0.1}}\nfigure: {legend: a}": "figure.legend",
+    SPECTRUM + "figure: {wavelength_nm: [700, 800]}": "figure.wavelength_nm",
+    SPECTRUM + "grid: {saturation: {start: 0, stop: 1, step: 0.1}, depth_m: {start: 0.1, stop: 1, "
+    f"step: 0.1}}}}\nfigure: {{{MEASURED}}}": "figure.measured",
+    "instrument: {kind: refractive_index, seed: 3}": "instrument.seed",
+    LENS + "half_width_m: 1}": "instrument.half_width_m",
+    FIT.replace("figure: {kind: fit}", "figure: none")
+    + "instrument: {kind: goniophotometer}": "instrument.kind",
+    FIT.replace("figure: {kind: fit}", "figure: none") + "instrument: {kind: table}\n"
+    "grid: {saturation: [0, 1]}": "instrument.kind",
+    "medium: {saturation: 0.5}\n" + SPECTRUM + GRID: "medium.saturation",
+    "medium: {specific_surface_area_m2_kg: 20}\n" + SPECTRUM + "grid: {grain_size_um: [[9, 99]]}":
+        "medium.specific_surface_area_m2_kg",
+    SPECTRUM + "grid: {medium: {a: {depth_m: 1}}, depth_m: [2]}": "grid.medium.a.depth_m",
+    "instrument: {wavelength_nm: [500], incidence_deg: 30}\ngrid: {incidence_deg: [0, 60]}":
+        "instrument.incidence_deg",
+    TABLE + RETRIEVE + "free: [optical_radius_um], at: {optical_radius_um: 60}}":
+        "retrieve.at.optical_radius_um",
+    TABLE + RETRIEVE + "free: [optical_radius_um], noise: {absolute: 0.1, correlation_nm: 50}}":
+        "retrieve.noise.correlation_nm",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", IDLE, ids=range(len(IDLE)))
+def test_settings_that_change_nothing_are_refused(tmp_path, text):
+    path = tmp_path / "idle.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(path, MEDIA)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: {IDLE[text]} = ") and "must be " in line, line
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SPECTRUM + f"figure: {{legend: a, {MEASURED}}}",
+        SPECTRUM + GRID + "figure: {legend: a, ylim: [0, 1]}",
+        "instrument: {kind: goniophotometer, wavelength_nm: [5e2]}\nfigure: {legend: a}",
+        "medium: {base: splitsnow_table1}\n" + SPECTRUM + "grid: {depth_m: [0.1, 0.2]}",
+        "medium: {refractive_index: {ice: 1.3}}\n" + SPECTRUM
+        + "grid: {refractive_index: {a: {water: 1.3}}}",
+    ],
+    ids=range(5),
+)  # fmt: skip
+def test_settings_that_count_are_taken(tmp_path, text):
+    path = tmp_path / "made.yaml"
+    path.write_text(text, encoding="utf-8")
+    load_experiment(path, MEDIA)
+
+
+@pytest.mark.parametrize(
+    ("sample", "instrument", "rest", "told"),
+    [
+        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of light from 0\.0"),
+        ("a@50", ", incidence_deg: 50", "", None),
+        ("a@noon", "", "", None),
+        ("a@50", "", ", at: {incidence_deg: 40}", r"retrieve\.at\.incidence_deg = 40\.0.*a@50"),
+        ("a@50", "", ", at: {incidence_deg: 50}", None),
+    ],
+)
+def test_angles_in_names_of_samples_count_or_are_refused(
+    tmp_path, sample, instrument, rest, told
+):  # fmt: skip
+    (tmp_path / "measured").mkdir()
+    rows = "\n".join(f"{w},0.8" for w in range(400, 1301, 100))
+    (tmp_path / "measured" / "mine.csv").write_text(f"wavelength_nm,{sample}\n{rows}\n", "utf-8")
+    text = TABLE.replace("step: 100}", f"step: 100}}{instrument}")
+    if "at:" in rest:
+        text = text.replace("200]}", "200], incidence_deg: [40, 50]}")
+    text += f"retrieve: {{measured: mine.csv, free: [optical_radius_um]{rest}}}\n"
+    path = tmp_path / "made.yaml"
+    path.write_text(text, encoding="utf-8")
+    if told is None:
+        load_experiment(path, MEDIA, tmp_path / "measured")
+        return
+    with pytest.raises(ConfigError, match=told):
+        load_experiment(path, MEDIA, tmp_path / "measured")
+
+
+def test_a_fit_is_not_passed_over():
+    section = {"measured": "sand_reflectance_jhu.csv"}
+    one = Simulation.model_validate({"name": "a", "medium": {"kind": "sand"}, "fit": section})
+    with pytest.raises(ValueError, match=r"fit = 'sand_reflectance_jhu\.csv': .*run_fit"):
+        run(one, Accuracy(max_stderr=0.5))
+
+
+def test_a_seed_of_the_file_is_not_passed_over(tmp_path, capsys):
+    path = tmp_path / "made.yaml"
+    path.write_text("instrument: {wavelength_nm: [500], seed: 3}\n", encoding="utf-8")
+    assert command.main(["run", str(path), "--seed", "4", "--output", str(tmp_path / "out")]) == 1
+    assert "--seed = 4: must be left out (the file has instrument.seed = 3)" in (
+        capsys.readouterr().err
+    )
+
+
+@NEEDS_JIT
+def test_the_command_reads_measured_spectra(tmp_path):
+    path = tmp_path / "grains.yaml"
+    path.write_text(TABLE + RETRIEVE + "free: [optical_radius_um, level]}\n", encoding="utf-8")
+    made = tmp_path / "made"
+    done = subprocess.run(
+        [sys.executable, "-m", "splits.command", "run", path, "--output", made,
+         "--accuracy", "tiny", "--threads", "1", "--media", MEDIA],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    files = [made / f"grains{end}" for end in (".nc", "_retrieved.csv", ".png")]
+    assert done.stdout.splitlines() == list(map(str, files))
+    assert all(file.is_file() for file in files)
+    table = pd.read_csv(files[1])
+    assert list(table.parameter) == ["optical_radius_um", "level"]
+    assert splits.load(files[0]).attrs["instrument"] == "table"
+
+
+@pytest.mark.parametrize("name", ["data", "Figures", "../there", "a/b", "", "{x}"])
+def test_accuracies_name_folders_of_their_own(name):
+    with pytest.raises(ConfigError, match=r"accuracies = .*: must be called by letters"):
+        load_settings({"accuracies": {name: {"max_stderr": 0.1}}, "accuracy": name})

@@ -132,15 +132,16 @@ def put(sums, passing, stokes, weight, sound):
 
 
 @part
-def score_direct(detectors, layer, k, stokes, weight, last):
+def score_direct(detectors, layer, one, k, stokes, weight, last):
     """Add light after its last scattering, and after 2, 4, … reflections between two faces.
 
     Parameters
     ----------
     detectors, layer
         See `listen_particle`.
+    one : Listener
+        The k-th detector, on whose line the light is.
     k : int
-        The detector on whose line the light is.
     stokes : Stokes or None
         None where nobody asks for polarization.
     weight : float
@@ -148,7 +149,6 @@ def score_direct(detectors, layer, k, stokes, weight, last):
     """
     side = ABOVE if last.up > 0.0 else BELOW
     if side == ABOVE or detectors.below:
-        one = listener(detectors, layer, k)
         arriving = weight * math.exp(-layer.extinction * _way(layer, last, side) / one.toward.z)
         sums = detectors.sums[side, k]
         put(sums, one.passing, stokes, arriving, last.sound)
@@ -158,12 +158,11 @@ def score_direct(detectors, layer, k, stokes, weight, last):
 
 
 @part
-def score_reflected(detectors, layer, k, stokes, weight, last):
+def score_reflected(detectors, layer, one, k, stokes, weight, last):
     """Add light that leaves on the other side, after 1, 3, … reflections between two faces.
 
     Parameters are those of `score_direct`.
     """
-    one = listener(detectors, layer, k)
     if layer.bottom < 0.0 and one.returning.plus != 0.0:
         side = BELOW if last.up > 0.0 else ABOVE
         way = layer.depth - _way(layer, last, side)
@@ -193,25 +192,25 @@ def listen_particle(state, detectors, layer, phase, ray):
         Its place, direction and polarization before the scattering, and its weight after.
     """
     for k in range(detectors.toward.shape[0]):
-        score_particle(state, detectors, layer, phase, 0, ray, k)
+        one = listener(detectors, layer, k)
+        score_particle(state, detectors, layer, phase, 0, ray, one, k)
         order = sample_order(state, detectors, layer)
         if order > 0:
-            score_particle(state, detectors, layer, phase, order, ray, k)
+            score_particle(state, detectors, layer, phase, order, ray, one, k)
 
 
 @part
-def score_particle(state, detectors, layer, phase, order, ray, k):
+def score_particle(state, detectors, layer, phase, order, ray, one, k):
     """Let a detector hear a scattering that so many scatterings into the peak follow."""
-    weight, stokes, one = ray.past.weight, ray.stokes, listener(detectors, layer, k)
-    t, plane = one.toward, one.plane
+    weight, stokes, t, plane = ray.past.weight, ray.stokes, one.toward, one.plane
     up = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
-    score_direct(detectors, layer, k, stokes, weight, up)
+    score_direct(detectors, layer, one, k, stokes, weight, up)
     if detectors.below or (order > 0 and one.returning.plus > 0.0):
         t = Vector(t.x, t.y, -t.z)
         down = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
-        score_direct(detectors, layer, k, stokes, weight, down)
-        score_reflected(detectors, layer, k, stokes, weight, up)
-        score_reflected(detectors, layer, k, stokes, weight, down)
+        score_direct(detectors, layer, one, k, stokes, weight, down)
+        score_reflected(detectors, layer, one, k, stokes, weight, up)
+        score_reflected(detectors, layer, one, k, stokes, weight, down)
 
 
 @part
@@ -227,9 +226,9 @@ def listen_bottom(state, detectors, layer, phase, stokes, weight):
         order = sample_order(state, detectors, layer)
         if order > 0:
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, k, stokes, weight, last)
+            score_direct(detectors, layer, one, k, stokes, weight, last)
         if order > 0 and one.returning.plus > 0.0:
             # Light that the upper face sends down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, k, stokes, weight, last)
+            score_direct(detectors, layer, one, k, stokes, weight, last)

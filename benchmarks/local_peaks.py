@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ import pandas as pd
 import splits
 from splits.transport.optics import peak
 
-TABLE = pd.read_csv("tests/physics/reference/cloud_c1.csv", comment="#")
+TABLE = Path(__file__).parents[1] / "tests" / "physics" / "reference" / "cloud_c1.csv"
 CASES = {
     "thin cloud C.1": ({}, 4.0, 20_000),
     "Henyey-Greenstein, g = 0.95": ({"asymmetry": 0.95}, 8.0, 20_000),
@@ -32,7 +33,7 @@ SEEDS = 24
 
 def cloud() -> dict[str, list[float]]:
     """Return the phase function of cloud C.1."""
-    table = TABLE.sort_values("angle_deg", ascending=False)
+    table = pd.read_csv(TABLE, comment="#").sort_values("angle_deg", ascending=False)
     cosine = np.cos(np.radians(table.angle_deg.to_numpy()))
     cosine[[0, -1]] = -1.0, 1.0
     return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}

@@ -6,6 +6,7 @@ finite size.  Errors come from the scatter of batches of rays.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,7 @@ from splits.instruments.threads import Threads
 from splits.media.turbid import Medium, TurbidMedium
 from splits.transport.grains.scene import UNLIMITED
 from splits.transport.optics.light import Light
+from splits.transport.optics.peak import Peak, separate_peak
 from splits.transport.optics.polarized_faces import fresnel_amplitudes
 from splits.transport.optics.stokes import NATURAL
 from splits.transport.particles import layer as kernels
@@ -29,6 +31,10 @@ from splits.transport.particles.turbid import OPEN, Scene
 PILOT = 128
 """Batches of the first round."""
 _GROWTH = 8.0
+NEGLIGIBLE = 1e-16
+"""Probability of more scatterings into a peak than there is room for."""
+LARGEST_SHARE = 0.99
+"""Of scattering into a peak: with more of it, light takes hundreds of scatterings to turn."""
 CHUNK = 4096
 """Batches that wait for a thread at most."""
 
@@ -127,7 +133,21 @@ def detectors_at(medium: TurbidMedium, polar: np.ndarray, azimuth: np.ndarray) -
     below = layer.bottom == OPEN and np.isfinite(layer.depth)
     sums = np.zeros((2, len(toward), 4))
     plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return Detectors(toward, plane, passing, returning, bool(below), sums)
+    peak = _peak_of(medium)
+    orders = 0 if peak is None else math.ceil(math.log(NEGLIGIBLE) / math.log(peak.share))
+    room = np.zeros((1 + orders, 3))
+    return Detectors(toward, plane, passing, returning, bool(below), sums, peak, room)
+
+
+def _peak_of(medium: TurbidMedium) -> Peak | None:
+    """Return the narrow peak of the phase function, or refuse one that holds nearly all light."""
+    peak = separate_peak(medium.phase)
+    if peak is not None and peak.share > LARGEST_SHARE:
+        raise refuse(
+            "estimator", "local", "expansion or cells for this phase_function",
+            f"more than {LARGEST_SHARE:.0%} of the scattered light goes into a narrow peak",
+        )  # fmt: skip
+    return peak
 
 
 def listen(
@@ -153,7 +173,7 @@ def listen(
     Raises
     ------
     ValueError
-        For grains, and for a rough surface.
+        For grains, for a rough surface, and for a phase function that is nearly all peak.
     """
     if not isinstance(medium, TurbidMedium):
         raise refuse("estimator", "local", "expansion or cells for grains and stacks")
@@ -176,8 +196,9 @@ def listen(
 
     def hear(batch: int) -> np.ndarray:
         heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
+        own = detectors._replace(sums=heard, directions=np.zeros_like(detectors.directions))
         work = np.array([streams.LOCAL, batch * BATCH, BATCH, UNLIMITED])
-        kernels.hear(runner.seed, work, scene, detectors._replace(sums=heard), totals)
+        kernels.hear(runner.seed, work, scene, own, totals)
         return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
 
     # Peaked phase functions speak rarely, and loudly.

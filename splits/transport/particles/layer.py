@@ -104,11 +104,11 @@ def trace(state, scene, room, detectors, most):
             else:
                 ray = at_facet(state, ray, ahead.normal, layer, most)
         elif ways.floor <= ways.free:
-            ray = at_floor(state, ray, layer, detectors, most)
+            ray = at_floor(state, ray, layer, phase, detectors, most)
         else:
             ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, most)
             if detectors is not None and ray.fate == TRAVELS:
-                listen_particle(detectors, layer, phase, ray)
+                listen_particle(state, detectors, layer, phase, ray)
             if ray.past.weight < ROULETTE_BELOW:
                 ray = roulette(ray, uniform(state))
             if ray.fate == TRAVELS:

@@ -70,7 +70,7 @@ def at_facet(state, ray, normal, layer, most):
 
 
 @part
-def at_floor(state, ray, layer, detectors, most):
+def at_floor(state, ray, layer, phase, detectors, most):
     """Return a ray after a meeting with the open face or with the bottom."""
     ray = levelled(ray, -layer.depth)
     if layer.bottom == OPEN:
@@ -78,7 +78,8 @@ def at_floor(state, ray, layer, detectors, most):
         fate = TRANSMITTED if meeting.passed else TRAVELS
         return moved(ray, meeting.d, meeting.stokes, ray.past, fate)
     if detectors is not None:
-        listen_bottom(detectors, layer, ray.past.weight * layer.bottom)
+        weight = ray.past.weight * layer.bottom
+        listen_bottom(state, detectors, layer, phase, ray.stokes, weight)
     if uniform(state) >= layer.bottom:
         return ended(ray, TRANSMITTED)
     if ray.past.order == most:

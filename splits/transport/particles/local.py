@@ -9,15 +9,19 @@ angle.  Under two smooth faces light also arrives after any number of reflection
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.transport.compiling.jit import part
-from splits.transport.numerics.vectors import Vector, dot
-from splits.transport.optics.phase import phase_density
+from splits.transport.numerics.vectors import Vector
 from splits.transport.optics.polarized_faces import Reflection, Transmission
-from splits.transport.optics.stokes import rotated_to, scattered_towards
+from splits.transport.particles.last_scattering import (
+    Sound,
+    connect_bottom,
+    connect_particle,
+    sample_order,
+)
 
 _I, _Q, _U, _V = range(4)
 """Columns of what detectors hear."""
@@ -44,6 +48,10 @@ class Detectors(NamedTuple):
     sums : float64[2, detectors, 4]
         I, Q, U, V heard `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
         place.
+    peak : Peak or None
+        Of the phase function, None where it has none.
+    directions : float64[orders, 3]
+        Room for `last_scattering.sample_directions`.
     """
 
     toward: np.ndarray
@@ -52,15 +60,8 @@ class Detectors(NamedTuple):
     returning: np.ndarray
     below: bool
     sums: np.ndarray
-
-
-class Sound(NamedTuple):
-    """I, Q, U, V of light that is heard."""
-
-    i: float
-    q: float
-    u: float
-    v: float
+    peak: Any
+    directions: np.ndarray
 
 
 class Listener(NamedTuple):
@@ -84,17 +85,6 @@ def listener(detectors, layer, k):
     returning = Reflection(plus, minus, real, imaginary)
     through = math.exp(-layer.extinction * layer.depth / z)
     return Listener(Vector(x, y, z), Vector(along, across, 0.0), passing, returning, through)
-
-
-@part
-def sent(phase, d, stokes, t, plane):
-    """Return the `Sound` that a particle sends towards t (1/sr), Q along the plane of p and z."""
-    if stokes is None:
-        return Sound(phase_density(phase, dot(d, t)), 0.0, 0.0, 0.0)
-    light = scattered_towards(phase, d, stokes, t)
-    seen = rotated_to(light.stokes, t, plane)
-    density = light.density
-    return Sound(density, density * seen.q, density * seen.u, density * light.stokes.v)
 
 
 @part
@@ -142,46 +132,103 @@ def put(sums, passing, stokes, weight, sound):
 
 
 @part
-def listen_particle(detectors, layer, phase, ray):
+def score_direct(detectors, layer, one, k, stokes, weight, last):
+    """Add light after its last scattering, and after 2, 4, … reflections between two faces.
+
+    Parameters
+    ----------
+    detectors, layer
+        See `listen_particle`.
+    one : Listener
+        The k-th detector, on whose line the light is.
+    k : int
+    stokes : Stokes or None
+        None where nobody asks for polarization.
+    weight : float
+    last : LastScattering
+    """
+    side = ABOVE if last.up > 0.0 else BELOW
+    if side == ABOVE or detectors.below:
+        arriving = weight * math.exp(-layer.extinction * _way(layer, last, side) / one.toward.z)
+        sums = detectors.sums[side, k]
+        put(sums, one.passing, stokes, arriving, last.sound)
+        if layer.bottom < 0.0 and one.returning.plus != 0.0:
+            more = round_trips(one.returning, stokes, one.through, False, last.sound)
+            put(sums, one.passing, stokes, arriving, more)
+
+
+@part
+def score_reflected(detectors, layer, one, k, stokes, weight, last):
+    """Add light that leaves on the other side, after 1, 3, … reflections between two faces.
+
+    Parameters are those of `score_direct`.
+    """
+    if layer.bottom < 0.0 and one.returning.plus != 0.0:
+        side = BELOW if last.up > 0.0 else ABOVE
+        way = layer.depth - _way(layer, last, side)
+        arriving = weight * math.exp(-layer.extinction * way / one.toward.z)
+        more = round_trips(one.returning, stokes, one.through, True, last.sound)
+        put(detectors.sums[side, k], one.passing, stokes, arriving, more)
+
+
+@part
+def _way(layer, last, side):
+    """Return the height between the last scattering and the face of a side (m)."""
+    return -last.z if side == ABOVE else layer.depth + last.z
+
+
+@part
+def listen_particle(state, detectors, layer, phase, ray):
     """Let all detectors hear a scattering.
 
     Parameters
     ----------
+    state : uint64[1]
+        Draws scatterings into the peak of the phase function, if it has one.
     detectors : Detectors
     layer : Turbid
     phase : Phase
     ray : Ray
         Its place, direction and polarization before the scattering, and its weight after.
     """
-    weight, place, stokes = ray.past.weight, ray.place, ray.stokes
     for k in range(detectors.toward.shape[0]):
         one = listener(detectors, layer, k)
-        t, plane, face = one.toward, one.plane, one.returning
-        for side in range(2 if detectors.below else 1):
-            up = 1.0 if side == ABOVE else -1.0
-            way = -place.z if side == ABOVE else layer.depth + place.z
-            arriving = weight * math.exp(-layer.extinction * way / t.z)
-            sums = detectors.sums[side, k]
-            sound = sent(phase, ray.d, stokes, Vector(t.x, t.y, up * t.z), plane)
-            put(sums, one.passing, stokes, arriving, sound)
-            if layer.bottom >= 0.0 or face.plus == 0.0:
-                continue
-            # Two smooth faces: light that first went towards this one, and light that went away.
-            more = round_trips(face, stokes, one.through, False, sound)
-            put(sums, one.passing, stokes, arriving, more)
-            sound = sent(phase, ray.d, stokes, Vector(t.x, t.y, -up * t.z), plane)
-            more = round_trips(face, stokes, one.through, True, sound)
-            way = layer.depth - way
-            arriving = weight * math.exp(-layer.extinction * way / t.z)
-            put(sums, one.passing, stokes, arriving, more)
+        score_particle(state, detectors, layer, phase, 0, ray, one, k)
+        order = sample_order(state, detectors, layer)
+        if order > 0:
+            score_particle(state, detectors, layer, phase, order, ray, one, k)
 
 
 @part
-def listen_bottom(detectors, layer, weight):
+def score_particle(state, detectors, layer, phase, order, ray, one, k):
+    """Let a detector hear a scattering that so many scatterings into the peak follow."""
+    weight, stokes, t, plane = ray.past.weight, ray.stokes, one.toward, one.plane
+    up = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
+    score_direct(detectors, layer, one, k, stokes, weight, up)
+    if detectors.below or (order > 0 and one.returning.plus > 0.0):
+        t = Vector(t.x, t.y, -t.z)
+        down = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
+        score_direct(detectors, layer, one, k, stokes, weight, down)
+        score_reflected(detectors, layer, one, k, stokes, weight, up)
+        score_reflected(detectors, layer, one, k, stokes, weight, down)
+
+
+@part
+def listen_bottom(state, detectors, layer, phase, stokes, weight):
     """Let all detectors above hear light of this weight that the diffuse bottom reflects."""
     for k in range(detectors.toward.shape[0]):
         one = listener(detectors, layer, k)
-        share = weight * one.through * one.toward.z / math.pi
+        t, plane = one.toward, one.plane
+        share = weight * one.through * t.z / math.pi
         sums = detectors.sums[ABOVE, k]
         sums[_I] += share * one.passing.plus
         sums[_Q] += share * one.passing.minus
+        order = sample_order(state, detectors, layer)
+        if order > 0:
+            last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
+            score_direct(detectors, layer, one, k, stokes, weight, last)
+        if order > 0 and one.returning.plus > 0.0:
+            # Light that the upper face sends down may still be scattered upwards.
+            t = Vector(t.x, t.y, -t.z)
+            last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
+            score_direct(detectors, layer, one, k, stokes, weight, last)

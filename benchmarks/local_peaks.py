@@ -1,0 +1,87 @@
+"""Local estimation under narrow peaks of phase functions, with and without taking them apart.
+
+    python benchmarks/local_peaks.py [--quick]
+
+For layers that absorb nothing under light from the zenith, one thread, so many seeds each way in
+one run: medians over the mean with the peak apart, rms z about it, scatter, processor time for a
+ray, and by how much the variance at equal time is lower with the peak apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import splits
+from splits.transport.optics import peak
+
+TABLE = Path(__file__).parents[1] / "tests" / "physics" / "reference" / "cloud_c1.csv"
+CASES = {
+    "thin cloud C.1": ({}, 4.0, 20_000),
+    "Henyey-Greenstein, g = 0.95": ({"asymmetry": 0.95}, 8.0, 20_000),
+    "Henyey-Greenstein, g = 0.99": ({"asymmetry": 0.99}, 8.0, 10_000),
+    "cloud C.1": ({}, 64.0, 20_000),
+}
+POLAR = [30.0, 60.0, 82.0, 87.0]
+SEEDS = 24
+
+
+def cloud() -> dict[str, list[float]]:
+    """Return the phase function of cloud C.1."""
+    table = pd.read_csv(TABLE, comment="#").sort_values("angle_deg", ascending=False)
+    cosine = np.cos(np.radians(table.angle_deg.to_numpy()))
+    cosine[[0, -1]] = -1.0, 1.0
+    return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
+
+
+def measure(layer: splits.Layer, rays: int, seeds: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return BRDF and BTDF of all seeds, their errors, and the time for a ray (s)."""
+    views = {"polar_deg": POLAR, "azimuth_deg": [0.0], "estimator": "local", "threads": 1}
+    splits.goniophotometer(layer, [700.0], 0.0, 10, **views)
+    begun = time.process_time()
+    runs = [
+        splits.goniophotometer(layer, [700.0], 0.0, rays, seed, **views) for seed in range(seeds)
+    ]
+    spent = (time.process_time() - begun) / (rays * seeds)
+    value, stderr = (
+        np.array([[run[name + end].values.ravel() for name in ("brdf", "btdf")] for run in runs])
+        for end in ("", "_stderr")
+    )
+    return value, stderr, spent
+
+
+def main() -> None:
+    """Print a block for each case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    quick = parser.parse_args().quick
+    np.set_printoptions(precision=2, suppress=True)
+    for name, (phase, thickness, rays) in CASES.items():
+        layer = splits.Layer(
+            optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
+            bottom_albedo=None, **(phase or {"phase_function": cloud()}),
+        )  # fmt: skip
+        found = []
+        for peaked in (math.inf, 20.0):
+            peak.PEAKED = peaked
+            found.append(measure(layer, rays // 10 if quick else rays, SEEDS))
+        right = found[1][0].mean(axis=0)
+        gain = (found[0][0].std(axis=0) / found[1][0].std(axis=0)) ** 2 * found[0][2] / found[1][2]
+        for label, (value, stderr, spent) in zip(("whole", "apart"), found, strict=True):
+            z = np.sqrt((((value - right) / stderr) ** 2).mean(axis=0))
+            print(f"{name}, peak {label}: {1e6 * spent:.0f} us a ray")
+            for side, rows in enumerate(("BRDF", "BTDF")):
+                print(
+                    f"  {rows} at {POLAR}: median {np.median(value, axis=0)[side] / right[side]}, "
+                    f"rms z {z[side]}, scatter {value.std(axis=0)[side] / right[side]}"
+                )
+        print(f"  variance at equal time lower by {gain.ravel()}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

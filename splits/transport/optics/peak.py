@@ -1,0 +1,85 @@
+"""The narrow peak of a phase function, apart from the rest of it.
+
+    p(µ) = (1 − f) p_wide(µ) + f p_narrow(µ),   f p_narrow = max(p − limit, 0)
+
+The sum is exact for any narrow part that is nowhere above p.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.transport.compiling.jit import part
+from splits.transport.optics.phase import (
+    HENYEY_GREENSTEIN,
+    RAYLEIGH,
+    Phase,
+    phase_density,
+    tabulated,
+)
+
+PEAKED = 20.0
+"""Phase function (1/sr) that has a peak if it exceeds this anywhere: Henyey & Greenstein's does
+beyond g = 0.91."""
+LIMIT = 1.0
+"""Phase function (1/sr) above which is what counts as the peak."""
+NODES = 64
+"""Nodes of the peak of Henyey and Greenstein, which has no table of its own."""
+
+
+class Peak(NamedTuple):
+    """Narrow part of a phase function.
+
+    Attributes
+    ----------
+    phase : Phase
+        Normalised, a table.
+    share : float
+        Part of the scattered light that goes into it, between 0 and 1.
+    """
+
+    phase: Phase
+    share: float
+
+
+def separate_peak(phase: Phase) -> Peak | None:
+    """Return what a phase function has above `LIMIT`, None if it is nowhere above `PEAKED`."""
+    cosines, density = phase.cosines, phase.density
+    if phase.kind == HENYEY_GREENSTEIN:
+        cosines, density = _steep_side(phase.g)
+    if phase.kind == RAYLEIGH or density.max() <= PEAKED:
+        return None
+    above = density - LIMIT
+    left, right = above[:-1], above[1:]
+    crossing = left * right < 0.0
+    at = left[crossing] / (left - right)[crossing]
+    between = (1.0 - at) * cosines[:-1][crossing] + at * cosines[1:][crossing]
+    nodes = np.union1d(cosines, between)
+    excess = np.maximum(np.interp(nodes, cosines, above), 0.0)
+    excess[np.isin(nodes, between)] = 0.0
+    share = 2.0 * math.pi * np.trapezoid(excess, nodes)
+    return Peak(tabulated(nodes, excess, phase.polarizing), float(share))
+
+
+def _steep_side(g: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return cosines and densities of Henyey & Greenstein, close where these exceed `LIMIT`."""
+    near = 1.0 - abs(g)
+    highest = (1.0 + abs(g)) / (4.0 * math.pi * near**2)
+    if highest <= LIMIT:
+        return np.array([-1.0, 1.0]), np.full(2, highest)
+    # p = highest (1 + 2 |g| (1 − |µ|)/near²)^(−3/2), from the peak outwards.
+    density = np.geomspace(highest, LIMIT, NODES)
+    away = near**2 * ((highest / density) ** (2.0 / 3.0) - 1.0) / (2.0 * abs(g))
+    cosines = np.append(-1.0, 1.0 - away[::-1])
+    density = np.append(density[-1], density[::-1])
+    return (cosines, density) if g > 0.0 else (-cosines[::-1], density[::-1])
+
+
+@part
+def wide_fraction(peak, phase, mu):
+    """Return what part of a phase function at a cosine its peak leaves."""
+    narrow = phase_density(peak.phase, mu)
+    return 1.0 if narrow == 0.0 else 1.0 - peak.share * narrow / phase_density(phase, mu)

@@ -1,0 +1,171 @@
+"""Local estimation of phase functions with a narrow peak, against discrete ordinates."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from chi2 import NEEDS_JIT, SIGNIFICANCE, judge_z, largest_z
+from scipy import stats
+
+import splits
+from splits.transport.optics import peak
+from splits.transport.optics.phase import phase_density
+
+NM = [700.0]
+SEEDS = 24
+SIDES = ("brdf", "btdf")
+POLAR = [30.0, 60.0, 82.0, 87.0]
+STREAMS = 192
+
+
+def cloud() -> dict[str, list[float]]:
+    """Return the phase function of cloud C.1, which exceeds 130/sr within half a degree."""
+    file = Path(__file__).with_name("reference") / "cloud_c1.csv"
+    table = pd.read_csv(file, comment="#").sort_values("angle_deg", ascending=False)
+    cosine = np.cos(np.radians(table.angle_deg.to_numpy()))
+    cosine[[0, -1]] = -1.0, 1.0
+    return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
+
+
+def moments_of(layer: splits.Layer, count: int = 1000) -> np.ndarray:
+    """Return Legendre moments of the phase function, which is linear between its nodes."""
+    if isinstance(layer.phase_function, str):
+        return layer.asymmetry ** np.arange(count)
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    low, high = layer.phase.cosines[:-1, np.newaxis], layer.phase.cosines[1:, np.newaxis]
+    x = (0.5 * (high + low) + 0.5 * (high - low) * nodes).ravel()
+    density = np.interp(x, layer.phase.cosines, layer.phase.density)
+    share = math.pi * ((high - low) * weights).ravel() * density
+    before, last, moments = np.ones_like(x), x, [share.sum(), share @ x]
+    for order in range(2, count):
+        before, last = last, ((2 * order - 1) * x * last - (order - 1) * before) / order
+        moments.append(share @ last)
+    return np.array(moments) / moments[0]
+
+
+def exact(layer: splits.Layer) -> dict[str, np.ndarray]:
+    """Return BRDF and BTDF under light from the zenith by discrete ordinates."""
+    ordinates = pytest.importorskip("PythonicDISORT")
+    moments = moments_of(layer)
+    with pytest.warns(UserWarning, match="close to 1"):
+        solution = ordinates.pydisort(
+            layer.optical_thickness, 1.0 - 1e-9, STREAMS, moments[np.newaxis], 1.0 - 1e-9, 1.0, 0.0,
+            NLeg=STREAMS, NFourier=1, f_arr=moments[STREAMS], NT_cor=True,
+        )  # fmt: skip
+    radiance = ordinates.subroutines.interpolate(solution[-1], NT_cor="eval")
+    cosine = np.cos(np.radians(POLAR))
+    return {
+        "brdf": radiance(cosine, 0.0, 0.0).ravel(),
+        "btdf": radiance(-cosine, layer.optical_thickness, 0.0).ravel(),
+    }
+
+
+def layer_of(phase: dict | float, thickness: float) -> splits.Layer:
+    """Return a cloud that absorbs nothing, of a table or an asymmetry."""
+    kind = {"phase_function": phase} if isinstance(phase, dict) else {"asymmetry": phase}
+    return splits.Layer(
+        optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
+        bottom_albedo=None, **kind,
+    )  # fmt: skip
+
+
+def judge_seeds(layer: splits.Layer, rays: int) -> None:
+    """Fail if seeds are not around the exact answer as their errors say, or medians are off."""
+    runs = [
+        splits.goniophotometer(
+            layer, NM, 0.0, rays, seed, estimator="local", polar_deg=POLAR, azimuth_deg=[0.0]
+        )
+        for seed in range(SEEDS)
+    ]
+    right = np.concatenate(list(exact(layer).values()))
+    value, stderr = (
+        np.array(
+            [np.concatenate([run[name + end].values.ravel() for name in SIDES]) for run in runs]
+        )
+        for end in ("", "_stderr")
+    )
+    z = (value - right) / stderr
+    rms, median = np.sqrt((z**2).mean(axis=0)), np.median(value, axis=0) / right
+    report = f"{SIDES} at {POLAR}: rms z {rms.round(2)}, medians {median.round(3)}"
+    print(report)
+    # Directions share paths: each by itself, at a level that all of them together pass in 99 %.
+    each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / right.size)
+    low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], SEEDS) / SEEDS)
+    assert low <= rms.min() and rms.max() <= high, report
+    assert np.abs(z).max() <= largest_z(z.size), report
+    below = (value < right).sum(axis=0)
+    assert min(stats.binomtest(int(n), SEEDS).pvalue for n in below) >= each, report
+
+
+@NEEDS_JIT
+def test_errors_under_a_thin_cloud_are_those_stated():
+    judge_seeds(layer_of(cloud(), 4.0), 12_000)
+
+
+@pytest.mark.long
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    ("phase", "thickness", "rays"),
+    [("cloud", 64.0, 20_000), (0.85, 8.0, 40_000), (0.95, 8.0, 40_000)],
+)
+def test_errors_under_clouds_are_those_stated(phase, thickness, rays):
+    judge_seeds(layer_of(cloud() if phase == "cloud" else phase, thickness), rays)
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"refractive_index": 1.34, "bottom_albedo": None, "asymmetry": 0.8},
+        {"refractive_index": 1.5, "bottom_albedo": None, "asymmetry": 0.7, "polarized": True},
+        {"refractive_index": 1.34, "bottom_albedo": 0.8, "asymmetry": 0.7, "polarized": True},
+        {"refractive_index": 1.2, "bottom_albedo": None, "asymmetry": -0.8, "polarized": True},
+        {"refractive_index": 1.0, "bottom_albedo": 0.6, "asymmetry": 0.8},
+        {"optical_thickness": math.inf, "single_scattering_albedo": 0.9, "asymmetry": 0.8},
+    ],
+)
+def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(settings, monkeypatch):
+    layer = splits.Layer(**{"optical_thickness": 1.0, **settings})
+    runs = []
+    for seed, limits in enumerate(((math.inf, 1.0), (0.0, 0.1))):
+        monkeypatch.setattr(peak, "PEAKED", limits[0])
+        monkeypatch.setattr(peak, "LIMIT", limits[1])
+        runs.append(
+            splits.goniophotometer(
+                layer, NM, 40.0, 100_000, seed, estimator="local", polar_deg=[0.0, 45.0, 82.0],
+                azimuth_deg=[0.0, 120.0],
+            )
+        )  # fmt: skip
+    for name in (name for name in runs[0] if name.startswith(("brdf", "btdf"))):
+        if not name.endswith("_stderr"):
+            gap = (runs[0][name] - runs[1][name]).values.ravel()
+            error = np.hypot(*(run[f"{name}_stderr"].values.ravel() for run in runs))
+            judge_z(gap[error > 0.0] / error[error > 0.0], name, independent=1)
+
+
+def test_peaks_take_what_is_above_a_limit_and_nothing_else():
+    cosine = np.linspace(-1.0, 1.0, 4001)
+    functions = [
+        splits.Layer(phase_function=cloud()),
+        *(splits.Layer(asymmetry=g) for g in (0.95, -0.95)),
+    ]
+    for layer in functions:
+        narrow = peak.separate_peak(layer.phase)
+        total = np.array([phase_density(layer.phase, x) for x in cosine])
+        above = narrow.share * np.array([phase_density(narrow.phase, x) for x in cosine])
+        np.testing.assert_allclose(above, np.maximum(total - peak.LIMIT, 0.0), rtol=0.02, atol=0.02)
+        assert 0.4 < narrow.share < 0.7
+    for layer in (splits.Layer(asymmetry=0.9), splits.Layer(phase_function="rayleigh")):
+        assert peak.separate_peak(layer.phase) is None
+
+
+@pytest.mark.parametrize("rest", [0.0, 1e-9])
+def test_peaks_that_hold_nearly_all_light_are_refused(rest):
+    narrow = {"cosine": [-1.0, 0.99999, 1.0], "density": [rest, rest, 1.0]}
+    layer = splits.Layer(phase_function=narrow)
+    with pytest.raises(ValueError, match=r"estimator = 'local'.*more than 99%"):
+        splits.goniophotometer(layer, NM, estimator="local", polar_deg=[0.0], azimuth_deg=[0.0])

@@ -72,18 +72,27 @@ def doubt_of(
             np.hypot(one, (groups - other).mean(axis=0))
             for one, groups, other in zip(lasting, found, moved, strict=True)
         ]
+    largest = _of_rays_above(np.abs(found[0]).max(axis=0), found[0].mean(axis=0))
     rare = [
-        rare_of(groups, most, _at_or_above(np.abs(groups).max(axis=0)))
-        for groups, most in zip(found, (unseen[:-1], below), strict=True)
+        rare_of(found[0], unseen[:-1], largest),
+        rare_of(found[1], below, np.abs(found[1]).max(axis=0)),
     ]
     light, absorbed = (np.hypot(one, more) for one, more in zip(lasting, rare, strict=True))
     return Doubt(light, absorbed, lasting, bias, below)
 
 
-def _at_or_above(largest: np.ndarray) -> np.ndarray:
-    """Return largest values at each depth or the one above, (..., depths, wavelengths)."""
-    above = largest[..., :-1, :]
-    return np.concatenate([largest[..., :1, :], np.maximum(largest[..., 1:, :], above)], axis=-2)
+def _of_rays_above(largest: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Return largest values, no smaller a part of the mean than at the depth above.
+
+    Rays get rarer with depth, and what they add gets no more even.
+
+    Parameters
+    ----------
+    largest, mean : float, shape (2, depths, wavelengths)
+    """
+    part = np.divide(largest, mean, out=np.zeros_like(mean), where=mean > 0.0)
+    most: np.ndarray = mean * np.maximum.accumulate(part, axis=1)
+    return most
 
 
 def rare_of(groups: np.ndarray, unseen: np.ndarray, largest: np.ndarray) -> np.ndarray:

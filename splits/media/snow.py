@@ -131,7 +131,7 @@ class Snow:
         density_kg_m3 : float
             300 by default.
         depth_m : float
-            Infinite by default, which spectra and albedos take alone; give it for the others.
+            Infinite by default, which spectra, albedos and profiles take; give it for the others.
         **settings
             Whatever `Snow` takes.
 

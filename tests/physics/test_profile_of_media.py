@@ -141,6 +141,34 @@ def test_a_pack_without_end_is_a_very_deep_one(error):
 
 
 @NEEDS_JIT
+@pytest.mark.parametrize("seeds", [24, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("medium", "depths"),
+    [
+        (LAYERS["over a bottom"], [0.2, 0.6]),
+        (STACK, [0.005, 0.015]),
+        (splits.Snow.natural(**ENDLESS, depth_m=math.inf), [0.005, 0.02]),
+    ],
+    ids=["layer", "stack", "without end"],
+)
+def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
+    runs = [
+        splits.profile(medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1)
+        for seed in range(seeds)
+    ]
+    z = []
+    for name in ("downward_irradiance", "upward_irradiance", "absorptance"):
+        values = np.array([run[name].values[0] for run in runs])
+        stated = np.array([run[f"{name}_stderr"].values[0] for run in runs])
+        seen = values.std(axis=0) > 1e-9
+        off = (values - values.mean(axis=0))[:, seen] / np.sqrt(1.0 - 1.0 / seeds)
+        z.append(off / np.sqrt((stated[:, seen] ** 2).mean(axis=0)))
+    every = np.concatenate(z, axis=1)
+    judge_z(every, independent=seeds, bound_added=True)
+    assert np.sqrt((every**2).mean()) > 0.6
+
+
+@NEEDS_JIT
 def test_light_deep_in_a_pack_without_end_decays_as_asymptotic_theory_has_it():
     """By exp(-κz), and as much upwards as an endless pack sends back of such light."""
     snow = splits.Snow.natural(**ENDLESS, depth_m=math.inf)

@@ -72,30 +72,12 @@ def doubt_of(
             np.hypot(one, (groups - other).mean(axis=0))
             for one, groups, other in zip(lasting, found, moved, strict=True)
         ]
-    largest = _of_rays_above(np.abs(found[0]).max(axis=0), found[0].mean(axis=0))
-    rare = [
-        rare_of(found[0], unseen[:-1], largest),
-        rare_of(found[1], below, np.abs(found[1]).max(axis=0)),
-    ]
+    rare = [rare_of(*each) for each in zip(found, (unseen[:-1], below), strict=True)]
     light, absorbed = (np.hypot(one, more) for one, more in zip(lasting, rare, strict=True))
     return Doubt(light, absorbed, lasting, bias, below)
 
 
-def _of_rays_above(largest: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return largest values, no smaller a part of the mean than at the depth above.
-
-    Rays get rarer with depth, and what they add gets no more even.
-
-    Parameters
-    ----------
-    largest, mean : float, shape (2, depths, wavelengths)
-    """
-    part = np.divide(largest, mean, out=np.zeros_like(mean), where=mean > 0.0)
-    most: np.ndarray = mean * np.maximum.accumulate(part, axis=1)
-    return most
-
-
-def rare_of(groups: np.ndarray, unseen: np.ndarray, largest: np.ndarray) -> np.ndarray:
+def rare_of(groups: np.ndarray, unseen: np.ndarray) -> np.ndarray:
     """Return what errors hold of means that few groups decide.
 
     Nothing seen is not certainty: what fewer than `FEW` groups have seen may be off by one ray.
@@ -106,11 +88,10 @@ def rare_of(groups: np.ndarray, unseen: np.ndarray, largest: np.ndarray) -> np.n
     groups : float, shape (GROUPS, ..., wavelengths)
     unseen : float, shape (..., wavelengths)
         What rays that were not seen may add, see `unseen_light`.
-    largest : float, shape (..., wavelengths)
-        Largest mean of a group to allow for.
     """
     total, square = np.abs(groups).sum(axis=0), (groups**2).sum(axis=0)
-    more = np.where(total**2 < FEW * square, largest / len(groups), 0.0)
+    largest = np.abs(groups).max(axis=0) / len(groups)
+    more = np.where(total**2 < FEW * square, largest, 0.0)
     found: np.ndarray = np.hypot(np.where(few_of(groups), unseen, 0.0), more)
     return found
 
@@ -293,8 +274,7 @@ def besides(groups: np.ndarray, bias: np.ndarray, unseen: np.ndarray) -> np.ndar
     unseen : float, shape (..., wavelengths)
         See `rare_of`.
     """
-    rare = rare_of(groups, unseen, np.abs(groups).max(axis=0))
-    found: np.ndarray = np.hypot(missed(bias, groups.mean(axis=0)), rare)
+    found: np.ndarray = np.hypot(missed(bias, groups.mean(axis=0)), rare_of(groups, unseen))
     return found
 
 

@@ -29,6 +29,8 @@ from splits.transport.grains.scene import WET_PORE
 
 _BED = 1e-6
 """Thickness, in units of its layer's, of the matrix between a layer's end and its bottom."""
+_FARTHEST = 5e5
+"""Optical thickness from which on hardly anything is absorbed that far from light, or ever."""
 
 
 class Traced(NamedTuple):
@@ -194,4 +196,6 @@ def _reach(layer: Layer) -> float:
     rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
     # Over a white bottom: at its distance z from light it shows by exp(-2 rate z) and no more.
     far = DEEP * max(1.0, 1.0 / (1.0 - g))
-    return max(far, 0.5 * DEEP / rate if rate > 0.0 else far) / layer.extinction_per_m
+    if rate > 0.0:
+        far = max(far, min(0.5 * DEEP / rate, _FARTHEST))
+    return far / layer.extinction_per_m

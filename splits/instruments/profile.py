@@ -20,7 +20,7 @@ from splits.instruments.ensemble import GROUPS
 from splits.instruments.inside import found_by
 from splits.instruments.inside_dataset import labelled
 from splits.instruments.inside_goal import Goal
-from splits.instruments.inside_media import thickness_of, traced_as
+from splits.instruments.inside_media import Traced, thickness_of, traced_as
 from splits.instruments.labels import run_facts
 from splits.instruments.nodes import MAX_NODES, Nodes, choose_nodes
 from splits.instruments.planes import BATCH, Planes
@@ -165,7 +165,7 @@ def measure(asked: Inquiry, goal: Goal) -> xr.Dataset:
     index, absorption = traced.constants
     nodes = _nodes(index, traced.medium, goal)
     layers = len(runner.tracer.depths_m) - 1
-    _check_memory(layers, absorption.shape, len(nodes.index))
+    _check_memory(traced, layers, len(nodes.index))
     ensembles = [
         Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
@@ -185,7 +185,7 @@ def measure(asked: Inquiry, goal: Goal) -> xr.Dataset:
         "ensembles": len(ensembles),
         "kernel": runner.kernels(ensembles),
     }
-    if traced.cut:
+    if traced.endless:
         facts["traced_to_m"] = float(traced.planes_m[-1])
     return labelled(outcome, traced, asked.wavelengths, facts)
 
@@ -212,10 +212,10 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     return depths
 
 
-def _check_memory(layers: int, shape: tuple[int, ...], nodes: int) -> None:
-    """Refuse what would not fit into memory; `shape` is that of absorption."""
-    wavelengths, columns = shape
-    sums = GROUPS * layers * (columns + 3) * wavelengths * nodes
+def _check_memory(traced: Traced, layers: int, nodes: int) -> None:
+    """Refuse what would not fit into memory."""
+    rows, columns = traced.constants.absorption.shape
+    wavelengths, sums = traced.wavelengths, GROUPS * layers * (columns + 3) * rows * nodes
     if sums > MOST_SUMS:
         raise refuse(
             "wavelength_nm", f"{wavelengths} wavelengths",

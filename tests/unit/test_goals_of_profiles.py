@@ -69,8 +69,8 @@ def test_what_few_groups_decide_may_be_off_by_one_more():
     one[0] = 1.0
     skew = np.full((GROUPS, 1), 1e-6)
     skew[: FEW - 2] = 1.0
-    given = np.array([0.01]), np.array([1.0])
-    assert rare_of(none, *given) == 0.01
-    assert rare_of(one, *given) == np.hypot(0.01, 1.0 / GROUPS)
-    assert rare_of(skew, *given) == 1.0 / GROUPS
-    assert rare_of(every, *given) == 0.0
+    unseen = np.array([0.01])
+    assert rare_of(none, unseen) == 0.01
+    assert rare_of(one, unseen) == np.hypot(0.01, 1.0 / GROUPS)
+    assert rare_of(skew, unseen) == 1.0 / GROUPS
+    assert rare_of(every, unseen) == 0.0

@@ -78,14 +78,15 @@ def test_light_inside_is_known_as_well_as_its_bands_ask_for():
         assert found.upward_irradiance_stderr[0, 0] <= 0.02
     assert irradiance.downward_irradiance_stderr.max() <= 0.02
     assert irradiance.upward_irradiance_stderr.max() <= 0.02
-    # Each wavelength for itself took 70 000 rays and more.
-    assert power.attrs["rays"] <= 25_000 < irradiance.attrs["rays"]
+    # Each wavelength for itself takes 70 000 rays and more.
+    assert power.attrs["rays"] <= 20_000 < irradiance.attrs["rays"] <= 40_000
 
 
 @NEEDS_JIT
 def test_stated_errors_of_light_inside_follow_the_one_asked_for():
-    rough, fine = (inside_pack(error).absorbed_power_stderr for error in (0.01, 0.0004))
-    assert (fine[0, 0] <= 0.0004) & (rough[0, 0] >= 2.0 * fine[0, 0])
+    rough, fine = (inside_pack(error) for error in (0.05, 0.0006))
+    assert fine.absorbed_power_stderr.max() <= 0.0006
+    assert rough.upward_irradiance_stderr[0, 0] >= 2.0 * fine.upward_irradiance_stderr[0, 0]
 
 
 def test_skies_in_relative_units_ask_for_their_total():

@@ -31,7 +31,7 @@ class Found(NamedTuple):
     by_material : float, shape (GROUPS, intervals, materials, wavelengths)
         By the lengths in each material.
     way : float, shape (GROUPS, intervals, wavelengths)
-        Metres.
+        Metres; of an interval without end, down to where tracing ends.
     """
 
     light: np.ndarray
@@ -84,7 +84,6 @@ def _at_planes(ensemble: Planes, weight: np.ndarray, at: np.ndarray, endless: bo
         whole = last.sum(axis=0)
         share = np.divide(last, whole, out=np.zeros_like(last), where=whole > 0.0)
         by_material[:, -1] += share * net[:, -1, np.newaxis]
-        way[:, -1] = np.nan
     return Found(light, absorbed, by_material, way)
 
 

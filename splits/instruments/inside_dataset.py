@@ -73,7 +73,7 @@ def _by_path(outcome: Outcome, traced: Traced) -> dict[str, Variable]:
     steps = steps_of(traced.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
     intervals = len(thickness)
-    flux, shared = _flux(found, thickness), _shared(found, traced)
+    flux, shared = _flux(found, traced), _shared(found, traced)
     light, whole = found.light.mean(axis=0), found.absorbed.mean(axis=0)
     from_below = np.zeros_like(whole)
     from_below[: light.shape[1] - 1] = light[UP, 1:]
@@ -90,19 +90,28 @@ def _by_path(outcome: Outcome, traced: Traced) -> dict[str, Variable]:
         stderr_of(shared), besides(shared, doubt.bias, doubt.unseen[:, np.newaxis]), off,
     ]  # fmt: skip
     if outcome.moved is not None:
-        missed.append(flux.mean(axis=0) - _flux(outcome.moved, thickness).mean(axis=0))
-        wrong.append(shared.mean(axis=0) - _shared(outcome.moved, traced).mean(axis=0))
-    found_flux = _variable("actinic_flux", BY_INTERVAL, flux, _together(missed), PATH)
+        missed.append((flux - _flux(outcome.moved, traced)).mean(axis=0))
+        wrong.append((shared - _shared(outcome.moved, traced)).mean(axis=0))
+    error = _together(missed)
+    if traced.endless:
+        error[-1] *= ~traced.absorbing()
+    found_flux = _variable("actinic_flux", BY_INTERVAL, flux, error, PATH)
     by_material = (*BY_INTERVAL, "material")
     error = _together(wrong)
     label = "absorptance of a material"
     return found_flux | _variable("absorptance_of_material", by_material, shared, error, label)
 
 
-def _flux(found: Found, thickness: np.ndarray) -> np.ndarray:
-    """Return actinic fluxes by group, NaN where an interval has no end."""
-    whole = np.isfinite(thickness)
-    return np.where(whole, found.way / thickness, np.nan)
+def _flux(found: Found, traced: Traced) -> np.ndarray:
+    """Return actinic fluxes by group.
+
+    The mean over an interval without end is 0 where anything absorbs; where nothing does, it is
+    that far from the top.
+    """
+    flux: np.ndarray = found.way / np.diff(traced.planes_m)[:, np.newaxis]
+    if traced.endless:
+        flux[:, -1] *= ~traced.absorbing()
+    return flux
 
 
 def _shared(found: Found, traced: Traced) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from splits.checks import refuse
 from splits.instruments.cut import DOUBT
 from splits.instruments.deep_packs import cut_of
+from splits.instruments.inside_errors import steps_of
 from splits.instruments.scenes import Constants, constants_of, fields_of, ground_of
 from splits.instruments.shared_paths import Family
 from splits.media.granular import GranularMedium, LayeredMedium
@@ -64,6 +65,13 @@ class Traced(NamedTuple):
     def edges_m(self) -> np.ndarray:
         """Depths between which intervals lie (m)."""
         return np.append(self.planes_m[:-1], np.inf) if self.endless else self.planes_m
+
+    def absorbing(self) -> np.ndarray:
+        """Tell at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
+        absorption = self.constants.absorption[: self.wavelengths]
+        lowest = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
+        absorbing: np.ndarray = steps_of(self.medium, absorption, lowest).rate[0] > 0.0
+        return absorbing
 
 
 @dataclass(frozen=True)

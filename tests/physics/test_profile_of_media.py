@@ -169,6 +169,17 @@ def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
 
 
 @NEEDS_JIT
+@pytest.mark.parametrize("albedo", [0.9, 1.0])
+def test_an_interval_without_end_is_saved(albedo, tmp_path):
+    ds = splits.profile(splits.Layer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0])
+    splits.save(ds, tmp_path / "inside.nc")
+    assert splits.load(tmp_path / "inside.nc").equals(ds)
+    # Where nothing absorbs, light is the same everywhere far from the top.
+    last, above = ds.actinic_flux[0, -1], ds.actinic_flux[0, -2]
+    assert last == 0.0 if albedo < 1.0 else last == pytest.approx(float(above), rel=0.1)
+
+
+@NEEDS_JIT
 def test_light_deep_in_a_pack_without_end_decays_as_asymptotic_theory_has_it():
     """By exp(-κz), and as much upwards as an endless pack sends back of such light."""
     snow = splits.Snow.natural(**ENDLESS, depth_m=math.inf)

@@ -91,7 +91,7 @@ def profile(
         over ``material`` besides.  All with standard errors ``…_stderr``; irradiances and
         absorptances also with ``…_groups``, see `splits.analysis.errors`.  Reflectance,
         absorptances, and the net irradiance at the bottom add up to 1.  The last interval of a
-        medium without end has no end, and no actinic flux (NaN).
+        medium without end goes on below all depths; its mean actinic flux is 0 if it absorbs.
 
     Raises
     ------

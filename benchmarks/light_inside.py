@@ -1,27 +1,45 @@
-"""What planes cost: `splits.profile` against the plain spectrum, for the same rays.
+"""What light inside costs: planes by ray, and errors of absorbed power by time.
 
-Wet snow of SPLITSnow Table 1 at 211 wavelengths, one thread, by turns.  The first round of either
-instrument gives as many rays to weak as to strong absorption; so large an error is asked for that
-there is no second.  Printed are CPU seconds per ray over those of the spectrophotometer: how much
-longer it takes to listen at so many planes.  To know the light inside as well as the reflectance
-takes more rays besides, which depends on the depths.
+First `splits.profile` against the plain spectrum, for the same rays: wet snow of SPLITSnow Table 1
+at 211 wavelengths, one thread, by turns.  So large an error is asked for that there is one round
+only.  Printed are CPU seconds per ray over those of the spectrophotometer.
 
-    python benchmarks/light_inside.py [--planes 10 50] [--rounds 20]
+Then five layers of natural snow under a sky.  Errors are asked at every wavelength of irradiances
+and absorptances, as `splits.profile` does by default, or of power absorbed in the broad band, or of
+irradiances in it, as `splits.light_inside` does.  Printed are CPU seconds, stated errors of the
+power that the top layer absorbs and of the irradiance below it (W m⁻²), the part of the former that
+bounds interpolation between refractive indices, and how both scatter over seeds.  At last, the
+difference that interpolation makes: between as few indices as the first rule takes, and many.
+
+    python benchmarks/light_inside.py [--planes 10 50] [--rounds 20] [--errors 0.05 0.02]
+        [--seeds 4]
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 
 import splits
+from splits.analysis.errors import error_parts
+from splits.instruments.inside_goal import Goal
+from splits.instruments.profile import Inquiry, measure
 
 WAVELENGTHS = np.arange(400.0, 2501.0, 10.0)
 ONE_ROUND = 0.5
+LAYERS = [
+    (0.03, 45, 120),
+    (0.05, 35, 180),
+    (0.10, 25, 250),
+    (0.15, 15, 320),
+    (0.20, 10, 380),
+]
+"""Thickness (m), specific surface area (m²/kg) and density (kg/m³) of five layers of snow."""
+TOTAL = 500.0
 
 
 def main() -> None:
@@ -31,7 +49,15 @@ def main() -> None:
     )
     parser.add_argument("--planes", type=int, nargs="+", default=[10, 50])
     parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--errors", type=float, nargs="+", default=[0.05, 0.02])
+    parser.add_argument("--seeds", type=int, default=4)
     given = parser.parse_args()
+    costs_of_planes(given.planes, given.rounds)
+    errors_by_time(given.errors, given.seeds)
+
+
+def costs_of_planes(planes: Sequence[int], rounds: int) -> None:
+    """Print the costs of a ray that so many planes note."""
     snow = splits.Snow()
 
     def plain(seed: int) -> xr.Dataset:
@@ -45,11 +71,11 @@ def main() -> None:
             snow, WAVELENGTHS, depths, max_stderr=ONE_ROUND, seed=seed, threads=1
         )
 
-    runs = {"plain": plain, **{f"{n} planes": inside(n) for n in given.planes}}
+    runs = {"plain": plain, **{f"{n} planes": inside(n) for n in planes}}
     for run in runs.values():
         run(0)
     seconds, rays = (dict.fromkeys(runs, 0.0) for _ in range(2))
-    for seed in range(1, given.rounds + 1):
+    for seed in range(1, rounds + 1):
         for name, run in runs.items():
             begun = time.process_time()
             rays[name] += run(seed).attrs["rays"]
@@ -58,6 +84,54 @@ def main() -> None:
     for name, spent in seconds.items():
         each = spent / rays[name]
         print(f"{name}: {1e6 * each:.1f} µs per ray, {each / base:.2f} times the plain spectrum")
+
+
+def errors_by_time(errors: Sequence[float], seeds: int) -> None:
+    """Print what errors of absorbed power and irradiance cost, by what they are asked of."""
+    layers = [
+        splits.Snow.natural(depth_m=d, specific_surface_area_m2_kg=s, density_kg_m3=r)
+        for d, s, r in LAYERS
+    ]
+    pack = splits.Stack(layers, ground=0.2)
+    light = splits.sky("midlatitude_winter").scaled_to(TOTAL)
+    w = np.arange(305.0, 2496.0, 10.0)
+    weights = light.weights(w, light.bands(None)["broadband"])
+    faces = np.cumsum([d for d, *_ in LAYERS])[:-1]
+    part = weights / weights.sum()
+
+    def run(goal: Goal, seed: int) -> xr.Dataset:
+        asked = Inquiry(pack, w, faces, light.zenith_deg, seed, 10**8, 1, "auto", None)
+        return measure(asked.checked(), goal)
+
+    kinds = {
+        "irradiance by wavelength": lambda e: Goal(e),
+        "irradiance in the band": lambda e: Goal(e, True, part[np.newaxis], np.ones(1)),
+        "absorbed power in the band": lambda e: Goal(e, False, part[np.newaxis], np.ones(1)),
+        "absorbed power, to a tenth": lambda e: Goal(0.1 * e, False, part[np.newaxis], np.ones(1)),
+    }
+    by_wavelength = xr.DataArray(weights, {"wavelength": w}, ("wavelength",))
+    most = {}
+    for error in errors:
+        for kind, goal in kinds.items():
+            begun = time.process_time()
+            runs = [run(goal(error), seed) for seed in range(seeds)]
+            print(f"{kind}, {error:g}: {(time.process_time() - begun) / seeds:.1f} s")
+            for name, place in (("absorptance", 0), ("downward_irradiance", 1)):
+                parts = [error_parts(one, name, by_wavelength) for one in runs]
+                scatter, missed = np.sqrt(np.mean(np.square(parts)[..., place], axis=0))
+                values = [float((by_wavelength * one[name][:, place]).sum()) for one in runs]
+                mean, apart = np.mean(values), np.std(values, ddof=1)
+                print(
+                    f"    {name}: {mean:.2f} ± {np.hypot(scatter, missed):.3f} W m⁻², of which "
+                    f"bounds {missed:.3f}; seeds scatter by {apart:.3f}",
+                    flush=True,
+                )
+                most[kind, error, name] = mean, apart / seeds**0.5, missed
+    few, *_, many = kinds
+    for error in errors:
+        one, other = most[few, error, "absorptance"], most[many, min(errors), "absorptance"]
+        off, doubt = one[0] - other[0], np.hypot(one[1], other[1])
+        print(f"few indices ({error:g}) against many: {off:.3f} ± {doubt:.3f}, bound {one[2]:.3f}")
 
 
 if __name__ == "__main__":

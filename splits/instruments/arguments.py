@@ -49,7 +49,7 @@ def check_medium(medium: Any, *kinds: type, endless: bool = False) -> None:
         if isinstance(medium, GranularMedium | LayeredMedium):
             check_room(medium)
             if math.isinf(medium.depth_m) and not endless:
-                hint = "give depth_m; spectra and albedos take packs without end"
+                hint = "give depth_m; spectra, albedos and profiles take packs without end"
                 raise refuse("depth_m", math.inf, "finite", hint)
         return
     names = [name for kind in kinds for name in MEDIA[kind]]

@@ -85,12 +85,14 @@ class _Diffusing(NamedTuple):
         diffusion = step / (3.0 * np.maximum(turn, np.finfo(float).tiny))
         return cls(loss, turn, diffusion, np.sqrt(loss / step / diffusion))
 
-    def height(self, lowest: Any, max_stderr: float) -> float:
-        """Return how far below the top of its layer a cut has to lie (m)."""
+    def height(self, lowest: Any, max_stderr: float, within_m: float = 0.0) -> float:
+        """Return how far below the top of its layer a cut has to lie (m), see `cut_of`."""
         # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
         needed = DOUBT / (SHARE * max_stderr)
         farthest = float(self.diffusion.max())
-        return max(farthest * max(needed, DIFFUSE), 2.0 * lowest.largest_grain_m)
+        # So far above it, light has the directions that it would have without a cut.
+        margin = max(DIFFUSE * farthest, 2.0 * lowest.largest_grain_m)
+        return max(farthest * needed, within_m + margin)
 
     def rate_at(self, height: float) -> np.ndarray:
         """Return the rate (1/m), almost 0 where nothing is absorbed: that says the same, no 0/0."""
@@ -113,6 +115,7 @@ def cut_of(
     max_stderr: float,
     seed: int,
     threads: int,
+    within_m: float = 0.0,
 ) -> Cut | None:
     """Return packs cut where that serves the error asked for, None where they are traced as such.
 
@@ -124,6 +127,8 @@ def cut_of(
         nm.
     max_stderr, seed, threads
         As for the spectrophotometer.
+    within_m : float
+        Depth (m) in the lowest layer above which light has to be as without a cut.
 
     Raises
     ------
@@ -151,7 +156,7 @@ def cut_of(
         if not any(_Diffusing.of(one).serves(part, max_stderr, CLEARLY) for one in looks):
             return None
     optics = _by_medium(pooled_by_type(finite, constants, plan), len(lowest))
-    return _cut(family, wavelengths, optics, max_stderr)
+    return _cut(family, wavelengths, optics, max_stderr, within_m)
 
 
 def _shallow(lowest: Any) -> Any:
@@ -177,8 +182,9 @@ def _by_medium(optics: xr.Dataset, count: int) -> list[xr.Dataset]:
 
 
 def _cut(
-    family: Family, wavelengths: np.ndarray, optics: Sequence[xr.Dataset], max_stderr: float
-) -> Cut | None:
+    family: Family, wavelengths: np.ndarray, optics: Sequence[xr.Dataset], max_stderr: float,
+    within_m: float,
+) -> Cut | None:  # fmt: skip
     """Return what `cut_of` returns, for lowest layers of such optics."""
     media, scales = family
     found = [_Diffusing.of(one) for one in optics]
@@ -188,7 +194,7 @@ def _cut(
             raise refuse("depth_m", math.inf, "finite", "these grains hardly turn light")
     elif not any(one.serves(part, max_stderr) for one in found):
         return None
-    height = max(one.height(part, max_stderr) for one in found)
+    height = max(one.height(part, max_stderr, within_m) for one in found)
     rests = [
         _Rested.of(medium, scale, one, wavelengths, height)
         for medium, scale, one in zip(media, scales, found, strict=True)

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splits.instruments.ensemble import BATCH, GROUPS, LARGE_BATCH, Ensemble, Paths, scaled
+from splits.instruments.ensemble import (
+    BATCH,
+    GROUPS,
+    LARGE_BATCH,
+    Ensemble,
+    Level,
+    Paths,
+    scaled,
+)
 from splits.instruments.nodes import Nodes, choose_nodes
 from splits.instruments.runner import Runner
 from splits.instruments.shared_paths import Rows, SharedPaths, Slopes
@@ -138,10 +146,6 @@ def _slopes(nodes: Nodes, ensembles: Sequence[SharedPaths]) -> Slopes:
 def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths]) -> np.ndarray:
     """Return the rays per level that bring every variance to its target at the least cost.
 
-    The cost of a ray is the number of its legs.  At the optimum a level's marginal gain, summed
-    over wavelengths with multipliers that stand at the binding ones, equals its cost; multipliers
-    and rays are iterated to that by multiplicative updates, and then scaled to feasibility.
-
     Parameters
     ----------
     parts : float, shape (ensembles, quantities, wavelengths)
@@ -151,15 +155,33 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
     ensembles : sequence of Paths
     """
     levels = [level for e in ensembles for level in e.levels]
-    member = np.array([i for i, e in enumerate(ensembles) for _ in e.levels])
-    all_served = np.stack([level.served for level in levels])
+    owner = np.repeat(np.eye(len(ensembles)), [len(e.levels) for e in ensembles], axis=1)
+    return allocate_rays(parts / target, owner, np.stack([x.served for x in levels]), levels)
+
+
+def allocate_rays(
+    all_shares: np.ndarray, owner: np.ndarray, all_served: np.ndarray, levels: Sequence[Level]
+) -> np.ndarray:
+    """Return the rays per level that bring sums of variances to their targets at the least cost.
+
+    The cost of a ray is the number of its legs.  At the optimum a level's marginal gain, summed
+    over wavelengths with multipliers that stand at the binding ones, equals its cost; multipliers
+    and rays are iterated to that by multiplicative updates, and then scaled to feasibility.
+
+    Parameters
+    ----------
+    all_shares : float, shape (members, quantities, columns)
+        Variances per ray of what adds up, in units of the targets.
+    owner : float, shape (members, levels)
+        1 where the rays of a level count for a member, 0 elsewhere.
+    all_served : bool, shape (levels, columns)
+        Where the rays of a level count.
+    levels : sequence of Level
+    """
     floor = np.array([level.rays for level in levels], dtype=float)
     cost = np.array([level.legs / level.rays for level in levels]) + 1.0
-    all_shares = parts / target
     binding = _binding(all_shares, all_served)
     share, served = all_shares[..., binding], all_served[:, binding].astype(float)
-    owner = np.zeros((len(ensembles), len(levels)))
-    owner[member, np.arange(len(levels))] = 1.0
     rays = floor.copy()
     multipliers = np.full(share.shape[1:], 1.0 / share[0].size)
 
@@ -176,7 +198,7 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
         multipliers /= multipliers.sum()
         count = np.maximum((owner * rays) @ served, 1e-9)
         gain = (multipliers * share).sum(axis=1) / count**2
-        rays *= np.sqrt(((gain[member] * served).sum(axis=1) / cost).clip(1e-30))
+        rays *= np.sqrt((((owner.T @ gain) * served).sum(axis=1) / cost).clip(1e-30))
         rays *= excess(rays).max()
         if (np.abs(rays - before) <= 1e-4 * before).all():
             break

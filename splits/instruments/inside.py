@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.instruments.ensemble import GROUPS
-from splits.instruments.estimators import rays_wanted
-from splits.instruments.inside_errors import errors_of, missed, one_ray
+from splits.instruments.inside_errors import Doubt, doubt_of, one_ray
+from splits.instruments.inside_goal import LEAST_SHARE, Goal, wanted
+from splits.instruments.inside_media import Traced
 from splits.instruments.nodes import Nodes
 from splits.instruments.planes import ROUND, Planes
 from splits.instruments.runner import Runner
 from splits.transport.sums.passages import DOWN, UP
+from splits.uncertainty import stderr_of
 
 _GROWTH = 8.0
 
@@ -30,7 +31,7 @@ class Found(NamedTuple):
     by_material : float, shape (GROUPS, intervals, materials, wavelengths)
         By the lengths in each material.
     way : float, shape (GROUPS, intervals, wavelengths)
-        Metres.
+        Metres; of an interval without end, down to where tracing ends.
     """
 
     light: np.ndarray
@@ -38,76 +39,105 @@ class Found(NamedTuple):
     by_material: np.ndarray
     way: np.ndarray
 
+    def part(self, wavelengths: slice) -> Found:
+        """Return what was found at some wavelengths."""
+        return Found(*(each[..., wavelengths] for each in self))
 
-def _at_planes(ensembles: Sequence[Planes], weights: np.ndarray, at: np.ndarray) -> list[Found]:
-    """Return what each ensemble tells at faces `at`, as its wavelengths weigh it."""
-    found = []
-    for one, weight in zip(ensembles, weights, strict=True):
-        told = one.told()
-        light = weight * told.light[:, :, at]
-        net = light[:, DOWN] - light[:, UP]
-        first = at[:-1]
-        found.append(
-            Found(
-                light,
-                net[:, :-1] - net[:, 1:],
-                weight * np.add.reduceat(told.absorbed, first, axis=1),
-                weight * np.add.reduceat(told.way, first, axis=1),
-            )
-        )
-    return found
+
+class Outcome(NamedTuple):
+    """What was found, with what errors hold besides scatter, and the error reached.
+
+    Attributes
+    ----------
+    found : Found
+    doubt : Doubt
+    moved : Found or None
+        What would have been found if the part below a cut kept more, see `Traced`.
+    reached : float
+    stopped_by : {"error", "rays", "bound"}
+        The error was reached, or so many rays, or what remains is a bound that rays do not lower.
+    """
+
+    found: Found
+    doubt: Doubt
+    moved: Found | None
+    reached: float
+    stopped_by: str
+
+
+def _at_planes(ensemble: Planes, weight: np.ndarray, at: np.ndarray, endless: bool) -> Found:
+    """Return what an ensemble tells at faces `at`, as its wavelengths weigh it.
+
+    In a medium without end, the last face is where tracing ends, and the last interval goes on.
+    """
+    told = ensemble.told()
+    light = weight * told.light[:, :, at]
+    net = light[:, DOWN] - light[:, UP]
+    first = at[:-1]
+    absorbed = net[:, :-1] - net[:, 1:]
+    by_material = weight * np.add.reduceat(told.absorbed[:, : at[-1]], first, axis=1)
+    way = weight * np.add.reduceat(told.way[:, : at[-1]], first, axis=1)
+    if endless:
+        light, absorbed[:, -1] = light[:, :, :-1], net[:, -2]
+        # What enters below is absorbed by the materials of the lowest layer, as just above.
+        last = told.absorbed[:, at[-1] - 1].mean(axis=0)
+        whole = last.sum(axis=0)
+        share = np.divide(last, whole, out=np.zeros_like(last), where=whole > 0.0)
+        by_material[:, -1] += share * net[:, -1, np.newaxis]
+    return Found(light, absorbed, by_material, way)
 
 
 def found_by(
     runner: Runner,
     ensembles: Sequence[Planes],
     nodes: Nodes,
-    at: np.ndarray,
-    max_stderr: float,
+    traced: Traced,
+    goal: Goal,
     max_rays: int,
-) -> tuple[Found, np.ndarray, float]:
-    """Trace until the error asked for is reached.
-
-    Returns
-    -------
-    Found
-    least : float, shape (wavelengths,)
-        See `errors_of`.
-    reached : float
-    """
+) -> Outcome:
+    """Trace until the error asked for is reached, or so many rays."""
     levels = [(e, level) for e in ensembles for level in e.levels]
-    runner.trace([(*who, ROUND) for who in levels], 1.0, max_stderr)
+    # The face above a rough surface is above the depth 0.
+    at = np.append(0, np.searchsorted(runner.tracer.depths_m, traced.planes_m[1:]))
+    own = slice(traced.wavelengths)
+    runner.trace([(*who, ROUND) for who in levels], 1.0, goal.max_stderr)
     while True:
-        each = _at_planes(ensembles, nodes.weights, at)
-        found = Found(*(np.sum(part, axis=0) for part in zip(*each, strict=True)))
-        # Light and absorbed shares, one after the other.
-        values = [np.concatenate([*one.light.swapaxes(0, 1), one.absorbed], axis=1) for one in each]
-        bias = missed(nodes.bias, np.sum(values, axis=0).mean(axis=0))
-        parts = np.stack([one.var(axis=0, ddof=1) for one in values]) / GROUPS
-        least = one_ray(ensembles, nodes.weights)
-        stderr = errors_of(np.sum(values, axis=0), nodes.bias, least)
+        every = [
+            _at_planes(e, weight, at, traced.endless)
+            for e, weight in zip(ensembles, nodes.weights, strict=True)
+        ]
+        whole = Found(*(np.sum(part, axis=0) for part in zip(*every, strict=True)))
+        found, each = whole.part(own), [one.part(own) for one in every]
+        moved = whole.part(slice(traced.wavelengths, None)) if traced.cut else None
+        least = one_ray(ensembles, nodes.weights)[own]
+        doubt = doubt_of(found[:2], None if moved is None else moved[:2], nodes.bias[own], least)
+        scatter = stderr_of(goal.columns(goal.rows(found.light, found.absorbed)))
+        bias = goal.columns(goal.rows(*doubt.lasting))
+        stderr = np.hypot(scatter, goal.columns(goal.rows(doubt.light, doubt.absorbed)))
+        reached = float((stderr / goal.limit).max()) * goal.max_stderr
         rays = np.array([level.rays for _, level in levels], dtype=float)
-        converged = bool(stderr.max() <= max_stderr)
-        if converged or rays.sum() >= max_rays:
-            return found, least, float(stderr.max())
-        count = np.stack([e.count for e in ensembles])[:, np.newaxis]
-        target = np.maximum(max_stderr**2 - bias**2, 0.1 * max_stderr**2)
-        wanted = rays_wanted(parts * count, target, ensembles)
-        step = np.minimum(wanted - rays, (_GROWTH - 1.0) * rays)
+        if reached <= goal.max_stderr:
+            return Outcome(found, doubt, moved, reached, "error")
+        if (bias > goal.limit).any() and (stderr**2 - bias**2 < LEAST_SHARE * goal.limit**2).all():
+            return Outcome(found, doubt, moved, reached, "bound")
+        if rays.sum() >= max_rays:
+            return Outcome(found, doubt, moved, reached, "rays")
+        more = wanted(goal, ensembles, [goal.rows(one.light, one.absorbed) for one in each], bias)
+        step = np.minimum(more - rays, (_GROWTH - 1.0) * rays)
         step = np.ceil(step * min(1.0, (max_rays - rays.sum()) / step.sum()) / ROUND)
-        left = float((wanted - rays - step * ROUND).clip(0).sum())
+        left = float((more - rays - step * ROUND).clip(0).sum())
         work = [(*who, int(s) * ROUND) for who, s in zip(levels, step, strict=True) if s > 0]
-        runner.trace(work, float(stderr.max()), max_stderr, left)
+        runner.trace(work, reached, goal.max_stderr, left)
 
 
-def shares_of(found: Found, materials: int) -> np.ndarray:
+def shares_of(found: Found) -> np.ndarray:
     """Return absorbed shares by material, whose sums are those of `Found.absorbed`.
 
     Shape (GROUPS, intervals, materials, wavelengths); the materials' parts vary by group to first
     order.  Where no path tells of an interval, its shares are those of the whole sample, and the
     same for all materials where none tells of that; errors say so (`share_missed`).
     """
-    parts = found.by_material[:, :, :materials]
+    parts = found.by_material
     whole = parts.sum(axis=2, keepdims=True)
     mean = whole.mean(axis=0)
     of_all = parts.mean(axis=0).sum(axis=0, keepdims=True)

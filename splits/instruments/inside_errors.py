@@ -10,25 +10,122 @@ import numpy as np
 from splits.instruments.nodes import SLOPE
 from splits.instruments.planes import Planes
 from splits.media.granular import GranularMedium, LayeredMedium
-from splits.uncertainty import stderr_of
+from splits.media.particles import ParticleLayer
+from splits.transport.grains.scene import WET_PORE
+from splits.transport.sums.passages import DOWN
 
 FEW = 8
 """Groups of rays with light up to which an error allows for one ray more."""
 
 
+BRIGHTER = 4.0
+"""Times that light at a plane, or along paths below it, may exceed what reaches the plane above."""
+
+
 class Doubt(NamedTuple):
-    """What errors hold besides the scatter of groups, each of shape (wavelengths,).
+    """What errors hold besides the scatter of groups of rays.
 
     Attributes
     ----------
-    bias : float
+    light : float, shape (2, depths, wavelengths)
+        Of irradiances.
+    absorbed : float, shape (intervals, wavelengths)
+        Of absorptances.
+    lasting : list of float
+        The part of both that more rays do not lower: of interpolation, and of a cut.
+    bias : float, shape (wavelengths,)
         See `missed`.
-    least : float
-        See `errors_of`.
+    unseen : float, shape (intervals, wavelengths)
+        See `unseen_light`.
     """
 
+    light: np.ndarray
+    absorbed: np.ndarray
+    lasting: list[np.ndarray]
     bias: np.ndarray
-    least: np.ndarray
+    unseen: np.ndarray
+
+
+def doubt_of(
+    found: Sequence[np.ndarray],
+    moved: Sequence[np.ndarray] | None,
+    bias: np.ndarray,
+    least: np.ndarray,
+) -> Doubt:
+    """Return what the errors of irradiances and absorptances hold besides scatter.
+
+    Parameters
+    ----------
+    found, moved : sequence of float
+        Light and what is absorbed, see `splits.instruments.inside.Found`; the same if what lies
+        below a cut kept more, None where there is no cut.
+    bias : float, shape (wavelengths,)
+        Bound on what interpolation misses, see `splits.instruments.nodes.Nodes`.
+    least : float, shape (wavelengths,)
+        What one ray more would add to a mean.
+    """
+    unseen = unseen_light(found[0][:, DOWN], least)
+    below = unseen[1 : found[1].shape[1] + 1]
+    lasting = [missed(bias, groups.mean(axis=0)) for groups in found]
+    if moved is not None:
+        lasting = [
+            np.hypot(one, (groups - other).mean(axis=0))
+            for one, groups, other in zip(lasting, found, moved, strict=True)
+        ]
+    rare = [rare_of(*each) for each in zip(found, (unseen[:-1], below), strict=True)]
+    light, absorbed = (np.hypot(one, more) for one, more in zip(lasting, rare, strict=True))
+    return Doubt(light, absorbed, lasting, bias, below)
+
+
+def rare_of(groups: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+    """Return what errors hold of means that few groups decide.
+
+    Nothing seen is not certainty: what fewer than `FEW` groups have seen may be off by one ray.
+    Where as few hold most of it, one more like the largest is allowed for.
+
+    Parameters
+    ----------
+    groups : float, shape (GROUPS, ..., wavelengths)
+    unseen : float, shape (..., wavelengths)
+        What rays that were not seen may add, see `unseen_light`.
+    """
+    total, square = np.abs(groups).sum(axis=0), (groups**2).sum(axis=0)
+    largest = np.abs(groups).max(axis=0) / len(groups)
+    more = np.where(total**2 < FEW * square, largest, 0.0)
+    found: np.ndarray = np.hypot(np.where(few_of(groups), unseen, 0.0), more)
+    return found
+
+
+def few_of(groups: np.ndarray) -> np.ndarray:
+    """Tell where only few groups have seen anything."""
+    seen: np.ndarray = (groups != 0.0).sum(axis=0) < FEW
+    return seen
+
+
+def unseen_light(down: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Return the most that rays which few groups have seen may add at each depth and below it.
+
+    One ray more, and never much more than the light that reaches the plane above: what is
+    absorbed on the way to it is absorbed of rays that were not seen, too.
+
+    Parameters
+    ----------
+    down : float, shape (GROUPS, depths, wavelengths)
+        Irradiance downwards.
+    least : float, shape (wavelengths,)
+
+    Returns
+    -------
+    float, shape (depths + 1, wavelengths)
+        The last below the last depth.
+    """
+    few = few_of(down)
+    reaching = down.mean(axis=0)
+    unseen, ceiling = [least], least
+    for rare, mean in zip(few, reaching, strict=True):
+        ceiling = mean + np.where(rare, np.minimum(ceiling, least), 0.0)
+        unseen.append(np.minimum(least, BRIGHTER * ceiling))
+    return np.stack(unseen)
 
 
 class Steps(NamedTuple):
@@ -67,7 +164,7 @@ def steps_of(
     found: list[list[Steps]] = [[] for _ in planes[1:]]
     for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
         last, bottom = first + len(part.materials()), top + float(part.depth_m)
-        here = _steps_of_grains(part, absorption[:, first:last])
+        here = _steps_of(part, absorption[:, first:last])
         for inside, begin, end in zip(found, planes[:-1], planes[1:], strict=True):
             if begin < bottom and end > top:
                 inside.append(here)
@@ -79,13 +176,16 @@ def steps_of(
     )
 
 
-def _steps_of_grains(medium: GranularMedium, absorption: np.ndarray) -> Steps:
-    """Return the steps in a layer of grains, one value per wavelength.
+def _steps_of(medium: GranularMedium | ParticleLayer, absorption: np.ndarray) -> Steps:
+    """Return the steps in a layer, one value per wavelength; where particles absorb along paths, 0.
 
     The mean chord of convex grains is their volume over their projected area; the mean leg between
     two of them is that of a ray in the pore space.  Of a coating a ray crosses some three
     thicknesses on its way in and out; of a sphere the chord is two thirds of the diameter.
     """
+    if isinstance(medium, ParticleLayer):
+        none = np.zeros(len(absorption))
+        return Steps(none, none, absorption[:, WET_PORE])
     grains, types = medium.grains(), medium.grains().types
     leg = 1.0 / grains.attenuation
     packed = getattr(medium.readings, "attenuation", "solid") == "solid"
@@ -163,25 +263,19 @@ def share_missed(
     return missed
 
 
-def errors_of(groups: np.ndarray, bias: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Return standard errors of means of groups.
-
-    Nothing seen is not certainty: what fewer than `FEW` groups have seen may be off by one ray.
+def besides(groups: np.ndarray, bias: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+    """Return what standard errors of means of groups hold besides their scatter.
 
     Parameters
     ----------
     groups : float, shape (GROUPS, ..., wavelengths)
     bias : float, shape (wavelengths,)
         See `missed`.
-    least : float, shape (wavelengths,)
-        What one ray more would add to a mean, or that much and a factor.
+    unseen : float, shape (..., wavelengths)
+        See `rare_of`.
     """
-    seen = (groups != 0.0).sum(axis=0)
-    unseen = np.where(seen < FEW, least, 0.0)
-    error: np.ndarray = np.sqrt(
-        stderr_of(groups) ** 2 + missed(bias, groups.mean(axis=0)) ** 2 + unseen**2
-    )
-    return error
+    found: np.ndarray = np.hypot(missed(bias, groups.mean(axis=0)), rare_of(groups, unseen))
+    return found
 
 
 def missed(bias: np.ndarray, value: np.ndarray) -> np.ndarray:

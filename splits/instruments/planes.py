@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.instruments import streams
-from splits.instruments.ensemble import BATCH, GROUPS, LEVELS, Level, Manner, levels_of
+from splits.instruments.ensemble import GROUPS, LEVELS, Level, Manner, levels_of
 from splits.transport.sums.passages import Passages, passages
 
+BATCH = 32
+"""Rays whose weights are added up together: few, so that a first round of every group is short."""
 ROUND = BATCH * GROUPS
 """Rays of which every group gets as many."""
 NOTES_A_FACE = 4
@@ -78,7 +80,7 @@ class Planes:
         return notes + self.layers * (3 + materials) * wavelengths
 
     def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
-        """Return the sums of a batch of a level."""
+        """Return the sums of a batch of `BATCH` rays of a level."""
         absorption = self.absorption[level.served]
         sums = passages(exits, notes, absorption, self.layers, self.manner.ground)
         return (first // BATCH) % GROUPS, sums

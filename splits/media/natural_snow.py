@@ -83,7 +83,7 @@ def natural(
     density_kg_m3 : float
         From 10 kg/m³ on: no lighter snow lies.
     depth_m : float
-        Spectra and albedos take infinite depths alone; give a finite one for the others.
+        Infinite depths are for spectra, albedos and profiles; the others need a finite one.
     others
         As for `Snow`; without them snow is dry and clean.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,3 +83,43 @@ class ParticleLayer:
     def describe(self) -> dict[str, Any]:
         """Return all inputs under names fit for dataset attributes."""
         return self.layer.describe()
+
+
+@dataclass(frozen=True)
+class AbsorbingMatrix(ParticleLayer):
+    """A layer of particles that scatter, in a matrix that absorbs in their place.
+
+    Absorption along the path and at particles is the same to light.  Lengths of paths then tell
+    what is absorbed between any two depths.
+
+    Parameters
+    ----------
+    absorption_per_m : float
+        Absorption coefficient of the matrix (1/m).
+    outer_index : float
+        Refractive index outside the layer.
+    """
+
+    absorption_per_m: float = 0.0
+    outer_index: float = 1.0
+
+    @classmethod
+    def of(cls, part: ParticleLayer) -> AbsorbingMatrix:
+        """Return the layer that is the same to light as one of absorbing particles."""
+        layer = part.layer
+        albedo = layer.single_scattering_albedo
+        thickness = albedo * layer.optical_thickness
+        scattering = replace(layer, optical_thickness=thickness, single_scattering_albedo=1.0)
+        return cls(scattering, part.top, (1.0 - albedo) * layer.extinction_per_m)
+
+    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return complex refractive indices, shape (wavelengths, 2)."""
+        index = super().indices(wavelength_nm)
+        index[:, DRY_PORE] = self.outer_index
+        return index
+
+    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return what the matrix absorbs (1/m), shape (wavelengths, 2)."""
+        added = np.zeros((np.size(wavelength_nm), 2))
+        added[:, WET_PORE] = self.absorption_per_m
+        return added

@@ -10,12 +10,13 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.errors import weighted_error
-from splits.checks import in_range, known_arguments
-from splits.instruments import profile
+from splits.checks import in_range, known_arguments, one_of
 from splits.instruments.arguments import check_threads, check_whole
+from splits.instruments.inside_goal import Goal
 from splits.instruments.labels import run_facts
-from splits.instruments.progress import Report
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.instruments.profile import Inquiry, measure
+from splits.instruments.progress import Report, shows_progress
+from splits.media.turbid import Medium
 from splits.skies.irradiance import Sky
 from splits.skies.mixing import asked, light_of, mixed, sky_facts
 from splits.uncertainty import Variable, quantity
@@ -26,46 +27,59 @@ NAMES = {
     "absorptance": ("absorbed_power", "absorbed power of the interval"),
 }
 """Variables of a profile, and what becomes of them in sunlight."""
+STOPS = ("error", "bound", "rays")
+"""What ended a run: the error asked for was reached, or one of what kept it from that."""
+ERROR_OF = ("absorbed_power", "irradiance")
+"""Quantities that a largest error is asked of: the last stands for all of them."""
 
 
 @known_arguments
+@shows_progress
 def light_inside(
-    medium: GranularMedium | LayeredMedium,
+    medium: Medium,
     sky: Sky | str | Mapping[str, Any],
     depth_m: Any,
     wavelength_nm: Any = None,
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
+    error_of: str = "absorbed_power",
     total_w_m2: float | None = None,
     bands: Mapping[str, Any] | str | None = None,
+    max_rays: int = 20_000_000,
     threads: int | None = None,
     progress: Report = None,
 ) -> xr.Dataset:
-    """Measure the light of a sky inside a medium of grains, and the power that is absorbed there.
+    """Measure the light of a sky inside a medium, and the power that is absorbed there.
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
-        That ends, for example `splits.Snow` or `splits.Stack`.
+    medium : GranularMedium, LayeredMedium or TurbidMedium
+        For example `splits.Snow` or `splits.Stack`; see `splits.profile`.
     sky : Sky, str or mapping
         See `splits.sky`.
     depth_m : array_like
-        Strictly increasing depths (m) inside the medium; its top and its bottom are added.  Faces
-        of a stack's layers among them give the power absorbed by each layer.
+        Strictly increasing depths (m) inside the medium; its top and, if it ends, its bottom are
+        added.  Faces of a stack's layers among them give the power absorbed by each layer.
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
         first of the sky to 2495.  Light beyond them is left out, see ``irradiance_covered``.
     max_stderr : float
-        Largest standard error wanted for any irradiance or absorbed share at any wavelength, as a
-        part of the irradiance from above, of the light of the sun and of the diffuse light each.
+        Largest standard error wanted in any band, as a part of the band's irradiance from above;
+        see `error_of`.
     seed : int
         Non-negative; diffuse light takes the next.
+    error_of : {"absorbed_power", "irradiance"}
+        Quantities whose errors `max_stderr` limits: absorbed power and the light sent back at the
+        top, or irradiances at all depths besides.  In bright and thick packs the latter take
+        hundreds of times as many rays, since light crosses a plane there many times.
     total_w_m2 : float, optional
         Irradiance from above at all wavelengths of the sky (W m⁻²), to which it is scaled; the
         skies of SNICAR need it.
     bands : mapping or str, optional
         As for `splits.albedo`: ``{"photosynthetic": (400, 700)}``.
+    max_rays : int
+        Rays after which the light of the sun, and diffuse light, is traced no further.
     threads : int, optional
         Default: every CPU this process may use.
     progress : callable or bool, optional
@@ -97,28 +111,25 @@ def light_inside(
     light = light_of(sky).scaled_to(total_w_m2)
     w = asked(wavelength_nm, light, 2)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
+    one_of("error_of", error_of, ERROR_OF)
     seed, threads = check_whole("seed", seed, 0), check_threads(threads)
+    max_rays = check_whole("max_rays", max_rays, 1)
     named = light.bands(bands)
     light.check_bands(named, w)
+    weights = np.array([light.weights(w, band) for band in named.values()])
+    goals = _goals(light.direct_share(w), weights, max_stderr, error_of == ERROR_OF[1])
     axes: dict[str, Any] = {}
+    runs: list[dict[str, Any]] = []
 
     def run(incidence: float | str, number: int) -> xr.Dataset:
-        found = profile(
-            medium,
-            w,
-            depth_m,
-            incidence,
-            max_stderr,
-            seed + number,
-            threads=threads,
-            progress=progress,
-        )
+        given = (medium, w, depth_m, incidence, seed + number, max_rays, threads, "auto", progress)
+        found = measure(Inquiry(*given).checked(), goals[number])
+        runs.append(found.attrs)
         axes.update({name: found[name] for name in ("depth", "interval_top", "interval_bottom")})
         return found
 
     found = mixed(light, w, run, list(NAMES))
     variables: dict[str, Variable] = {}
-    weights = np.array([light.weights(w, band) for band in named.values()])
     each = xr.DataArray(weights, {"wavelength": w}, ("band", "wavelength"))
     for name, (label, long_name) in NAMES.items():
         value = (each * found[name]).sum("wavelength")
@@ -137,5 +148,35 @@ def light_inside(
         **sky_facts(light),
         "irradiance_w_m2": whole[0],
         "max_stderr": max_stderr,
+        "error_of": error_of,
+        "stopped_by": max((r["stopped_by"] for r in runs), key=STOPS.index),
+        "max_rays": max_rays,
+        "rays": sum(r["rays"] for r in runs),
     }
     return xr.Dataset(variables, {**axes, "band": list(named)}, facts)
+
+
+def _goals(
+    direct: np.ndarray, weights: np.ndarray, max_stderr: float, irradiance: bool
+) -> list[Goal]:
+    """Return what is asked of the light of the sun, and of diffuse light.
+
+    Each may take that part of a band's variance which it has of the band's light.
+
+    Parameters
+    ----------
+    direct : float, shape (wavelengths,)
+        Part of the light that comes from the sun.
+    weights : float, shape (bands, wavelengths)
+        Irradiance of each band that a wavelength stands for.
+    max_stderr : float
+    irradiance : bool
+        Whether errors are asked of irradiances, too.
+    """
+    parts = weights / weights.sum(axis=1, keepdims=True)
+    goals = []
+    for part in (direct, 1.0 - direct):
+        lit = (parts * part).sum(axis=1)
+        share = np.where(lit > 0.0, lit, 1.0)
+        goals.append(Goal(max_stderr, irradiance, parts * part, share))
+    return goals

@@ -211,8 +211,3 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
 def test_depths_lie_inside(depths, message):
     with pytest.raises(ValueError, match=message):
         splits.profile(WET, WAVELENGTHS, depths)
-
-
-def test_layers_of_particles_have_no_profile():
-    with pytest.raises(ValueError, match=r"medium = 'layer': must be splits.Snow"):
-        splits.profile(splits.Layer(), 500.0, 0.5)

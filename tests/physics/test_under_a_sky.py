@@ -50,6 +50,45 @@ def test_light_inside_has_the_errors_that_seeds_scatter_by(seeds):
         assert np.sqrt(((off / scale) ** 2).mean()) > 0.5
 
 
+LAYERS = [(0.02, 40, 150), (0.04, 25, 250), (0.06, 15, 350)]
+"""Thickness (m), specific surface area (m²/kg) and density (kg/m³) of layers of snow."""
+PACK = splits.Stack(
+    [
+        splits.Snow.natural(depth_m=d, specific_surface_area_m2_kg=s, density_kg_m3=r)
+        for d, s, r in LAYERS
+    ],
+    ground=0.2,
+)
+COARSE = np.arange(310.0, 2491.0, 90.0)
+
+
+def inside_pack(error, **given):
+    sky = splits.sky("midlatitude_winter")
+    return splits.light_inside(PACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **given)
+
+
+@NEEDS_JIT
+def test_light_inside_is_known_as_well_as_its_bands_ask_for():
+    power, irradiance = (
+        inside_pack(0.02, error_of=name) for name in ("absorbed_power", "irradiance")
+    )
+    for found in (power, irradiance):
+        assert found.attrs["stopped_by"] == "error"
+        assert found.absorbed_power_stderr.max() <= 0.02
+        assert found.upward_irradiance_stderr[0, 0] <= 0.02
+    assert irradiance.downward_irradiance_stderr.max() <= 0.02
+    assert irradiance.upward_irradiance_stderr.max() <= 0.02
+    # Each wavelength for itself takes 70 000 rays and more.
+    assert power.attrs["rays"] <= 20_000 < irradiance.attrs["rays"] <= 40_000
+
+
+@NEEDS_JIT
+def test_stated_errors_of_light_inside_follow_the_one_asked_for():
+    rough, fine = (inside_pack(error) for error in (0.05, 0.0006))
+    assert fine.absorbed_power_stderr.max() <= 0.0006
+    assert rough.upward_irradiance_stderr[0, 0] >= 2.0 * fine.upward_irradiance_stderr[0, 0]
+
+
 def test_skies_in_relative_units_ask_for_their_total():
     with pytest.raises(ValueError, match="total_w_m2 = None"):
         splits.sky("midlatitude_winter").scaled_to(None)

@@ -1,0 +1,148 @@
+"""What is asked of the light inside, and how many rays that takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.instruments.ensemble import BATCH, GROUPS
+from splits.instruments.estimators import allocate_rays
+from splits.instruments.planes import Planes
+from splits.transport.sums.passages import DOWN, UP
+from splits.uncertainty import stderr_of
+
+LEAST_SHARE = 0.1
+"""Part of the variance asked for that scatter may have in any case."""
+LEAST_GROWTH = 1.25
+"""Times as many rays, at least, of a level that wants more: rounds are to be few."""
+_TINY = 1e-9
+
+
+class Goal(NamedTuple):
+    """Quantities whose standard errors decide when a profile is finished.
+
+    Attributes
+    ----------
+    max_stderr : float
+        Largest standard error.
+    irradiance : bool
+        Whether it holds for irradiances at all depths, besides absorptances and reflectance.
+    weights : float, shape (bands, wavelengths), or None
+        Parts of each band's light; None asks for every wavelength.
+    share : float, shape (bands,), or None
+        Part of the variance of each band that is allowed here.
+    """
+
+    max_stderr: float
+    irradiance: bool = True
+    weights: np.ndarray | None = None
+    share: np.ndarray | None = None
+
+    @property
+    def limit(self) -> np.ndarray:
+        """Largest standard error of each column of `rows`, shape (bands,) or (1,)."""
+        share = np.ones(1) if self.share is None else self.share
+        return self.max_stderr * np.sqrt(share)
+
+    def rows(self, light: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
+        """Return the quantities that errors are asked of, by wavelength.
+
+        Parameters
+        ----------
+        light : float, shape (..., 2, depths, wavelengths)
+        absorbed : float, shape (..., intervals, wavelengths)
+
+        Returns
+        -------
+        float, shape (..., quantities, wavelengths)
+        """
+        down, up = light[..., DOWN, :, :], light[..., UP, :, :]
+        parts = [down, up, absorbed] if self.irradiance else [up[..., :1, :], absorbed]
+        return np.concatenate(parts, axis=-2)
+
+    def columns(self, rows: np.ndarray) -> np.ndarray:
+        """Return quantities by band, or by wavelength where there are no bands."""
+        return rows if self.weights is None else rows @ self.weights.T
+
+
+class Members(NamedTuple):
+    """Sums that add up to the quantities asked for, each of rays of some levels.
+
+    Attributes
+    ----------
+    values : float, shape (members, GROUPS, quantities, columns)
+    owner : float, shape (members, levels)
+        1 where the rays of a level count for a member.
+    served : bool, shape (levels, columns)
+        Where the rays of a level count.
+    """
+
+    values: np.ndarray
+    owner: np.ndarray
+    served: np.ndarray
+
+
+def members_of(goal: Goal, ensembles: Sequence[Planes], rows: Sequence[np.ndarray]) -> Members:
+    """Return the members of quantities by wavelength, or by band.
+
+    The wavelengths of a band that the same levels of an ensemble serve make one member.
+
+    Parameters
+    ----------
+    goal : Goal
+    ensembles : sequence of Planes
+    rows : sequence of float, shape (GROUPS, quantities, wavelengths)
+        Of each ensemble, see `Goal.rows`.
+    """
+    counts = [len(e.levels) for e in ensembles]
+    every = slice(rows[0].shape[-1])
+    served = np.stack([level.served[every] for e in ensembles for level in e.levels])
+    if goal.weights is None:
+        owner = np.repeat(np.eye(len(ensembles)), counts, axis=1)
+        return Members(np.stack(rows), owner, served)
+    values, owners = [], []
+    first = 0
+    for row, count in zip(rows, counts, strict=True):
+        depth = served[first : first + count].sum(axis=0)
+        for number in np.unique(depth[depth > 0]):
+            alike = depth == number
+            values.append(row[..., alike] @ goal.weights[:, alike].T)
+            owners.append(np.zeros(len(served)))
+            owners[-1][first : first + number] = 1.0
+        first += count
+    everywhere = np.ones((len(served), len(goal.weights)), dtype=bool)
+    return Members(np.stack(values), np.stack(owners), everywhere)
+
+
+def wanted(
+    goal: Goal, ensembles: Sequence[Planes], rows: Sequence[np.ndarray], bias: np.ndarray
+) -> np.ndarray:
+    """Return the rays per level that reach a goal at the least cost.
+
+    Parameters
+    ----------
+    goal, ensembles, rows
+        As for `members_of`.
+    bias : float, shape (quantities, columns)
+        What rays do not lower.
+    """
+    levels = [level for e in ensembles for level in e.levels]
+    rays = np.array([level.rays for level in levels], dtype=float)
+    members = members_of(goal, ensembles, rows)
+    each = members.values.var(axis=1, ddof=1) / GROUPS
+    target = np.maximum(goal.limit**2 - bias**2, LEAST_SHARE * goal.limit**2)
+    if goal.weights is not None:
+        # Members of one ensemble share rays and scatter together.
+        whole = stderr_of(goal.columns(np.sum(rows, axis=0))) ** 2
+        parts = each.sum(axis=0)
+        target *= np.divide(parts, whole, out=np.ones_like(parts), where=(parts > 0) & (whole > 0))
+    count = (members.owner * rays) @ members.served
+    shares = each * count[:, np.newaxis] / target
+    found = allocate_rays(np.maximum(shares, _TINY), members.owner, members.served, levels)
+    more = found > rays + BATCH
+    if not more.any():
+        # What no ray has reached does not scatter.
+        return 2.0 * rays
+    return np.where(more, np.maximum(found, LEAST_GROWTH * rays), rays)

@@ -1,0 +1,209 @@
+"""Media as profiles trace them: with an end, and with absorption along paths.
+
+A medium without end is traced to a cut, below which diffusion theory stands for the rest
+(`splits.instruments.deep_packs`).  Paths serve each wavelength twice there: with what the rest
+keeps by theory, and with as much more as theory may be off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.checks import refuse
+from splits.instruments.cut import DOUBT
+from splits.instruments.deep_packs import cut_of
+from splits.instruments.inside_errors import steps_of
+from splits.instruments.scenes import Constants, constants_of, fields_of, ground_of
+from splits.instruments.shared_paths import Family
+from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.ground import BLACK_DEPTH, Ground
+from splits.media.layer import CLEARANCE, DEEP, Layer
+from splits.media.particles import LEFT_OUT, AbsorbingMatrix, ParticleLayer
+from splits.media.stack import Stack
+from splits.transport.grains.scene import WET_PORE
+
+_BED = 1e-6
+"""Thickness, in units of its layer's, of the matrix between a layer's end and its bottom."""
+_FARTHEST = 5e5
+"""Optical thickness from which on hardly anything is absorbed that far from light, or ever."""
+
+
+class Traced(NamedTuple):
+    """A medium as it is traced.
+
+    Attributes
+    ----------
+    medium : GranularMedium or LayeredMedium
+    constants : Constants
+        Of each wavelength; where there is a cut, then of each with more kept below.
+    wavelengths : int
+    planes_m : float, shape (planes,)
+        Top, depths asked for, and bottom or the end of tracing.
+    endless : bool
+        Whether the medium goes on below that.
+    cut : bool
+        Whether diffusion theory stands for what is below.
+    materials : dict of str to int
+        Columns of the materials, by name.
+    """
+
+    medium: GranularMedium | LayeredMedium
+    constants: Constants
+    wavelengths: int
+    planes_m: np.ndarray
+    endless: bool
+    cut: bool
+    materials: dict[str, int]
+
+    @property
+    def edges_m(self) -> np.ndarray:
+        """Depths between which intervals lie (m)."""
+        return np.append(self.planes_m[:-1], np.inf) if self.endless else self.planes_m
+
+    def absorbing(self) -> np.ndarray:
+        """Tell at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
+        absorption = self.constants.absorption[: self.wavelengths]
+        lowest = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
+        absorbing: np.ndarray = steps_of(self.medium, absorption, lowest).rate[0] > 0.0
+        return absorbing
+
+
+@dataclass(frozen=True)
+class _AbsorbingStack(Stack):
+    """A stack whose particles absorb along the path."""
+
+    @cached_property
+    def parts(self) -> tuple[Any, ...]:
+        """The layers as scenes take them."""
+        return tuple(
+            AbsorbingMatrix.of(part) if isinstance(part, ParticleLayer) else part
+            for part in super().parts
+        )
+
+
+@dataclass(frozen=True)
+class _Slab(_AbsorbingStack):
+    """A layer of particles alone, whose bottom touches the matrix."""
+
+    @cached_property
+    def parts(self) -> tuple[Any, ...]:
+        """The layer, and below it what has the matrix' index outside, where it has a bottom."""
+        (part,) = super().parts
+        if self.ground is None:
+            return (part,)
+        n = part.layer.refractive_index
+        clear = Layer(0.0, 1.0, 0.0, n, None, depth_m=_BED * part.depth_m)
+        return part, AbsorbingMatrix(clear, outer_index=n)
+
+
+def thickness_of(medium: Any) -> float:
+    """Return the thickness of a medium (m), which may have no end."""
+    endless = isinstance(medium, Layer) and math.isinf(medium.optical_thickness)
+    return math.inf if endless else float(medium.depth_m)
+
+
+def traced_as(
+    medium: Any,
+    wavelengths: np.ndarray,
+    depths: Sequence[float],
+    max_stderr: float,
+    seed: int,
+    threads: int,
+) -> Traced:
+    """Return a medium as it is traced for light at depths.
+
+    Parameters
+    ----------
+    medium : GranularMedium, LayeredMedium or Layer
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    depths : sequence of float
+        In the medium (m).
+    max_stderr, seed, threads
+        As for the spectrophotometer.
+    """
+    rough = medium.fields() if isinstance(medium, Layer) else fields_of(medium)
+    if rough is not None:
+        least = CLEARANCE * float(np.linalg.norm(rough.rms_height))
+        if depths[0] < least:
+            hint = f"{CLEARANCE:g} standard deviations of the surface's height"
+            raise refuse("depth_m", float(depths[0]), f"at least {least:g} m", hint)
+    if isinstance(medium, Layer):
+        return _of_layer(medium, wavelengths, depths)
+    endless = math.isinf(thickness_of(medium))
+    whole = medium
+    if endless:
+        above = float(sum(part.depth_m for part in getattr(medium, "parts", ())[:-1]))
+        family, within = Family.of_one_size([medium]), max(0.0, depths[-1] - above)
+        cut: Any = cut_of(family, wavelengths, max_stderr, seed, threads, within)
+        whole = cut.media[0]
+    if any(isinstance(part, ParticleLayer) for part in getattr(whole, "parts", ())):
+        whole = _AbsorbingStack(whole.layers, whole.ground)
+    names = {name: column for column, name in enumerate(medium.materials())}
+    return _traced(whole, wavelengths, depths, float(whole.depth_m), endless, names)
+
+
+def _traced(
+    medium: Any,
+    wavelengths: np.ndarray,
+    depths: Sequence[float],
+    end: float,
+    endless: bool,
+    names: dict[str, int],
+) -> Traced:
+    """Return a medium that ends as it is traced."""
+    constants = constants_of(medium, wavelengths)
+    # A ground below what has no end is one that stands for the rest.
+    cut = endless and not isinstance(medium, _Slab) and ground_of(medium) is not None
+    if cut:
+        constants = _with_more_kept(constants)
+    planes = np.array([0.0, *depths, end])
+    return Traced(medium, constants, wavelengths.size, planes, endless, cut, names)
+
+
+def _with_more_kept(constants: Constants) -> Constants:
+    """Return constants twice, the second time over a ground that keeps more by `DOUBT`."""
+    more = constants.absorption.copy()
+    kept = -(1.0 + DOUBT) * np.expm1(-more[:, -1])
+    more[:, -1] = -np.log(np.maximum(1.0 - kept, math.exp(-700.0)))
+    more[:, -1] = np.where(kept < 1.0, more[:, -1], BLACK_DEPTH)
+    return Constants(
+        np.concatenate([constants.indices, constants.indices]),
+        np.concatenate([constants.absorption, more]),
+    )
+
+
+def _of_layer(layer: Layer, wavelengths: np.ndarray, depths: Sequence[float]) -> Traced:
+    """Return a layer of particles alone as it is traced."""
+    for name in ("polarized", "opaque"):
+        if getattr(layer, name):
+            hint = "profiles know no polarization" if name == "polarized" else LEFT_OUT[name][1]
+            raise refuse(name, True, "false", hint)
+    endless = math.isinf(layer.optical_thickness)
+    ground: Ground | None = Ground.of(layer.bottom_albedo)
+    bare = replace(layer, bottom_albedo=None)
+    if endless:
+        end = depths[-1] + _reach(layer)
+        thickness = layer.extinction_per_m * end
+        bare = replace(bare, optical_thickness=thickness, depth_m=end)
+        ground = Ground.of(1.0)
+    slab = _Slab((bare,), ground)
+    names = {"matrix": WET_PORE}
+    return _traced(slab, wavelengths, depths, float(bare.depth_m), endless, names)
+
+
+def _reach(layer: Layer) -> float:
+    """Return below which distance from light (m) the end of a layer does not show."""
+    albedo, g = layer.single_scattering_albedo, layer.phase.g
+    rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
+    # Over a white bottom: at its distance z from light it shows by exp(-2 rate z) and no more.
+    far = DEEP * max(1.0, 1.0 / (1.0 - g))
+    if rate > 0.0:
+        far = max(far, min(0.5 * DEEP / rate, _FARTHEST))
+    return far / layer.extinction_per_m

@@ -1,0 +1,76 @@
+"""What profiles are asked for: quantities by band or wavelength, and who contributes to them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from splits.instruments.ensemble import GROUPS
+from splits.instruments.inside_errors import FEW, rare_of, unseen_light
+from splits.instruments.inside_goal import Goal, members_of
+
+RANDOM = np.random.default_rng(1)
+
+
+def levels(*served):
+    return SimpleNamespace(
+        levels=[SimpleNamespace(served=np.array(one, dtype=bool)) for one in served]
+    )
+
+
+ENSEMBLES = [levels([1, 1, 1, 0], [0, 1, 1, 0]), levels([0, 1, 1, 1])]
+ROWS = [
+    RANDOM.random((GROUPS, 3, 4)) * np.array([1, 1, 1, 0]),
+    RANDOM.random((GROUPS, 3, 4)) * np.array([0, 1, 1, 1]),
+]
+
+
+def test_members_of_bands_add_up():
+    goal = Goal(0.01, True, RANDOM.random((2, 4)), np.ones(2))
+    members = members_of(goal, ENSEMBLES, ROWS)
+    np.testing.assert_allclose(members.values.sum(axis=0), goal.columns(sum(ROWS)))
+    # The first wavelength hears one level of the first ensemble, the next two hear both.
+    assert members.owner.tolist() == [[1, 0, 0], [1, 1, 0], [0, 0, 1]]
+    assert members.served.shape == (3, 2)
+    assert members.served.all()
+
+
+def test_members_of_wavelengths_are_ensembles():
+    members = members_of(Goal(0.01), ENSEMBLES, ROWS)
+    assert members.owner.tolist() == [[1, 1, 0], [0, 0, 1]]
+    np.testing.assert_array_equal(members.values, np.stack(ROWS))
+
+
+def test_quantities_are_irradiances_or_only_what_is_absorbed_and_reflected():
+    light, absorbed = RANDOM.random((GROUPS, 2, 3, 4)), RANDOM.random((GROUPS, 2, 4))
+    assert Goal(0.01).rows(light, absorbed).shape == (GROUPS, 8, 4)
+    rows = Goal(0.01, irradiance=False).rows(light, absorbed)
+    np.testing.assert_array_equal(rows[:, 0], light[:, 1, 0])
+    np.testing.assert_array_equal(rows[:, 1:], absorbed)
+
+
+def test_limits_share_the_variance_of_a_band():
+    parts = np.array([0.3, 1.0])
+    one, other = (Goal(0.01, weights=np.ones((2, 1)), share=share) for share in (parts, 1 - parts))
+    np.testing.assert_allclose(one.limit**2 + other.limit**2, 1e-4)
+
+
+def test_what_is_not_seen_is_at_most_what_reaches_the_plane_above():
+    down = np.zeros((GROUPS, 4, 1))
+    down[:, 0], down[:, 1] = 1.0, 1e-6
+    least = np.array([1e-3])
+    expected = [1e-3, 1e-3, 4e-6, 4e-6, 4e-6]
+    np.testing.assert_allclose(unseen_light(down, least)[:, 0], expected)
+
+
+def test_what_few_groups_decide_may_be_off_by_one_more():
+    none, one, every = np.zeros((GROUPS, 1)), np.zeros((GROUPS, 1)), np.ones((GROUPS, 1))
+    one[0] = 1.0
+    skew = np.full((GROUPS, 1), 1e-6)
+    skew[: FEW - 2] = 1.0
+    unseen = np.array([0.01])
+    assert rare_of(none, unseen) == 0.01
+    assert rare_of(one, unseen) == np.hypot(0.01, 1.0 / GROUPS)
+    assert rare_of(skew, unseen) == 1.0 / GROUPS
+    assert rare_of(every, unseen) == 0.0

@@ -42,7 +42,7 @@ def of_experiment(text):
 READERS = {
     **{name: ("reflectance", of_experiment(text)) for name, text in EXPERIMENTS.items()},
     "ground": ("albedo", lambda path: splits.Snow(ground=path)),
-    "sky": ("direct", lambda path: splits.sky(path)),
+    "sky": ("direct", lambda path: splits.sky(path, 50.0)),
     "index": ("n", lambda path: splits.Snow(refractive_index={"ice": path})),
     "band": ("response", lambda path: bands_of({"mine": str(path)})),
     "impurity": (

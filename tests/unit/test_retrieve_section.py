@@ -278,7 +278,7 @@ def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read
 @pytest.mark.parametrize(
     ("section", "line"),
     [
-        ({"at": {SIZE: 50}}, r"retrieve\.at\.optical_radius_um = 50.0: must be left out, as it"),
+        ({"at": {SIZE: 50}}, r"retrieve\.at\.optical_radius_um = 50.0: must be left out"),
         ({"free": ["level"], "at": {SIZE: 50, DIRT: 0}}, r"retrieve\.free = .*at least one para"),
     ],
 )

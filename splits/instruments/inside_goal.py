@@ -139,8 +139,10 @@ def wanted(
         parts = each.sum(axis=0)
         target *= np.divide(parts, whole, out=np.ones_like(parts), where=(parts > 0) & (whole > 0))
     count = (members.owner * rays) @ members.served
-    shares = each * count[:, np.newaxis] / target
-    found = allocate_rays(np.maximum(shares, _TINY), members.owner, members.served, levels)
+    # Rows without scatter want hardly anything, members that no ray counts for nothing at all.
+    least = np.where(count > 0.0, _TINY, 0.0)[:, np.newaxis]
+    shares = np.maximum(each * count[:, np.newaxis] / target, least)
+    found = allocate_rays(shares, members.owner, members.served, levels)
     more = found > rays + BATCH
     if not more.any():
         # What no ray has reached does not scatter.

@@ -72,7 +72,7 @@ def light_inside(
     error_of : {"absorbed_power", "irradiance"}
         Quantities whose errors `max_stderr` limits: absorbed power and the light sent back at the
         top, or irradiances at all depths besides.  In bright and thick packs the latter take
-        hundreds of times as many rays, since light crosses a plane there many times.
+        many times as many rays, since light crosses a plane there many times.
     total_w_m2 : float, optional
         Irradiance from above at all wavelengths of the sky (W m⁻²), to which it is scaled; the
         skies of SNICAR need it.

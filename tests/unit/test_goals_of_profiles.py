@@ -8,7 +8,7 @@ import numpy as np
 
 from splits.instruments.ensemble import GROUPS
 from splits.instruments.inside_errors import FEW, rare_of, unseen_light
-from splits.instruments.inside_goal import Goal, members_of
+from splits.instruments.inside_goal import Goal, members_of, wanted
 
 RANDOM = np.random.default_rng(1)
 
@@ -40,6 +40,22 @@ def test_members_of_wavelengths_are_ensembles():
     members = members_of(Goal(0.01), ENSEMBLES, ROWS)
     assert members.owner.tolist() == [[1, 1, 0], [0, 0, 1]]
     np.testing.assert_array_equal(members.values, np.stack(ROWS))
+
+
+def test_rays_wanted_by_wavelength_are_what_the_variance_asks_for():
+    """A wavelength that draws on one ensemble alone asks nothing of the other."""
+    ensembles = [levels([1, 1, 0]), levels([0, 1, 1])]
+    for level in (one for e in ensembles for one in e.levels):
+        level.rays, level.legs = 1024, 10 * 1024
+    scatter = (
+        RANDOM.standard_normal((2, GROUPS, 1, 3))
+        * np.array([[1, 0.5, 0], [0, 0.5, 1]])[:, np.newaxis, np.newaxis]
+    )
+    error = scatter.sum(axis=0).std(axis=0, ddof=1).max() / np.sqrt(GROUPS)
+    goal = Goal(error / 2.0, False)
+    found = wanted(goal, ensembles, [0.1 + each for each in scatter], np.zeros((1, 3)))
+    assert (found > 1.5 * 1024).all()
+    assert (found < 6.0 * 1024).all()
 
 
 def test_quantities_are_irradiances_or_only_what_is_absorbed_and_reflected():

@@ -109,17 +109,21 @@ def measure_transmittance(rule: str, density: float, effort: Effort) -> Iterator
 
 
 def measure_reciprocity(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
-    """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back."""
-    snow, means, errors = natural(rule, density, depth_m=0.05), [], []
-    for incidence, view in ((30.0, 70.0), (70.0, 30.0)):
+    """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
+    snow = natural(rule, density, depth_m=0.05)
+    bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="cells").polar.values
+    near = [float(bins[np.abs(bins - angle).argmin()]) for angle in (30.0, 70.0)]
+    means, errors = [], []
+    for incidence, view in (near, near[::-1]):
         found = splits.goniophotometer(
-            snow, [1000.0], incidence, relative_stderr=effort.brdf, seed=round(incidence),
-            polar_deg=[view], azimuth_deg=np.arange(0.0, 360.0, 15.0),
-        ).squeeze()  # fmt: skip
-        mean = float(found.brdf.mean())
-        means.append(mean)
-        # Directions are estimated from the same rays: their errors are taken as one.
-        errors.append(float(found.brdf_stderr.mean()) / mean)
+            snow, [1000.0], incidence, relative_stderr=6.0 * effort.brdf, seed=round(incidence),
+            estimator="cells",
+        )  # fmt: skip
+        ring = found.squeeze().sel(polar=view)
+        means.append(float(ring.brdf.mean()))
+        # Bins count different rays.
+        error = float(np.sqrt((ring.brdf_stderr**2).sum())) / ring.sizes["azimuth"]
+        errors.append(error / means[-1])
     ratio = means[0] / means[1]
     yield "reciprocity", "30-70", ratio, ratio * float(np.hypot(*errors))
 

@@ -38,15 +38,17 @@ SETS: dict[str, dict[str, str]] = {
     "splits_2007": {
         "entry": "uniform", "facets": "projected", "wrong_side": "lobe",
         "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+        "grain_extent": "finite",
     },
     "splitsnow_2021": {
         "entry": "uniform", "facets": "any", "wrong_side": "mirrored",
         "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+        "grain_extent": "finite",
     },
     "geometric": {
         "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
         "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
-        "grain_distance": "leg_and_grain",
+        "grain_distance": "leg_and_grain", "grain_extent": "finite",
     },
     "radiative_transfer": {
         "entry": "projected", "facets": "projected", "wrong_side": "mirrored",

@@ -25,8 +25,8 @@ from splits.media.readings import Readings
 from splits.media.words import call, unusual
 from splits.transport.grains.scene import Grains, Types
 
-THINNEST_KG_M3 = 1e-6
-"""Least density: one grain in a hundred kilometres of a ray."""
+THINNEST_KG_M3 = 1e-12
+"""Least density: a grain in 1e11 m of a ray, far from where numbers end."""
 
 
 @known_keywords
@@ -66,7 +66,7 @@ class Snow(ByContent):
     impurities_in : {"ice", "pores"}
         Where they are, evenly spread: within the grains, or in all pores between them.
     density_kg_m3 : float
-        Mass of ice (water not counted) per volume of snow, from 1e-6 to below the density of ice.
+        Mass of ice (water not counted) per volume of snow, from 1e-12 to below the density of ice.
     temperature_c : float
         −40 to 0 °C; decides the density of ice.
     depth_m : float

@@ -187,8 +187,6 @@ def test_only_the_top_of_a_stack_is_rough():
         splits.Stack([LID, rough])
 
 
-def test_lanes_and_profiles_know_no_particles():
+def test_lanes_know_no_particles():
     with pytest.raises(ValueError, match="lanes know no layers of particles"):
         splits.spectrophotometer(splits.Stack([LID, SNOW]), 500.0, kernel="lanes")
-    with pytest.raises(ValueError, match="medium = 'stack': must be layers of grains"):
-        splits.profile(splits.Stack([LID, SNOW]), 500.0, [0.005])

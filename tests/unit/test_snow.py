@@ -38,7 +38,7 @@ BAD = [
     ("density_kg_m3", 950.0, "916.9"),
     ("density_kg_m3", 917, "916.9"),
     ("density_kg_m3", 0.0, "916.9"),
-    ("density_kg_m3", 5e-324, "1e-06, 916.9"),
+    ("density_kg_m3", 5e-324, "1e-12, 916.9"),
     ("temperature_c", 1.0, "[-40, 0]"),
     ("temperature_c", -41.0, "[-40, 0]"),
     ("depth_m", -0.1, "(0, 10000]"),

@@ -9,6 +9,7 @@ import splits
 from splits.instruments.arguments import check_medium
 from splits.instruments.nodes import choose_nodes
 from splits.instruments.scenes import granular_scene
+from splits.media.readings import SETS
 
 FRESH = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.02)
 SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
@@ -106,3 +107,10 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
     faces = [i for i in stack.interfaces() if i.place == "face"]
     named = {(names[i.near], names[i.far], i.share) for i in faces}
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
+
+
+def test_a_set_replaces_all_that_layers_say_of_transport():
+    natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
+    for name in SETS:
+        (layer,) = splits.Stack([natural], readings=name).parts
+        assert layer.readings == splits.Readings.of(name)

@@ -319,7 +319,7 @@ def attenuation(error: float) -> None:
         spent = seconds - measured(medium, error, 1)[1]
         long, stderr = long_difference(medium, "density_kg_m3", 20.0, error, 100)
         other = independent(medium, "density_kg_m3", 20.0, error, spent)
-        # Grains stay as they are: attenuation goes as density over pores.
+        # Grains stay as they are: attenuation is that of the mean leg.
         legs = [1.0 / mean_leg_m(with_value(medium, "density_kg_m3", x)) for x in (199.0, 201.0)]
         rate = 0.5 * np.log(legs[1] / legs[0])
         mean, variance, took = likelihood(medium, 100_000)

@@ -1,8 +1,8 @@
 """What theories need beside the model's own optics, and one of them: asymptotic transfer.
 
 Discrete ordinates stand in `splits.analysis.ordinates`.  Both take grains for points that scatter.
-The model does not: a ray leaves a grain where it comes out of it, a grain that cuts the last leg or
-a boundary is drawn again, and wet pores reflect at the boundaries.
+The sets of the papers do not: a ray leaves a grain where it comes out of it, and a grain that cuts
+the last leg or a boundary is drawn again.  In all of them wet pores reflect at the boundaries.
 docs/theory/radiative-transfer.md says how far that matters.
 """
 

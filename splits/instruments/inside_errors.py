@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.instruments.nodes import SLOPE
 from splits.instruments.planes import Planes
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.granular import GranularMedium, LayeredMedium, pore_fraction
 from splits.media.particles import ParticleLayer
 from splits.transport.grains.scene import WET_PORE
 from splits.transport.sums.passages import DOWN
@@ -188,6 +188,7 @@ def _steps_of(medium: GranularMedium | ParticleLayer, absorption: np.ndarray) ->
         return Steps(none, none, absorption[:, WET_PORE])
     grains, types = medium.grains(), medium.grains().types
     leg = 1.0 / grains.attenuation
+    pore = leg * pore_fraction(medium)
     packed = getattr(medium.readings, "attenuation", "solid") == "solid"
     chord = medium.mean_grain_distance_m * (1.0 - medium.porosity if packed else 1.0)
     shares = np.diff(grains.share, prepend=0.0)
@@ -204,7 +205,7 @@ def _steps_of(medium: GranularMedium | ParticleLayer, absorption: np.ndarray) ->
             depths.append(leg * absorption[:, pore])
             of_all.append(share)
     kept = np.array(of_all) @ -np.expm1(-np.array(depths))
-    return Steps(np.max(depths, axis=0), leg * np.minimum(kept, 1.0), kept / leg)
+    return Steps(np.max(depths, axis=0), pore * np.minimum(kept, 1.0), kept / pore)
 
 
 def _stretched(depth: np.ndarray) -> np.ndarray:

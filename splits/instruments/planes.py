@@ -51,6 +51,8 @@ class Planes:
     served : bool, shape (wavelengths,)
     manner : Manner
     layers : int
+    fractions : float, shape (materials,)
+        Path over recorded length, see `splits.media.granular.path_fractions`.
     """
 
     def __init__(
@@ -61,8 +63,10 @@ class Planes:
         served: np.ndarray,
         manner: Manner,
         layers: int,
+        fractions: np.ndarray,
     ) -> None:
         self.absorption = absorption
+        self.fractions = fractions
         self.manner = manner
         self.layers = layers
         self.count = np.zeros(len(absorption))
@@ -82,7 +86,8 @@ class Planes:
     def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
         """Return the sums of a batch of `BATCH` rays of a level."""
         absorption = self.absorption[level.served]
-        sums = passages(exits, notes, absorption, self.layers, self.manner.ground)
+        ground = self.manner.ground
+        sums = passages(exits, notes, absorption, self.fractions, self.layers, ground)
         return (first // BATCH) % GROUPS, sums
 
     def add(self, level: Level, tallies: Sequence[Sums]) -> None:

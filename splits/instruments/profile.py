@@ -28,7 +28,7 @@ from splits.instruments.planes import BATCH, Planes
 from splits.instruments.progress import Report, shows_progress
 from splits.instruments.runner import Runner
 from splits.instruments.tracers import KERNELS
-from splits.media.granular import GranularMedium, LayeredMedium
+from splits.media.granular import GranularMedium, LayeredMedium, path_fractions
 from splits.media.turbid import Medium, TurbidMedium
 
 MOST_DEPTHS = 200
@@ -167,8 +167,11 @@ def measure(asked: Inquiry, goal: Goal) -> xr.Dataset:
     nodes = _nodes(index, traced.medium, goal)
     layers = len(runner.tracer.depths_m) - 1
     _check_memory(traced, layers, len(nodes.index))
+    fractions = np.ones(absorption.shape[1])
+    own = path_fractions(traced.medium)
+    fractions[: own.size] = own
     ensembles = [
-        Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers)
+        Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers, fractions)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
     runner.prepare(ensembles)

@@ -77,7 +77,7 @@ class Impure(Protocol):
 def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
     """Return the absorption coefficients (1/m) of a medium's materials, impurities included.
 
-    Those of pores apply to the length of a leg (`pore_fraction`).
+    They apply to recorded lengths (`path_fractions`).
 
     Parameters
     ----------
@@ -87,15 +87,33 @@ def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarra
     wavelength_nm : float, shape (wavelengths,)
     """
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    absorption *= path_fractions(medium)
     first = 0
-    for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
+    for part in _parts_of(medium):
         count = len(part.materials())
-        if isinstance(part, GranularMedium):
-            absorption[:, first : first + PORES + len(part.pores)] *= pore_fraction(part)
         if isinstance(part, Impure):
             absorption[:, first : first + count] += part.added_absorption(wavelength_nm)
         first += count
     return absorption
+
+
+def path_fractions(medium: Described) -> np.ndarray:
+    """Return which fraction of the length recorded in each material is path in it.
+
+    Kernels record whole segments between grains; of those between points, pores are a fraction
+    (`pore_fraction`).
+    """
+    fractions = []
+    for part in _parts_of(medium):
+        own = np.ones(len(part.materials()))
+        if isinstance(part, GranularMedium):
+            own[: PORES + len(part.pores)] = pore_fraction(part)
+        fractions.append(own)
+    return np.concatenate(fractions)
+
+
+def _parts_of(medium: Described) -> Sequence[Any]:
+    return medium.parts if isinstance(medium, LayeredMedium) else (medium,)
 
 
 @runtime_checkable

@@ -72,9 +72,10 @@ def natural(
 
     Its grains have the absorption enhancement and the asymmetry parameter that natural snow
     was measured to have at 900 nm (`splits.media.natural_snow`).  They are point scatterers
-    (readings ``radiative_transfer``), so that the reflectance of a half-space does not depend on
-    its density, the BRDF is reciprocal, and the mean path inside is that of equilibrium.  Its ice
-    absorbs as Picard et al. (2016) found below 600 nm, and its water is Segelstein's.
+    (readings ``radiative_transfer``), so that the reflectance of a dry half-space does not depend
+    on its density, the BRDF is reciprocal, and mean paths inside are those of the law with the
+    grains' own B.  Its ice absorbs as Picard et al. (2016) found below 600 nm, and its water is
+    Segelstein's.
 
     Parameters
     ----------

@@ -178,6 +178,10 @@ class TransportReadings:
         """Return all readings by name."""
         return asdict(self)
 
+    def transport(self) -> dict[str, str]:
+        """Return the readings that SPLITS and SPLITSnow share."""
+        return {field.name: getattr(self, field.name) for field in fields(TransportReadings)}
+
     def as_input(self) -> str | dict[str, str]:
         """Return the name of the set that these readings are, or those that are not by default."""
         for name, chosen in SETS.items():
@@ -221,6 +225,8 @@ class Readings(TransportReadings):
 class SandReadings(TransportReadings):
     """Named readings of SPLITS, besides those of `TransportReadings`.
 
+    With ``attenuation: printed`` grains alone fill the volume, so ``grain_distance`` must be "leg".
+
     Parameters
     ----------
     mixing : {"maxwell_garnett", "linear"}
@@ -244,3 +250,11 @@ class SandReadings(TransportReadings):
     excess_magnetite: str = "first"
     attenuation: str = "solid"
     water: str = "whole_pores"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.attenuation == "printed" and self.grain_distance != "leg":
+            hint = "mean chord and mean distance are both 1/K, which leaves no pores"
+            raise refuse(
+                "readings.attenuation", self.attenuation, "solid with this grain_distance", hint
+            )

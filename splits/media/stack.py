@@ -95,7 +95,7 @@ class Stack:
         grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
         for number, layer in grains:
             top, first = grains[0]
-            if layer.readings.rules() != first.readings.rules():
+            if layer.readings.transport() != first.readings.transport():
                 raise refuse(
                     f"layers[{number}].readings", layer.readings.as_dict(),
                     f"those of layers[{top}], {first.readings.as_dict()}",

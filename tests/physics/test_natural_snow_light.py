@@ -165,3 +165,21 @@ def test_packed_natural_snow_is_reciprocal(density):
         error = math.hypot(float(there.brdf_stderr), float(back.brdf_stderr))
         z.append(float(there.brdf - back.brdf) / error)
     judge_z(z, "reciprocity", bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [50.0, 550.0])
+def test_light_inside_white_snow_is_as_much_as_its_mean_path_says(density):
+    """The mean actinic flux of a white slab under diffuse light is its mean path over its depth."""
+    white = {"ice": 1.31, "water": 1.33}
+    layer = snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
+    halves = splits.profile(layer, [1000.0], [0.01], "diffuse", 0.01).isel(wavelength=0)
+    flux, stderr = halves.actinic_flux.mean().item(), halves.actinic_flux_stderr.mean().item()
+    optics = splits.single_scattering(
+        snow(density_kg_m3=density, depth_m=0.02, refractive_index={"ice": faint(1.31, 0.03)}),
+        [1000.0], moments=1, rays=400_000,
+    ).isel(wavelength=0)  # fmt: skip
+    enhancement = layer.attenuation_per_m / 0.03 * (1.0 - optics.single_scattering_albedo.item())
+    law = 2.0 * (1.0 - layer.ice_fraction + enhancement * layer.ice_fraction)
+    assert abs(flux - law) < 3.0 * math.hypot(stderr, 0.005)

@@ -114,3 +114,15 @@ def test_a_set_replaces_all_that_layers_say_of_transport():
     for name in SETS:
         (layer,) = splits.Stack([natural], readings=name).parts
         assert layer.readings == splits.Readings.of(name)
+
+
+def test_layers_of_a_stack_have_the_same_distances_between_grains():
+    snow = {"optical_radius_um": 100, "depth_m": 0.1}
+    other = splits.Snow.natural(**snow, readings={"grain_distance": "leg"})
+    with pytest.raises(ValueError, match=r"layers\[1\].readings"):
+        splits.Stack([splits.Snow.natural(**snow), other])
+
+
+def test_sand_whose_grains_fill_the_volume_has_no_distance_with_grains():
+    with pytest.raises(ValueError, match="attenuation = 'printed': must be solid"):
+        splits.Sand(readings={"set": "radiative_transfer", "attenuation": "printed"})

@@ -29,7 +29,7 @@ def test_levels_are_numbered_apart():
                 Ensemble(i, index, absorption, served, manner._replace(analog=True))
                 for i in range(3)
             ),
-            *(Planes(i, index, absorption, served, manner, 2) for i in range(3)),
+            *(Planes(i, index, absorption, served, manner, 2, np.ones(2)) for i in range(3)),
         )
         for level in ensemble.levels
     ]

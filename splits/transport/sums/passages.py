@@ -49,7 +49,7 @@ class _Past(NamedTuple):
 
 
 @entry
-def passages(exits, notes, absorption, layers, ground):
+def passages(exits, notes, absorption, fractions, layers, ground):
     """Add up what rays carry past faces, and what they leave between.
 
     Parameters
@@ -58,7 +58,9 @@ def passages(exits, notes, absorption, layers, ground):
     notes : float64[notes, columns]
         Of these rays, ray by ray, see `splits.transport.sums.notes`.
     absorption : float64[wavelengths, materials]
-        Absorption coefficients (1/m); of a ground −ln of its albedo.
+        Absorption coefficients (1/m) of recorded lengths; of a ground −ln of its albedo.
+    fractions : float64[materials]
+        Path over recorded length, see `splits.media.granular.path_fractions`.
     layers : int
     ground : int
         Column of the ground, see `scene.Scene`.
@@ -69,6 +71,7 @@ def passages(exits, notes, absorption, layers, ground):
     """
     wavelengths, materials = absorption.shape
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
+    part = fractions.astype(np.float32)
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
@@ -86,7 +89,9 @@ def passages(exits, notes, absorption, layers, ground):
         layer = 0
         while first < notes.shape[0] and notes[first, NOTE_RAY] == ray:
             row = notes[first]
-            _stretch(sums, past, now, row[NOTE_LENGTH:], row[NOTE_WEIGHT], alpha, layer, ground)
+            _stretch(
+                sums, past, now, row[NOTE_LENGTH:], row[NOTE_WEIGHT], alpha, part, layer, ground
+            )
             face, up = divmod(int(row[NOTE_EVENT]), 2)
             _add(sums.light[up, face], now, row[NOTE_WEIGHT])
             layer = face - up
@@ -101,7 +106,7 @@ def passages(exits, notes, absorption, layers, ground):
         side = int(exits[ray, EXIT_SIDE])
         if side >= 0:
             weight = exits[ray, EXIT_WEIGHT]
-            _stretch(sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, layer, ground)
+            _stretch(sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground)
             _add(sums.light[UP if side == 0 else DOWN, 0 if side == 0 else layers], now, weight)
     return sums
 
@@ -114,7 +119,7 @@ def _add(total, light, weight):
 
 
 @kernel
-def _stretch(sums, past, now, lengths, weight, alpha, layer, ground):
+def _stretch(sums, past, now, lengths, weight, alpha, part, layer, ground):
     """Add what a ray leaves on a stretch, and bring its past to the end of that.
 
     Roulette on the way counts from the beginning of the stretch: on average that is the same.
@@ -125,7 +130,7 @@ def _stretch(sums, past, now, lengths, weight, alpha, layer, ground):
     for material in range(alpha.shape[0]):
         leg = np.float32(lengths[material] - past.lengths[material])
         if leg > ZERO and material != ground:
-            whole += leg
+            whole += leg * part[material]
             for i in range(now.size):
                 now[i] += alpha[material, i] * leg
     for i in range(now.size):

@@ -227,7 +227,6 @@ def test_diffusion_below_a_cut_has_its_limits():
     [
         lambda snow: splits.goniophotometer(snow, [500.0]),
         lambda snow: splits.bssrdf(snow, [500.0]),
-        lambda snow: splits.profile(snow, [500.0], [0.1]),
         lambda snow: splits.deep_transmittance(snow, [500.0]),
         lambda snow: splits.spectrophotometer(snow, [500.0], estimator="analog"),
     ],

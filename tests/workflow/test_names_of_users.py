@@ -65,9 +65,9 @@ def test_patterns_are_no_paths(project):
     project.put("one", INDICES)
     (project.folder / "config" / "measured").rename(project.folder / "m{x}")
     for key, path in (("results", "out{x}"), ("measured_folder", "m{x}")):
-        config = f"accuracy=tiny measured_folder=m{{x}} {key}={path}"
+        config = f"accuracy=tiny {key}={path}"
         run = project.snakemake("--cores", 1, "--dry-run", config=config)
-        told = f"{key} = '{path}': must be a path without {{ and }}"
+        told = f"{key} = '{path}': must be a path without"
         assert run.code != 0 and told in run.text, run.text
 
 
@@ -76,7 +76,7 @@ def test_a_table_whose_name_is_a_pattern_is_refused(project):
     project.put("one", "medium: {depth_m: 0.01, ground: 'my{soil}.csv'}\n"
                 "instrument: {wavelength_nm: [500]}\n")  # fmt: skip
     run = project.snakemake("--cores", 1, "--dry-run")
-    assert "one: medium or grid, my{soil}.csv = 'my{soil}.csv': must be a path" in run.text
+    assert "my{soil}.csv" in run.text and "must be a path without" in run.text, run.text
 
 
 def test_the_main_configuration_is_yaml_1_2(project):

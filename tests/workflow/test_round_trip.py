@@ -32,7 +32,7 @@ PACK = (
     " {kind: sand, depth_m: 0.004}]}\n"
 )
 LAYER = "medium: {kind: layer, optical_thickness: 2}\n"
-PLAIN_LAYER = "medium: {kind: layer}\n"
+A_LAYER = "medium: {kind: layer}\n"
 WAVES = (
     "medium: {kind: layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
     " wave_number_per_m: 1, waves: 8, correlation: gaussian}}\n"
@@ -105,14 +105,14 @@ CASES = {
     "figure: {kind: spectra, at: {polarized: true}}\n",
     "trip_layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
     "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",
-    "trip_layer_local": PLAIN_LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
+    "trip_layer_local": A_LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
     " estimator: local, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {at: {optical_thickness: 2}}\n",
     "trip_layer_polarization": "medium: {kind: layer, polarized: true, phase_function: rayleigh}\n"
     "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: local,"
     " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
-    "trip_layer_spread": PLAIN_LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
+    "trip_layer_spread": A_LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
     " half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
     "figure: {at: {optical_thickness: 2}}\n",
     "trip_waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"

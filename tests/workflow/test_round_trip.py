@@ -76,7 +76,8 @@ CASES = {
     "trip_stack_spectra": PACK + "instrument: {wavelength_nm: [500, 1030]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004], layers.1.saturation: {dry: 0, wet: 0.1}}\n"
     "figure: {at: {layers.1.saturation: wet}}\n",
-    "trip_stack_points": PACK.replace(" ground: 0.3,", "") + "instrument: {wavelength_nm: [500], incidence_deg: diffuse}\n"
+    "trip_stack_points": PACK.replace(" ground: 0.3,", "")
+    + "instrument: {wavelength_nm: [500], incidence_deg: diffuse}\n"
     "grid: {ground: [0.2, 0.8]}\nfigure: {kind: points}\n",
     "trip_stack_plane": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004]}\n",

@@ -190,21 +190,6 @@ class Settings(Section):
                 allowed = f"a goniophotometer over {' and '.join(DIRECTIONS)}"
                 raise ConfigError(f"{key}: must be {allowed}")
 
-    def _check_paths(self, available: Mapping[str, Experiment]) -> None:
-        """Refuse paths that Snakemake takes for patterns."""
-        folders = ("results", "media_folder", "measured_folder", "published_folder")
-        paths = {key: getattr(self, key) for key in folders}
-        for study, about in self.studies.items():
-            paths |= {f"studies.{study}.files.{key}": file for key, file in about.files.items()}
-        for name, one in available.items():
-            sections = {"figure": one.figure, "fit": one.fit, "retrieve": one.retrieve}
-            paths |= {f"{name}: {key}.measured": x.measured for key, x in sections.items() if x}
-            paths |= {f"{name}: medium or grid, {table}": table for table in one.tables()}
-        for key, path in paths.items():
-            if path and {"{", "}"} & set(path):
-                hint = "what stands between them is a wildcard in the workflow"
-                raise ConfigError(str(refuse(key, path, "a path without { and }", hint)))
-
     def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.
 
@@ -223,6 +208,5 @@ class Settings(Section):
             raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         check_studies(self.studies, available, self.tables)
         self._check_explorer(available)
-        self._check_paths(available)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

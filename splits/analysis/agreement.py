@@ -21,12 +21,14 @@ from splits.analysis.measured import (
     measured_rmse,
     rmse,
 )
-from splits.analysis.trends import ranking_rows, trend_rows
+from splits.analysis.trends import UNRESOLVED, ranking_rows, trend_rows
 from splits.materials.tables import read_cells
 
 Value = tuple[float, float]
 """A number and its standard error."""
 
+RESOLVED = 2.0
+"""A verdict on a published number needs its bar to be more than so many standard errors away."""
 AVIRIS_BANDS = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
 
 
@@ -83,12 +85,11 @@ def _judge(name: object, row: pd.Series, value: Value | None) -> dict[str, objec
     if isinstance(row.bar, str):
         relative = row.bar.endswith("%")
         allowed = float(row.bar.rstrip("%")) * (abs(row.published) / 100 if relative else 1.0)
-        within = abs(difference) <= allowed
+        low, high = row.published - allowed, row.published + allowed
         bar = f"±{row.bar}".replace("%", " %")
     else:
         low = -np.inf if pd.isna(row.low) else row.low
         high = np.inf if pd.isna(row.high) else row.high
-        within = low <= ours <= high
         bar = f"{low:g} to {high:g}" if np.isfinite(low) else f"at most {high:g}"
     return {
         **fixed,
@@ -96,8 +97,15 @@ def _judge(name: object, row: pd.Series, value: Value | None) -> dict[str, objec
         "stderr": stderr,
         "difference": difference,
         "bar": bar,
-        "verdict": "agrees" if within else "outside",
+        "verdict": _verdict(ours, stderr, low, high),
     }
+
+
+def _verdict(value: float, stderr: float, low: float, high: float) -> str:
+    """Return whether a value lies in a range, if its standard error lets that be known."""
+    if min(abs(value - low), abs(value - high)) < RESOLVED * stderr:
+        return UNRESOLVED
+    return "agrees" if low <= value <= high else "outside"
 
 
 def _values(

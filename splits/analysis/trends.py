@@ -9,6 +9,8 @@ import xarray as xr
 
 from splits.analysis.errors import band, band_error
 
+UNRESOLVED = "not resolved at this accuracy"
+"""Verdict on a number whose error is too large for one."""
 SIGNIFICANT = 3.0
 """A trend counts as shown when its smallest step exceeds this many standard errors."""
 
@@ -127,7 +129,7 @@ def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> d
     v, e = float(value[worst]), float(error[worst])
     row = _row(quantity, place, v, e, v > SIGNIFICANT * e, f"above {SIGNIFICANT:g} standard errors")
     if not abs(v) > SIGNIFICANT * e:
-        row["verdict"] = "not resolved at this accuracy"
+        row["verdict"] = UNRESOLVED
     return row
 
 

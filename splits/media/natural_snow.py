@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from splits.checks import in_range, known_arguments, refuse
+from splits.materials import ice_density
 from splits.media.measured_inputs import AREA, RADIUS
 from splits.media.readings import Readings, together
 
@@ -117,7 +118,7 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     if not {AREA, RADIUS, "grain_size_um"} & set(given):
         raise refuse(
             AREA, None, "given, or optical_radius_um",
-            "m2/kg: fresh snow has some 60, old snow 10, melting snow 3",
+            "m2/kg: fresh snow has 40 and more, old snow 10, melting snow 3",
         )  # fmt: skip
     usual = {
         **GRAINS, "readings": READINGS, "density_kg_m3": 300.0, "depth_m": math.inf,
@@ -125,8 +126,10 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     if "saturation" not in given and "liquid_water_content" not in given:
         usual["saturation"] = 0.0
     if "density_kg_m3" in given:
-        hint = "kg/m3, not g/cm3"
-        in_range("density_kg_m3", given["density_kg_m3"], LIGHTEST, 1000.0, "kg/m3", hint=hint)
+        key, temperature = "density_kg_m3", given.get("temperature_c", -1.0)
+        ice = ice_density(in_range("temperature_c", temperature, -40.0, 0.0, "°C"))
+        hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
+        in_range(key, given[key], LIGHTEST, ice, "kg/m3", hint=hint, open_high=True)
     readings = given.get("readings", {})
     if isinstance(readings, Mapping):
         given = {**given, "readings": together([READINGS, readings])}

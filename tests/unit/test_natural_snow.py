@@ -79,7 +79,17 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
         (lambda: splits.Snow(optical_radius_um="a"), ValueError, "optical_radius_um = 'a'"),
         (
             lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=0.25),
-            ValueError, "not g/cm3",
+            ValueError, r"\[10, 916.9\d*\) kg/m3 \(kg/m3, not g/cm3",
+        ),
+        (
+            lambda: splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=950),
+            ValueError, r"\[10, 916.9\d*\) kg/m3",
+        ),
+        (
+            lambda: splits.Snow.natural(
+                specific_surface_area_m2_kg=20, density_kg_m3=300, temperature_c=5
+            ),
+            ValueError, "temperature_c = 5",
         ),
         (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
         (

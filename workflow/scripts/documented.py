@@ -17,4 +17,4 @@ try:
     )
 except (OSError, ValueError) as error:
     sys.exit(f"documented: {error}")
-write_line(f"changed: {' '.join([*changed, *images, *deleted]) or 'nothing'}", sys.stderr)
+write_line(f"changed: {' '.join(map(str, [*changed, *images, *deleted])) or 'nothing'}", sys.stderr)

@@ -72,9 +72,9 @@ print(json.dumps({"first spectrum": time.process_time() - begun}))
 class Plan:
     """How much to measure: rounds, repetitions in each, rays by lanes, and error."""
 
-    rounds: int = 3
-    repeats: int = 3
-    rays: int = 16_384
+    n_rounds: int = 3
+    n_repeats: int = 3
+    n_rays: int = 16_384
     error: float = 0.001
 
 
@@ -83,17 +83,17 @@ QUICK = Plan(1, 1, 512, 0.02)
 
 def programs(plan: Plan) -> dict[tuple[str, str], str]:
     """Return what to run, by part and case."""
-    scalar = ("scalar", plan.rays // 8, {"kernel": "scalar"})
-    ways = [scalar, ("lanes", plan.rays, {"kernel": "lanes"})]
-    papers = ("papers' algorithm", plan.rays // 8, {"estimator": "analog"})
+    scalar = ("scalar", plan.n_rays // 8, {"kernel": "scalar"})
+    ways = [scalar, ("lanes", plan.n_rays, {"kernel": "lanes"})]
+    papers = ("papers' algorithm", plan.n_rays // 8, {"estimator": "analog"})
     found = {}
     for case, (kind, medium, wavelengths) in CASES.items():
         found["rays", case] = RAYS.format(
-            kind=kind, medium=medium, wavelengths=wavelengths, repeats=plan.repeats,
+            kind=kind, medium=medium, wavelengths=wavelengths, repeats=plan.n_repeats,
             ways=[*ways, papers] if not medium else ways,
         )  # fmt: skip
     representative = next(iter(CASES))
-    found["spectrum", representative] = SPECTRUM.format(repeats=plan.repeats, error=plan.error)
+    found["spectrum", representative] = SPECTRUM.format(repeats=plan.n_repeats, error=plan.error)
     found["first", representative] = FIRST
     return found
 
@@ -121,7 +121,7 @@ def compare(commit: str, plan: Plan) -> pd.DataFrame:
         subprocess.run(["git", "-C", str(before), "checkout", "-q", commit], check=True)
         for (part, case), program in programs(plan).items():
             best: dict[tuple[str, str], float] = {}
-            for turn in range(plan.rounds):
+            for turn in range(plan.n_rounds):
                 for when, package in (("then", before), ("now", ROOT)):
                     cache = Path(folder) / f"{when}{turn}" if part == "first" else None
                     for way, spent in run(program, package, cache).items():

@@ -101,11 +101,11 @@ def measured(medium: Any, error: float, seed: int, incidence: float = ANGLE, **m
     return found, time.process_time() - begun
 
 
-def at(medium: Any, name: str, by: float) -> tuple[Any, float]:
+def at(medium: Any, name: str, change: float) -> tuple[Any, float]:
     """Return a medium and an incidence with a parameter moved."""
     if name == INCIDENCE:
-        return medium, ANGLE + by
-    return with_value(medium, name, value_of(medium, name) + by), ANGLE
+        return medium, ANGLE + change
+    return with_value(medium, name, value_of(medium, name) + change), ANGLE
 
 
 def long_difference(medium: Any, name: str, step: float, error: float, seed: int) -> Any:
@@ -119,10 +119,10 @@ def long_difference(medium: Any, name: str, step: float, error: float, seed: int
     return value, np.sqrt(square)
 
 
-def compare(chosen: list[str], error: float, seeds: int) -> None:
+def compare(labels: list[str], error: float, seeds: int) -> None:
     """Hold all derivatives against differences of long runs."""
     every = []
-    for label in chosen:
+    for label in labels:
         medium, steps = MEDIA[label]
         for number, (name, step) in enumerate(steps.items()):
             some = []
@@ -164,7 +164,7 @@ class Scored(Ensemble):
     sums: np.ndarray
     attenuation: float
 
-    def tally(self, level: Any, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+    def score_chunk(self, stratum: Any, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
         """Return sums and sums of squares over the rays of a batch, by wavelength."""
         lengths = exits[:, EXIT_LENGTH:]
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
@@ -174,11 +174,11 @@ class Scored(Ensemble):
         both = np.where(out[:, None], weight * score[:, None], 0.0)
         return np.stack([both.sum(axis=0), (both**2).sum(axis=0)]), len(exits)
 
-    def add(self, level: Any, tallies: Any) -> None:
+    def add_scores(self, stratum: Any, scores: Any) -> None:
         """Add batches up."""
-        for sums, rays in tallies:
+        for sums, rays in scores:
             self.sums = self.sums + sums
-            level.rays += rays
+            stratum.n_rays += rays
 
 
 def likelihood(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -186,11 +186,11 @@ def likelihood(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
     begun = time.process_time()
     index, absorption = constants_of(medium, np.array(W))
     runner = Runner(medium, ANGLE, 1, None, False)
-    one = Scored(0, index[len(W) // 2], absorption, np.ones(len(W), bool), runner.tracer.manner,
-                 levels=EVERY_RAY)  # fmt: skip
+    one = Scored(0, index[len(W) // 2], absorption, np.ones(len(W), bool), runner.tracer.traits,
+                 strata=EVERY_RAY)  # fmt: skip
     one.sums, one.attenuation = np.zeros((2, len(W))), 1.0 / mean_leg_m(medium)
-    runner.trace([(one, level, rays) for level in one.levels], 1.0, 0.0)
-    count = one.levels[0].rays
+    runner.trace([(one, level, rays) for level in one.strata], 1.0, 0.0)
+    count = one.strata[0].n_rays
     mean = one.sums[0] / count
     variance = (one.sums[1] / count - mean**2) / count
     return mean, variance, time.process_time() - begun
@@ -210,14 +210,14 @@ class Independent(NamedTuple):
         The same with five points at the step first thought of.
     """
 
-    square: np.ndarray
-    points: int
+    mean_square: np.ndarray
+    n_points: int
     step: float
-    cautious: np.ndarray
+    default_mean_square: np.ndarray
 
-    def beside(self, square: np.ndarray) -> str:
+    def format_ratio(self, square: np.ndarray) -> str:
         """Return how large another mean square is, beside both."""
-        best, cautious = (np.median(square / own) for own in (self.square, self.cautious))
+        best, cautious = (np.median(square / own) for own in (self.mean_square, self.default_mean_square))
         return f"{cautious:.2f} ({best:.2f})"
 
 
@@ -246,8 +246,8 @@ def independent(medium: Any, name: str, step: float, error: float, spent: float)
         every.append(Independent(square, points, factor * step, square))
         if factor == 1.0 and points == 5:
             cautious = noise * seconds / spent
-    best = min(every, key=lambda one: float(np.median(one.square)))
-    return best._replace(cautious=cautious)
+    best = min(every, key=lambda one: float(np.median(one.mean_square)))
+    return best._replace(default_mean_square=cautious)
 
 
 class Run(NamedTuple):
@@ -271,9 +271,9 @@ def _around(medium: Any, name: str, step: float, error: float, seed: int) -> dic
     return found
 
 
-def ways(chosen: list[str], error: float) -> None:
+def ways(labels: list[str], error: float) -> None:
     """Print variance times seconds of every way beside independent runs, these at best in ()."""
-    for label in chosen:
+    for label in labels:
         medium, steps = MEDIA[label]
         for name, step in steps.items():
             found, seconds = measured(medium, error, 1, jacobian=[name])
@@ -283,8 +283,8 @@ def ways(chosen: list[str], error: float) -> None:
             own = found.reflectance_jacobian_stderr.values[0] ** 2
             other = independent(medium, name, step, error, spent)
             print(
-                f"{label:13} {name:28} common random numbers {other.beside(own)}, "
-                f"the best: {other.points} points, step {other.step:g}", flush=True,
+                f"{label:13} {name:28} common random numbers {other.format_ratio(own)}, "
+                f"the best: {other.n_points} points, step {other.step:g}", flush=True,
             )  # fmt: skip
     attenuation(error)
     similarity(error)
@@ -303,8 +303,8 @@ def similarity(error: float) -> None:
     similar = (ratio * of_depth.reflectance_jacobian_stderr.values[0]) ** 2
     similar *= (seconds_depth - alone) / (seconds - alone)
     print(
-        f"natural snow, size: common random numbers {other.beside(own)}, similarity "
-        f"at least {other.beside(similar)}: its depth alone"
+        f"natural snow, size: common random numbers {other.format_ratio(own)}, similarity "
+        f"at least {other.format_ratio(similar)}: its depth alone"
     )
 
 
@@ -327,8 +327,8 @@ def attenuation(error: float) -> None:
         ratio = rate**2 * variance * took / spent
         z = (rate * mean - long) / np.hypot(rate * np.sqrt(variance), stderr)
         print(
-            f"{label}, density: common random numbers {other.beside(own)}, likelihood ratio "
-            f"{other.beside(ratio)}, rms z of it {np.sqrt((z**2).mean()):.2f}"
+            f"{label}, density: common random numbers {other.format_ratio(own)}, likelihood ratio "
+            f"{other.format_ratio(ratio)}, rms z of it {np.sqrt((z**2).mean()):.2f}"
         )
 
 

@@ -54,12 +54,12 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
 }  # fmt: skip
 
 
-def digest(found: xr.Dataset) -> str:
+def digest(dataset: xr.Dataset) -> str:
     """Return the SHA-256 of all values of a dataset, variables in the order of their names."""
     total = hashlib.sha256()
-    for name in sorted(str(one) for one in found.data_vars):
+    for name in sorted(str(one) for one in dataset.data_vars):
         total.update(name.encode())
-        total.update(np.ascontiguousarray(found[name].values).tobytes())
+        total.update(np.ascontiguousarray(dataset[name].values).tobytes())
     return total.hexdigest()
 
 

@@ -85,8 +85,8 @@ def print_misses() -> None:
     """Print what interpolated reflectance of sands misses of that traced at every wavelength."""
     wavelengths = np.arange(400.0, 1001.0, 50.0)
     for name, sand in SANDS.items():
-        index = sand.indices(wavelengths)
-        nodes = choose_nodes(index, sand.interfaces(), TOLERANCE)
+        index = sand.compute_refractive_indices(wavelengths)
+        nodes = choose_nodes(index, sand.list_interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
         few, few_error, _ = fixed_spectrum(sand, wavelengths, 0.0, rows, RAYS, 1)
         every, error, _ = fixed_spectrum(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
@@ -97,7 +97,7 @@ def print_misses() -> None:
             f"{name}, {len(rows)} nodes for {len(wavelengths)} wavelengths: largest miss between "
             f"nodes {np.abs(off[between]).max(initial=0.0):.4f} ± {noise.max():.4f}, mean "
             f"{off[between].mean():+.4f}, rms z {np.sqrt(np.mean(z**2)):.2f}, largest bound "
-            f"{nodes.bias.max():.4f}",
+            f"{nodes.interpolation_bound.max():.4f}",
             flush=True,
         )
 
@@ -110,9 +110,9 @@ def print_bias() -> None:
     """
     snow, wavelengths = splits.Snow(), np.arange(400.0, 2501.0, 10.0)
     stated = splits.spectrophotometer(snow, wavelengths, max_stderr=0.001, seed=9)
-    index = snow.indices(wavelengths)
-    few = choose_nodes(index, snow.interfaces(), 0.4 * 0.001)
-    many = choose_nodes(index, snow.interfaces(), MANY)
+    index = snow.compute_refractive_indices(wavelengths)
+    few = choose_nodes(index, snow.list_interfaces(), 0.4 * 0.001)
+    many = choose_nodes(index, snow.list_interfaces(), MANY)
     rows = {tuple(node): i for i, node in enumerate(many.index)}
     extra = [node for node in few.index if tuple(node) not in rows]
     every = np.concatenate([many.index, np.array(extra).reshape(-1, index.shape[1])])
@@ -127,11 +127,11 @@ def print_bias() -> None:
         absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
         # One number for all: the same random streams at every node.
         ensembles = [
-            Ensemble(0, node, absorption, w > 0.0, runner.tracer.manner)
+            Ensemble(0, node, absorption, w > 0.0, runner.tracer.traits)
             for node, w in zip(every, weights.max(axis=0), strict=True)
         ]
-        runner.trace([(e, level, BIAS_RAYS) for e in ensembles for level in e.levels], 1.0, 0.0)
-        means = np.stack([e.means() for e in ensembles])
+        runner.trace([(e, level, BIAS_RAYS) for e in ensembles for level in e.strata], 1.0, 0.0)
+        means = np.stack([e.compute_means() for e in ensembles])
         off.append(np.einsum("jw,jqw->qw", weights[0] - weights[1], means))
     miss = np.mean(off, axis=0)
     noise = np.std(off, axis=0, ddof=1) / np.sqrt(SEEDS)

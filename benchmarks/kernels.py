@@ -85,11 +85,11 @@ IN_USE = {
 class Plan:
     """How much to measure: rounds, rays per call, seconds per timing, error and spectra."""
 
-    rounds: int = 7
-    rays: int = 16_384
+    n_rounds: int = 7
+    n_rays: int = 16_384
     seconds: float = 0.5
     errors: tuple[float, ...] = (0.001, 0.0005)
-    spectra: int = 3
+    n_spectra: int = 3
 
 
 QUICK = Plan(1, 512, 0.05, (0.01,), 1)
@@ -110,14 +110,14 @@ class Bench:
         self.scene = granular_scene(medium, 0.0, False)
         self.optics = optics_at(medium, wavelength_nm)
         self.features = features
-        self.rays = self.calls = 1
+        self.n_rays = self.n_calls = 1
         self.exits = exit_rows(1, self.optics.n.size)
-        self.ray_s = self.leg_s = np.inf
-        self.legs_per_ray = np.nan
+        self.time_per_ray_s = self.time_per_segment_s = np.inf
+        self.segments_per_ray = np.nan
 
-    def run(self, seed: int, first: int) -> int:
+    def trace(self, seed: int, first: int) -> int:
         """Trace rays from one of that number on and return their legs."""
-        work = np.array([[0, first, self.rays, UNLIMITED]])
+        work = np.array([[0, first, self.n_rays, UNLIMITED]])
         if self.features is None:
             told = granular.batch(seed, work[0], self.scene, self.optics, self.exits, None, None)
         else:
@@ -125,32 +125,32 @@ class Bench:
             told = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)
         if told.lost:
             raise RuntimeError("a ray was lost")
-        return int(np.sum(told.legs))
+        return int(np.sum(told.n_segments))
 
     def prepare(self, plan: Plan) -> None:
         """Compile, and choose how many calls make a timing of the length planned."""
-        self.rays = plan.rays if self.features else plan.rays // 8
-        self.exits = exit_rows(self.rays, self.optics.n.size)
-        self.run(0, 0)
+        self.n_rays = plan.n_rays if self.features else plan.n_rays // 8
+        self.exits = exit_rows(self.n_rays, self.optics.n.size)
+        self.trace(0, 0)
         begun = time.perf_counter()
-        self.run(0, self.rays)
+        self.trace(0, self.n_rays)
         spent = time.perf_counter() - begun
-        self.calls = max(1, round(plan.seconds / spent))
+        self.n_calls = max(1, round(plan.seconds / spent))
 
-    def time(self, seed: int) -> None:
+    def time_calls(self, seed: int) -> None:
         """Time all calls once and keep the least times."""
         begun = time.perf_counter()
-        legs = sum(self.run(seed, number * self.rays) for number in range(self.calls))
+        legs = sum(self.trace(seed, number * self.n_rays) for number in range(self.n_calls))
         spent = time.perf_counter() - begun
-        rays = self.calls * self.rays
-        self.ray_s = min(self.ray_s, spent / rays)
-        self.leg_s = min(self.leg_s, spent / legs)
-        self.legs_per_ray = legs / rays
+        rays = self.n_calls * self.n_rays
+        self.time_per_ray_s = min(self.time_per_ray_s, spent / rays)
+        self.time_per_segment_s = min(self.time_per_segment_s, spent / legs)
+        self.segments_per_ray = legs / rays
 
 
 def optics_at(medium: Any, wavelength_nm: float) -> Optics:
     """Return the optics of a medium at a wavelength."""
-    index = medium.indices(np.array([wavelength_nm]))[0]
+    index = medium.compute_refractive_indices(np.array([wavelength_nm]))[0]
     return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
@@ -162,17 +162,17 @@ def features_of(medium: Any, wavelength_nm: float) -> Features:
     return features
 
 
-def take_turns(benches: Mapping[str, Bench], plan: Plan) -> None:
+def take_turns(timers: Mapping[str, Bench], plan: Plan) -> None:
     """Time all benches in turn, for all rounds."""
-    for bench in benches.values():
+    for bench in timers.values():
         bench.prepare(plan)
-    for seed in range(1, plan.rounds + 1):
-        for bench in benches.values():
-            bench.time(seed)
+    for seed in range(1, plan.n_rounds + 1):
+        for bench in timers.values():
+            bench.time_calls(seed)
 
 
 def row(
-    part: str, case: str, unit: str, seconds: float, rival: str, rival_s: float, **facts: float
+    part: str, case: str, unit: str, seconds: float, reference: str, reference_s: float, **facts: float
 ) -> dict[str, Any]:
     """Return a row of the table."""
     return {
@@ -181,10 +181,10 @@ def row(
         "wavelength_nm": facts.get("wavelength_nm", np.nan),
         "unit": unit,
         "seconds": seconds,
-        "compared_with": rival,
-        "compared_seconds": rival_s,
-        "relative_time": seconds / rival_s,
-        "speedup": rival_s / seconds,
+        "compared_with": reference,
+        "compared_seconds": reference_s,
+        "relative_time": seconds / reference_s,
+        "speedup": reference_s / seconds,
         "events_per_ray": facts.get("events_per_ray", np.nan),
     }
 
@@ -204,16 +204,16 @@ def against_scalar(plan: Plan) -> list[dict[str, Any]]:
             scalar, lane = pair["scalar"], pair["lanes"]
             rows.append(
                 row(
-                    "lanes_against_scalar", name, "s per ray", lane.ray_s, "scalar", scalar.ray_s,
-                    wavelength_nm=wavelength, events_per_ray=scalar.legs_per_ray,
+                    "lanes_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar", scalar.time_per_ray_s,
+                    wavelength_nm=wavelength, events_per_ray=scalar.segments_per_ray,
                 )
             )  # fmt: skip
             print(
-                f"  {name}, {wavelength:g} nm: {scalar.legs_per_ray:.0f} events per ray; scalar "
-                f"{1e6 * scalar.ray_s:.3g} µs per ray, {1e9 * scalar.leg_s:.0f} ns per event; "
-                f"lanes {1e6 * lane.ray_s:.3g} µs per ray, "
-                f"{1e9 * lane.ray_s / scalar.legs_per_ray:.0f} ns per event; "
-                f"{scalar.ray_s / lane.ray_s:.2f} times as fast",
+                f"  {name}, {wavelength:g} nm: {scalar.segments_per_ray:.0f} events per ray; scalar "
+                f"{1e6 * scalar.time_per_ray_s:.3g} µs per ray, {1e9 * scalar.time_per_segment_s:.0f} ns per event; "
+                f"lanes {1e6 * lane.time_per_ray_s:.3g} µs per ray, "
+                f"{1e9 * lane.time_per_ray_s / scalar.segments_per_ray:.0f} ns per event; "
+                f"{scalar.time_per_ray_s / lane.time_per_ray_s:.2f} times as fast",
                 flush=True,
             )
     return rows
@@ -228,7 +228,7 @@ def two_cores(plan: Plan) -> list[dict[str, Any]]:
     splits.spectrophotometer(splits.Snow(), WAVELENGTHS, kernel="lanes", max_rays=1)
     for error in plan.errors:
         best = {1: np.inf, 2: np.inf}
-        for seed in range(plan.spectra):
+        for seed in range(plan.n_spectra):
             for threads in best:
                 begun = time.perf_counter()
                 splits.spectrophotometer(
@@ -238,7 +238,7 @@ def two_cores(plan: Plan) -> list[dict[str, Any]]:
                 best[threads] = min(best[threads], time.perf_counter() - begun)
         print(
             f"two cores against one, {WAVELENGTHS.size} wavelengths, error {error:g}, best of "
-            f"{plan.spectra}: {best[1]:.2f} s on one, {best[2]:.2f} s on two, "
+            f"{plan.n_spectra}: {best[1]:.2f} s on one, {best[2]:.2f} s on two, "
             f"{best[1] / best[2]:.2f} times as fast",
             flush=True,
         )
@@ -262,12 +262,12 @@ def features(plan: Plan) -> list[dict[str, Any]]:
     for name, medium in IN_USE.items():
         benches[name] = Bench(medium, 500.0, features_of(medium, 500.0))
     take_turns(benches, plan)
-    one = benches["smooth"].leg_s
+    one = benches["smooth"].time_per_segment_s
     print(f"features, time per grain drawn: smooth {1e9 * one:.1f} ns", flush=True)
     for name, bench in list(benches.items())[1:]:
-        print(f"  {name}: {bench.leg_s / one:.2f}", flush=True)
+        print(f"  {name}: {bench.time_per_segment_s / one:.2f}", flush=True)
     return [
-        row("features", name, "s per grain drawn", bench.leg_s, "smooth", one,
+        row("features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
             wavelength_nm=500.0)
         for name, bench in benches.items()
     ]  # fmt: skip

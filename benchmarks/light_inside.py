@@ -56,7 +56,7 @@ def main() -> None:
     errors_by_time(given.errors, given.seeds)
 
 
-def costs_of_planes(planes: Sequence[int], rounds: int) -> None:
+def costs_of_planes(n_planes: Sequence[int], rounds: int) -> None:
     """Print the costs of a ray that so many planes note."""
     snow = splits.Snow()
 
@@ -71,7 +71,7 @@ def costs_of_planes(planes: Sequence[int], rounds: int) -> None:
             snow, WAVELENGTHS, depths, max_stderr=ONE_ROUND, seed=seed, threads=1
         )
 
-    runs = {"plain": plain, **{f"{n} planes": inside(n) for n in planes}}
+    runs = {"plain": plain, **{f"{n} planes": inside(n) for n in n_planes}}
     for run in runs.values():
         run(0)
     seconds, rays = (dict.fromkeys(runs, 0.0) for _ in range(2))
@@ -93,15 +93,15 @@ def errors_by_time(errors: Sequence[float], seeds: int) -> None:
         for d, s, r in LAYERS
     ]
     pack = splits.Stack(layers, ground=0.2)
-    light = splits.sky("midlatitude_winter").scaled_to(TOTAL)
+    light = splits.sky("midlatitude_winter").scale_to(TOTAL)
     w = np.arange(305.0, 2496.0, 10.0)
-    weights = light.weights(w, light.bands(None)["broadband"])
+    weights = light.compute_weights(w, light.make_bands(None)["broadband"])
     faces = np.cumsum([d for d, *_ in LAYERS])[:-1]
     part = weights / weights.sum()
 
     def run(goal: Goal, seed: int) -> xr.Dataset:
         asked = Inquiry(pack, w, faces, light.zenith_deg, seed, 10**8, 1, "auto", None)
-        return measure(asked.checked(), goal)
+        return measure(asked.validate(), goal)
 
     kinds = {
         "irradiance by wavelength": lambda e: Goal(e),

@@ -30,7 +30,7 @@ class Table:
     def add(
         self,
         method: str,
-        how: str,
+        source: str,
         seconds: float,
         rays: float,
         error: float = np.nan,
@@ -47,7 +47,7 @@ class Table:
         row = {
             "medium": self.medium,
             "method": method,
-            "how": how,
+            "how": source,
             "error": error,
             "seconds": seconds,
             "rays": round(rays),

@@ -192,10 +192,10 @@ def main() -> None:
     print(table.to_string(index=False))
 
 
-def tabulate(found: pd.DataFrame) -> pd.DataFrame:
+def tabulate(results: pd.DataFrame) -> pd.DataFrame:
     """Return the laws at the largest density, similarity at 75° at every one, by rule."""
-    densest = found.density_kg_m3 == found.density_kg_m3.max()
-    some = found[densest | ((found.law == "similarity") & (found.light == 75.0))].copy()
+    densest = results.density_kg_m3 == results.density_kg_m3.max()
+    some = results[densest | ((results.law == "similarity") & (results.light == 75.0))].copy()
     some["value"] = [
         f"{row.value:+.3f} ± {row.stderr:.3f}" if row.law in GAPS else
         f"{row.value:.3f} ± {row.stderr:.3f}"
@@ -204,7 +204,7 @@ def tabulate(found: pd.DataFrame) -> pd.DataFrame:
     wide = some.pivot_table(
         "value", ["law", "light", "density_kg_m3"], "rule", aggfunc="first", sort=False
     )
-    return wide[list(dict.fromkeys(found.rule))].reset_index()
+    return wide[list(dict.fromkeys(results.rule))].reset_index()
 
 
 if __name__ == "__main__":

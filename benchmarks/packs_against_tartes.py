@@ -53,7 +53,7 @@ INCIDENCE = (30.0, 60.0)
 
 def shape_of(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
     """Return B and g over wavelength, diffraction counted."""
-    gamma = constants_of(snow, WAVELENGTHS).absorption[:, snow.materials().index("ice")]
+    gamma = constants_of(snow, WAVELENGTHS).absorption[:, snow.list_materials().index("ice")]
     ssa = 4.0 * optics.extinction.values / snow.density_kg_m3
     albedo = optics.single_scattering_albedo.values
     b = 0.5 * (1.0 - albedo) * ICE_KG_M3 * ssa / (2.0 * gamma)

@@ -58,7 +58,7 @@ class Truths(NamedTuple):
     """Simulated spectra, and how far groups of their rays take them off."""
 
     values: np.ndarray
-    groups: np.ndarray
+    batches: np.ndarray
 
 
 def snow(**settings: Any) -> splits.Snow:
@@ -67,12 +67,12 @@ def snow(**settings: Any) -> splits.Snow:
     return splits.Snow.natural(impurities_ng_g={"black_carbon": soot}, **settings)
 
 
-def table(path: Path, make: Callable[..., Any], grid: dict[str, Any], w: np.ndarray, error: float,
+def table(path: Path, make: Callable[..., Any], grid: dict[str, Any], wavelengths_nm: np.ndarray, error: float,
           incidence: float = 0.0) -> splits.Table:  # fmt: skip
     """Return a table that a file keeps."""
     if not path.exists():
         begun = time.process_time()
-        found = splits.table(make, grid, w, incidence, max_stderr=error, covariance=True)
+        found = splits.table(make, grid, wavelengths_nm, incidence, max_stderr=error, covariance=True)
         splits.save(found, path)
         print(f"{path.name}: {time.process_time() - begun:.0f} s of CPU", flush=True)
     return splits.open_table(path)
@@ -89,17 +89,17 @@ def drawn(random: np.random.Generator, ranges: dict[str, Any], count: int) -> di
     return found
 
 
-def simulated(path: Path, media: list[Any], w: np.ndarray, incidence: float, seed: int) -> Truths:
+def simulated(path: Path, media: list[Any], wavelengths_nm: np.ndarray, incidence: float, seed: int) -> Truths:
     """Return spectra of media, those that share paths from one ensemble; a file keeps them."""
     if path.exists():
         kept = np.load(path)
         return Truths(kept["values"], kept["groups"])
-    run = Run.checked(w, incidence, OWN, seed, 20_000_000, None, "auto")
+    run = Run.from_arguments(wavelengths_nm, incidence, OWN, seed, 20_000_000, None, "auto")
     values: list[Any] = [None] * len(media)
     groups: list[Any] = [None] * len(media)
-    for members in families(media, w):
-        spectra = spectra_of(members.family, run)
-        for place, which in zip(members.places, members.which, strict=True):
+    for members in families(media, wavelengths_nm):
+        spectra = spectra_of(members.path_sharing, run)
+        for place, which in zip(members.positions, members.media_indices, strict=True):
             values[place] = spectra[which].reflectance.values
             groups[place] = spectra[which].reflectance_groups.values
     found = Truths(np.array(values), np.array(groups))
@@ -107,13 +107,13 @@ def simulated(path: Path, media: list[Any], w: np.ndarray, incidence: float, see
     return found
 
 
-def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) -> None:
+def judge(label: str, names: list[str], results: list[Any], truths: np.ndarray) -> None:
     """Print coverage with binomial bounds, bias, and how often each was not told."""
-    many = len(found)
-    quantiles = np.stack([one.dataset.quantiles.values for one in found])
-    told = np.stack([one.dataset.determined.values for one in found]).astype(bool)
+    many = len(results)
+    quantiles = np.stack([one.dataset.quantiles.values for one in results])
+    told = np.stack([one.dataset.determined.values for one in results]).astype(bool)
     misfit = np.mean(
-        [one.dataset.attrs["chi2"] / one.dataset.attrs["chi2_expected"] for one in found]
+        [one.dataset.attrs["chi2"] / one.dataset.attrs["chi2_expected"] for one in results]
     )
     print(f"{label}: {many} spectra, chi2 {misfit:.2f} of 1 expected")
     for i, name in enumerate(names):
@@ -127,7 +127,7 @@ def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) ->
                 f"{inside.mean():.3f} within {share:.0%} ({bounds[0]:.3f} to {bounds[1]:.3f})"
             )
         ranks = np.array([(one.dataset.draws.values[:, i] < t).mean()
-                          for one, t in zip(found, truth, strict=True)])  # fmt: skip
+                          for one, t in zip(results, truth, strict=True)])  # fmt: skip
         off = (ranks.mean() - 0.5) * np.sqrt(12.0 * many)
         line.append(
             f"mean rank off by {off:+.1f} of its errors, not told {1 - told[:, i].mean():.2f}"
@@ -136,20 +136,20 @@ def judge(label: str, names: list[str], found: list[Any], truths: np.ndarray) ->
 
 
 def noisy(
-    random: np.random.Generator, spectrum: np.ndarray, groups: np.ndarray
+    random: np.random.Generator, spectrum: np.ndarray, batches: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a measured spectrum and the covariance of its noise."""
     noise = np.hypot(RELATIVE * spectrum, FLOOR)
     measured = spectrum + noise * random.standard_normal(spectrum.size)
-    return measured, groups.T @ groups + np.diag(noise**2)
+    return measured, batches.T @ batches + np.diag(noise**2)
 
 
-def snows(folder: Path, known: splits.Table, many: int, waters: int = 3) -> None:
+def snows(folder: Path, table: splits.Table, count: int, n_waters: int = 3) -> None:
     """Retrieve synthetic snow: size, water and soot, under three angles."""
     random = np.random.default_rng(20)
     names, found, truths = [SIZE, WATER, SOOT], [], []
-    each = -(-many // (len(ANGLES) * waters))
-    for number, angle in enumerate(np.repeat(ANGLES, waters)):
+    each = -(-count // (len(ANGLES) * n_waters))
+    for number, angle in enumerate(np.repeat(ANGLES, n_waters)):
         truth = drawn(random, SNOW_TRUTH, each)
         truth[WATER][:] = truth[WATER][0]
         media = [snow(**{n: float(truth[n][i]) for n in names}) for i in range(each)]
@@ -158,38 +158,38 @@ def snows(folder: Path, known: splits.Table, many: int, waters: int = 3) -> None
         for i, pair in enumerate(zip(*spectra, strict=True)):
             measured, noise = noisy(random, *pair)
             at = {"incidence_deg": float(angle)}
-            found.append(splits.retrieve((W_SNOW, measured), known, SNOW_TRUTH, noise, at=at))
+            found.append(splits.retrieve((W_SNOW, measured), table, SNOW_TRUTH, noise, at=at))
             truths.append([truth[n][i] for n in names])
     judge("snow", names, found, np.array(truths))
 
 
-def sands(folder: Path, known: splits.Table, many: int) -> None:
+def sands(folder: Path, table: splits.Table, count: int) -> None:
     """Retrieve synthetic sand: iron oxide, hematite, water."""
     random = np.random.default_rng(21)
     names, found = list(SAND_TRUTH), []
-    truth = drawn(random, SAND_TRUTH, many)
-    for i in range(many):
+    truth = drawn(random, SAND_TRUTH, count)
+    for i in range(count):
         sand = splits.Sand(**{n: float(truth[n][i]) for n in names})
-        own = simulated(folder / f"sand_{many}_{i}.npz", [sand], W_SAND, 0.0, 2000 + i)
-        measured, noise = noisy(random, own.values[0], own.groups[0])
-        found.append(splits.retrieve((W_SAND, measured), known, SAND_TRUTH, noise))
+        own = simulated(folder / f"sand_{count}_{i}.npz", [sand], W_SAND, 0.0, 2000 + i)
+        measured, noise = noisy(random, own.values[0], own.batches[0])
+        found.append(splits.retrieve((W_SAND, measured), table, SAND_TRUTH, noise))
     judge("sand", names, found, np.stack([truth[n] for n in names], axis=1))
 
 
-def maps(known: splits.Table, pixels: int) -> None:
+def maps(table: splits.Table, pixels: int) -> None:
     """Retrieve a map made from the table, with noise of 1 %."""
     random = np.random.default_rng(22)
     names, at = [SIZE, WATER, SOOT], {"incidence_deg": 45.0}
-    plain = Measurement.of((W_SNOW, np.full(W_SNOW.size, 0.5)), RELATIVE)
-    model = OfTable(known, plain, Free.of(SNOW_TRUTH, None, ranges_of(known)), at)
+    plain = Measurement.from_input((W_SNOW, np.full(W_SNOW.size, 0.5)), RELATIVE)
+    model = OfTable(table, plain, Free.from_ranges(SNOW_TRUTH, None, ranges_of(table)), at)
     places = random.random((pixels * pixels, len(names)))
-    truth = model.free.at(places)
-    cube = model.values(places) + RELATIVE * random.standard_normal((len(places), W_SNOW.size))
+    truth = model.state_vector.to_physical(places)
+    cube = model.evaluate(places) + RELATIVE * random.standard_normal((len(places), W_SNOW.size))
     image = xr.DataArray(cube.reshape(pixels, pixels, -1), {"wavelength": W_SNOW},
                          ("y", "x", "wavelength"))  # fmt: skip
-    splits.retrieve_map(image[:2], known, SNOW_TRUTH, RELATIVE, at=at)
+    splits.retrieve_map(image[:2], table, SNOW_TRUTH, RELATIVE, at=at)
     begun = time.perf_counter(), time.process_time()
-    found = splits.retrieve_map(image, known, SNOW_TRUTH, RELATIVE, at=at)
+    found = splits.retrieve_map(image, table, SNOW_TRUTH, RELATIVE, at=at)
     clock, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
     print(f"map of {pixels} by {pixels} pixels: {clock:.1f} s, {len(places) / cpu:.0f} spectra per "
           f"second of a core, flagged {(found.flags.values > 0).mean():.3f}")  # fmt: skip

@@ -42,12 +42,12 @@ class Pack(NamedTuple):
     ground: float
     incidence: float | str
 
-    def ours(self, max_stderr: float, where: str = "ice") -> tuple[np.ndarray, np.ndarray]:
+    def simulate_albedo(self, max_stderr: float, impurities_in: str = "ice") -> tuple[np.ndarray, np.ndarray]:
         """Return our reflectance and its error, with soot within the ice or in the pores."""
         layers = [
             splits.Snow.natural(
                 specific_surface_area_m2_kg=area, density_kg_m3=density, depth_m=depth,
-                impurities_ng_g={"black_carbon": soot} if soot else {}, impurities_in=where,
+                impurities_ng_g={"black_carbon": soot} if soot else {}, impurities_in=impurities_in,
             )
             for area, density, depth, soot in self.layers
         ]  # fmt: skip
@@ -55,7 +55,7 @@ class Pack(NamedTuple):
         run = splits.spectrophotometer(stack, WAVELENGTHS, self.incidence, max_stderr)
         return run.reflectance.values, run.reflectance_stderr.values
 
-    def two_streams(self, **shape: Any) -> np.ndarray:
+    def compute_tartes_albedo(self, **shape: Any) -> np.ndarray:
         """Return the albedo of TARTES."""
         area, density, depth, soot = (np.array(column) for column in zip(*self.layers, strict=True))
         beam = self.incidence != "diffuse"
@@ -67,19 +67,19 @@ class Pack(NamedTuple):
             )
         )  # fmt: skip
 
-    def asymptotic(self) -> np.ndarray | None:
+    def compute_asymptotic_albedo(self) -> np.ndarray | None:
         """Return the albedo of asymptotic theory, where the pack is deep and clean."""
         area, _, depth, soot = self.layers[0]
         if math.isfinite(depth) or soot:
             return None
-        shape = {"B": SHAPE.enhancement, "g": DIFFRACTED}
+        shape = {"B": SHAPE.absorption_enhancement, "g": DIFFRACTED}
         if self.incidence == "diffuse":
             return np.asarray(snowoptics.albedo_diffuse_KZ04(1e-9 * WAVELENGTHS, area, **shape))
         angle = math.radians(float(self.incidence))
         return np.asarray(snowoptics.albedo_direct_KZ04(1e-9 * WAVELENGTHS, angle, area, **shape))
 
 
-DIFFRACTED = 0.5 * (1.0 + SHAPE.asymmetry)
+DIFFRACTED = 0.5 * (1.0 + SHAPE.asymmetry_parameter)
 DEEP = math.inf
 TWO = [(40.0, 150.0, 0.05, 0.0), (12.0, 350.0, 0.2, 0.0)]
 CASES = {
@@ -95,17 +95,17 @@ CASES = {
     "20 m2/kg, deep, diffuse, 500 ng/g soot": Pack([(20.0, 300.0, DEEP, 500.0)], 0.0, "diffuse"),
     "two sooty layers on soil, diffuse": Pack([(*one[:3], 50.0) for one in TWO], 0.2, "diffuse"),
 }
-OWN = {"shape_parameterization": "constant", "B0": SHAPE.enhancement, "g0": DIFFRACTED}
+OWN = {"shape_parameterization": "constant", "B0": SHAPE.absorption_enhancement, "g0": DIFFRACTED}
 
 
 def compared(name: str, max_stderr: float) -> pd.DataFrame:
     """Print how far the others are from ours, and return all by wavelength."""
     pack = CASES[name]
-    ours, error = pack.ours(max_stderr)
+    ours, error = pack.simulate_albedo(max_stderr)
     table = pd.DataFrame({"case": name, "nm": WAVELENGTHS, "ours": ours, "stderr": error})
-    table["TARTES"] = pack.two_streams()
-    table["TARTES, our shape"] = pack.two_streams(**OWN)
-    asymptotic = pack.asymptotic()
+    table["TARTES"] = pack.compute_tartes_albedo()
+    table["TARTES, our shape"] = pack.compute_tartes_albedo(**OWN)
+    asymptotic = pack.compute_asymptotic_albedo()
     if asymptotic is not None:
         little = (ASYMPTOTIC_NM[0] <= WAVELENGTHS) & (ASYMPTOTIC_NM[1] >= WAVELENGTHS)
         table["asymptotic"] = np.where(little, asymptotic, np.nan)
@@ -124,12 +124,12 @@ def soot(tables: dict[str, pd.DataFrame], max_stderr: float) -> None:
         name = f"20 m2/kg, deep, diffuse, {amount} ng/g soot"
         dirty = tables[name].set_index("nm").loc[500.0]
         fall = {n: clean[n] - dirty[n] for n in ("ours", "TARTES", "TARTES, our shape")}
-        pores = CASES[name].ours(max_stderr, "pores")[0][list(WAVELENGTHS).index(500.0)]
+        pores = CASES[name].simulate_albedo(max_stderr, "pores")[0][list(WAVELENGTHS).index(500.0)]
         fall["ours, in pores"] = clean.ours - pores
         error = math.hypot(clean.stderr, dirty.stderr)
         said = ", ".join(f"{label} {value:.4f}" for label, value in fall.items())
         print(f"{amount} ng/g soot at 500 nm: {said} (ours ± {error:.4f})")
-    mine = impurities_of({"black_carbon": 1.0}, {})[0].per_ice(np.array([500.0]))[0] * 1e9
+    mine = impurities_of({"black_carbon": 1.0}, {})[0].compute_absorption_per_kg_ice(np.array([500.0]))[0] * 1e9
     theirs = float(np.ravel(tartes.impurities.SootSNICAR3().MAE(5e-7))[0])
     print(f"absorption per mass at 500 nm: ours {mine:.0f} m2/kg, TARTES {theirs:.0f} m2/kg")
 

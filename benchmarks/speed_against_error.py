@@ -91,7 +91,7 @@ class Plan:
     errors: tuple[float, ...] = (0.004, 0.002, 0.001)
     reference_stderr: float = 2e-4
     property_rays: int = 50_000
-    repeats: int = 3
+    n_repeats: int = 3
 
     @property
     def wavelengths(self) -> np.ndarray:
@@ -99,7 +99,7 @@ class Plan:
         return np.arange(400.0, 2501.0, self.step_nm)
 
     @property
-    def few(self) -> np.ndarray:
+    def sparse_wavelengths(self) -> np.ndarray:
         """Every tenth of them."""
         return self.wavelengths[::10]
 
@@ -183,11 +183,11 @@ def one_by_one(
     return spectrum, np.array([seconds for _, seconds in runs]), rays
 
 
-def time_papers(table: Table, medium: splits.Snow, plan: Plan, fully: bool) -> None:
+def time_papers(table: Table, medium: splits.Snow, plan: Plan, include_smallest: bool) -> None:
     """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
-    scale = len(plan.wavelengths) / len(plan.few)
+    scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     first = plan.errors[0]
-    spectrum, seconds, rays = one_by_one(medium, plan.few, first, estimator="analog")
+    spectrum, seconds, rays = one_by_one(medium, plan.sparse_wavelengths, first, estimator="analog")
     add_papers(table, first, spectrum, seconds, rays, scale)
     stderr = largest_per_wavelength(spectrum)
     for error in plan.errors[1:]:
@@ -199,9 +199,9 @@ def time_papers(table: Table, medium: splits.Snow, plan: Plan, fully: bool) -> N
             (ADAPTIVE, adaptive_s, adaptive_rays),
         ):
             table.add(method, SCALED, scale * spent, scale * count, error, stderr_largest=error)
-    if fully:
+    if include_smallest:
         last = plan.errors[-1]
-        add_papers(table, last, *one_by_one(medium, plan.few, last, estimator="analog"), scale)
+        add_papers(table, last, *one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"), scale)
 
 
 def add_papers(
@@ -232,9 +232,9 @@ def largest_per_wavelength(spectrum: xr.Dataset) -> np.ndarray:
 
 def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
     """Add weights wavelength by wavelength, together, and together on lanes."""
-    scale = len(plan.wavelengths) / len(plan.few)
+    scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     for error in plan.errors:
-        spectrum, seconds, rays = one_by_one(medium, plan.few, error, kernel="scalar")
+        spectrum, seconds, rays = one_by_one(medium, plan.sparse_wavelengths, error, kernel="scalar")
         table.add(
             "one_by_one", PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum]
         )
@@ -242,7 +242,7 @@ def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
         for error in plan.errors:
             runs = [
                 timed(measure, medium, plan.wavelengths, error, kernel=kernel, seed=SEED + number)
-                for number in range(plan.repeats)
+                for number in range(plan.n_repeats)
             ]
             spent = float(np.median([seconds for _, seconds in runs]))
             spectra = [dataset for dataset, _ in runs]
@@ -254,7 +254,7 @@ def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:
     """Add both theories; their time contains the walks through single grains."""
     for method, theory in THEORIES.items():
         try:
-            theory(medium, plan.few, 2)
+            theory(medium, plan.sparse_wavelengths, 2)
         except ImportError as error:
             print(f"{method} left out: {error}", flush=True)
             continue
@@ -270,7 +270,7 @@ def measure_all(plan: Plan, media: Sequence[str], folder: Path) -> pd.DataFrame:
         table = Table(name, reference(name, medium, plan, folder))
         warm_up(medium, plan)
         time_weights(table, medium, plan)
-        time_papers(table, medium, plan, fully=name == next(iter(MEDIA)))
+        time_papers(table, medium, plan, include_smallest=name == next(iter(MEDIA)))
         time_theories(table, medium, plan)
         rows += table.rows
     return efficiency.with_merits(pd.DataFrame(rows))

@@ -46,18 +46,18 @@ CASES = {
 }
 
 
-def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, least: float):
+def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float):
     """Return counts of at least so many crossings, and the seconds they took."""
-    fields = RoughSurface.of(surface).numbers()
+    fields = RoughSurface.from_input(surface).make_height_fields()
 
     def batch(number: int) -> np.ndarray:
         return crossings(1, number * BATCH, BATCH, fields, index, mu).counts
 
     total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
-    while total[CROSSINGS] < least:
+    while total[CROSSINGS] < min_crossings:
         # As many batches as are likely to be missing, so that threads rarely wait.
         per_batch = total[CROSSINGS] / done if done else 3.0 * BATCH
-        more = THREADS * math.ceil((least - total[CROSSINGS]) / per_batch / THREADS)
+        more = THREADS * math.ceil((min_crossings - total[CROSSINGS]) / per_batch / THREADS)
         total += sum(pool.map(batch, range(done, done + more)))
         done += more
     return total, time.perf_counter() - begun
@@ -68,8 +68,8 @@ def time_waves() -> None:
     x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
     for waves_per_surface in (16, 64, 600):
         surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})
-        drawn = surface_of(surface.realisation(1))
-        places = [Vector(x[i], y[i], drawn.reach) for i in range(200)]
+        drawn = surface_of(surface.sample_realization(1))
+        places = [Vector(x[i], y[i], drawn.max_height) for i in range(200)]
         d = Vector(0.6, 0.0, -0.8)
         evaluation = crossing = math.inf
         for _ in range(20):

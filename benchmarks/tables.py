@@ -74,7 +74,7 @@ def judged(label: str, found: list[np.ndarray], errors: list[np.ndarray]) -> Non
 def cells(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
     """Compare random cells with runs of their own."""
     random = np.random.default_rng(11)
-    points = list(Axes.of(grid).points())
+    points = list(Axes.from_mapping(grid).iterate_points())
     off, errors = [], []
     for number in random.choice(len(points), min(count, len(points)), replace=False):
         point = dict(points[number])
@@ -127,7 +127,7 @@ def nodes_needed(table: xr.Dataset) -> None:
             off = []
             for i in left:
                 w = weights_at(name, nodes[kept], float(nodes[i]))
-                off.append(np.tensordot(w.share, values[kept][w.nodes], 1) - values[i])
+                off.append(np.tensordot(w.weights, values[kept][w.nodes], 1) - values[i])
             worst = float(np.abs(off).max())
             rms = float(np.sqrt(np.mean(np.square(off))))
             if worst <= 0.005 or count == nodes.size - 1:
@@ -221,7 +221,7 @@ def main() -> None:
         lambda: splits.table(pack, grid, WAVELENGTHS, max_stderr=ERROR, folder=given.folder,
                              progress=True)
     )  # fmt: skip
-    count = Axes.of(grid).size
+    count = Axes.from_mapping(grid).size
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(
         f"{count} spectra of {WAVELENGTHS.size} wavelengths in {table.attrs['ensembles']} "

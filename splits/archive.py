@@ -150,12 +150,12 @@ def packing_time() -> datetime:
     return datetime.fromtimestamp(int(given), UTC)
 
 
-def _readme(about: About, archive: str) -> str:
+def _readme(info: About, archive: str) -> str:
     """Return README.md."""
     return README.format(
-        version=about.software.version, commit=about.software.commit, date=about.date,
-        licence=f"<{about.licence}>" if "://" in about.licence else about.licence,
-        authors=", ".join(escape_markdown(author.name) for author in about.authors),
+        version=info.software.version, commit=info.software.commit, date=info.date,
+        licence=f"<{info.licence}>" if "://" in info.licence else info.licence,
+        authors=", ".join(escape_markdown(author.name) for author in info.authors),
         crate=VERSION, archive=shlex.quote(archive),
     )  # fmt: skip
 
@@ -192,7 +192,7 @@ def configuration_files(settings: Settings) -> dict[str, Path]:
             found[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
     for path in sorted(Path(settings.media_folder).glob("*.yaml")):
         found[f"config/media/{path.name}"] = path
-    for name, folder in settings.tables.items():
+    for name, folder in settings.table_folders.items():
         for path in sorted(folder.rglob("*")):
             place = path.relative_to(folder)
             if path.is_file() and not any(part.startswith(".") for part in place.parts):
@@ -217,7 +217,7 @@ def configuration_members(settings: Settings) -> dict[str, bytes]:
     dict
         Contents by name of member.
     """
-    settings = settings.archived()
+    settings = settings.select_archived()
     members: dict[str, bytes] = {}
     for name, path in configuration_files(settings).items():
         is_yaml = path.suffix in (".yaml", ".yml")

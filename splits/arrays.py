@@ -25,7 +25,7 @@ UNLABELLED = "values are matched by their labels; .to_numpy() has none"
 
 
 def read_numbers(
-    key: str, values: Any, allowed: str = "numbers", *, gaps: bool = False
+    key: str, values: Any, allowed: str = "numbers", *, allow_gaps: bool = False
 ) -> np.ndarray:
     """Return numbers of any shape as a new array of doubles, or refuse them.
 
@@ -41,7 +41,7 @@ def read_numbers(
         Whether gaps are returned as NaN, and infinite numbers as they are; else both are refused.
     """
     found = _read(key, values, allowed)
-    wrong = np.flatnonzero(~np.isfinite(found)) if not gaps else np.empty(0)
+    wrong = np.flatnonzero(~np.isfinite(found)) if not allow_gaps else np.empty(0)
     if wrong.size:
         value = found.flat[wrong[0]]
         where = f"number {wrong[0] + 1} of {found.size} is " if found.ndim else ""
@@ -113,7 +113,7 @@ def row_of(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
     return np.atleast_1d(found)
 
 
-def read_columns(place: str, given: Mapping[str, Any]) -> list[np.ndarray]:
+def read_columns(key: str, columns: Mapping[str, Any]) -> list[np.ndarray]:
     """Return the columns of a table, each a row of numbers, in the order of the first.
 
     Parameters
@@ -123,11 +123,11 @@ def read_columns(place: str, given: Mapping[str, Any]) -> list[np.ndarray]:
     given : mapping
         Rows of numbers by name; labels of the others are values or labels of the first.
     """
-    first, *others = given
-    column = row_of(f"{place}.{first}", given[first])
-    own = find_labels(given[first])
+    first, *others = columns
+    column = row_of(f"{key}.{first}", columns[first])
+    own = find_labels(columns[first])
     rows = [
-        row_of(f"{place}.{name}", read_in_order(f"{place}.{name}", given[name], column, own))
+        row_of(f"{key}.{name}", read_in_order(f"{key}.{name}", columns[name], column, own))
         for name in others
     ]
     return [column, *rows]
@@ -178,8 +178,8 @@ def read_in_order(
     values: Any,
     *labels: Any,
     allowed: str = "numbers",
-    gaps: bool = False,
-    counted: bool = True,
+    allow_gaps: bool = False,
+    ignore_default_labels: bool = True,
 ) -> np.ndarray:
     """Return numbers in the order of labels along every axis, or refuse those with other labels.
 
@@ -194,15 +194,15 @@ def read_in_order(
     counted : bool
         Whether labels that only count, 0, 1, 2 …, are none.
     """
-    found = read_numbers(key, values, allowed, gaps=gaps)
+    found = read_numbers(key, values, allowed, allow_gaps=allow_gaps)
     for axis in range(found.ndim):
-        places = match_places(key, find_labels(values, axis), labels, counted=counted)
+        places = match_places(key, find_labels(values, axis), labels, ignore_default_labels=ignore_default_labels)
         found = found[(slice(None),) * axis + (places,)]
     return found
 
 
 def match_places(
-    key: str, own: pd.Index | None, labels: Sequence[Any], *, counted: bool = True
+    key: str, own_labels: pd.Index | None, labels: Sequence[Any], *, ignore_default_labels: bool = True
 ) -> Any:
     """Return where values with labels of their own stand among them, or refuse other labels.
 
@@ -214,23 +214,23 @@ def match_places(
     labels, counted
         As for `read_in_order`.
     """
-    if own is None:
+    if own_labels is None:
         return slice(None)
     wanted = [row for row in labels if row is not None]
     for row in wanted:
-        found = _match(own, row)
+        found = _match(own_labels, row)
         if found is not None:
             return found
-    if counted and own.equals(pd.RangeIndex(own.size)):
+    if ignore_default_labels and own_labels.equals(pd.RangeIndex(own_labels.size)):
         return slice(None)
-    there, least = own.tolist(), np.asarray(wanted[0]).tolist()
+    there, least = own_labels.tolist(), np.asarray(wanted[0]).tolist()
     raise refuse(key, f"values at {shown(there)}", f"values at {shown(least)}", UNLABELLED)
 
 
-def _match(own: pd.Index, labels: Any) -> np.ndarray | None:
+def _match(own_labels: pd.Index, labels: Any) -> np.ndarray | None:
     """Return where each label stands among one's own, None if they are not the same."""
     wanted: Any = np.asarray(labels)
-    there: Any = np.asarray(own.tolist())
+    there: Any = np.asarray(own_labels.tolist())
     if there.shape != wanted.shape:
         return None
     numeric = wanted.dtype.kind in "fiu"
@@ -255,7 +255,7 @@ def numbers(
     key: str,
     value: object,
     names: tuple[str, ...],
-    ends: tuple[float, float] = (-math.inf, math.inf),
+    limits: tuple[float, float] = (-math.inf, math.inf),
 ) -> tuple[float, ...]:
     """Return a sequence of ``len(names)`` floats, by its labels where it has some, or refuse it.
 
@@ -270,4 +270,4 @@ def numbers(
         raise refuse(key, value, allowed)
     places = np.arange(len(names))[match_places(key, find_labels(value), [names])]
     found = [number(f"{key} ({n})", values[i]) for n, i in zip(names, places, strict=True)]
-    return tuple(snap_to_ends(found, *ends).tolist())
+    return tuple(snap_to_ends(found, *limits).tolist())

@@ -106,25 +106,25 @@ def save_brdf(
 
 
 def _check(
-    given: Sequence[xr.Dataset],
+    datasets: Sequence[xr.Dataset],
     path: str | Path,
     provenance: Mapping[str, Any],
     license: Mapping[str, str] | None,
 ) -> None:
     """Refuse what cannot be written."""
-    if not given:
+    if not datasets:
         raise refuse("datasets", [], "at least one dataset")
     if Path(path).suffix not in (".brdf", ".json"):
         raise refuse("path", path, "a name that ends in .brdf or .json")
-    for ds in given:
+    for ds in datasets:
         if "brdf" not in ds.data_vars or set(ds.brdf.dims) != {"wavelength", "polar", "azimuth"}:
             title = ds.attrs.get("title", "a dataset")
             raise refuse("datasets", title, "what splits.goniophotometer returns of a beam")
         check_gaps("datasets", ds[[n for n in ds.data_vars if str(n).startswith("brdf")]])
-        if _parameters(ds.attrs) != _parameters(given[0].attrs):
+        if _parameters(ds.attrs) != _parameters(datasets[0].attrs):
             other = "another medium"
             raise refuse("datasets", other, "the same for all", "write a file for each medium")
-    angles = [float(ds.attrs["incidence_deg"]) for ds in given]
+    angles = [float(ds.attrs["incidence_deg"]) for ds in datasets]
     if len(set(angles)) < len(angles):
         raise refuse("datasets", angles, "of different angles of incidence")
     missing = [name for name in NEEDED if name not in provenance]
@@ -177,13 +177,13 @@ def _software(attrs: Mapping[str, Any], medium: str) -> dict[str, Any]:
     }
 
 
-def _columns(given: Sequence[xr.Dataset]) -> tuple[dict[str, Any], int]:
+def _columns(datasets: Sequence[xr.Dataset]) -> tuple[dict[str, Any], int]:
     """Return the data of all, and how many values were left out because they are negative."""
     rows: dict[str, list[Any]] = {
         name: [] for name in ("wavelength", "incidence", "polar", "azimuth", "state", "f", "u")
     }
     left_out = 0
-    for ds in given:
+    for ds in datasets:
         w, polar, azimuth = np.meshgrid(
             ds.wavelength.values, ds.polar.values, ds.azimuth.values, indexing="ij"
         )

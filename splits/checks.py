@@ -87,22 +87,22 @@ class Refusal(ValueError):
 
     def __str__(self) -> str:
         """Return the message, one line."""
-        return self.text() + (f" ({self.hint})" if self.hint else "")
+        return self.format_message() + (f" ({self.hint})" if self.hint else "")
 
-    def text(self) -> str:
+    def format_message(self) -> str:
         """Return the message without the hint."""
         return f"{self.key} = {shown(self.value)}: must be {self.allowed}"
 
-    def within(self, place: str, more: str = "") -> Refusal:
+    def add_prefix(self, prefix: str, extra_hint: str = "") -> Refusal:
         """Return the refusal of the same value in a section, with one more hint."""
-        hint = ") (".join(part for part in (self.hint, more) if part)
-        return type(self)(f"{place}.{self.key}", self.value, self.allowed, hint)
+        hint = ") (".join(part for part in (self.hint, extra_hint) if part)
+        return type(self)(f"{prefix}.{self.key}", self.value, self.allowed, hint)
 
 
 class UnknownKey(Refusal):
     """A key that there is not; `value` is None, `allowed` names those that there are."""
 
-    def text(self) -> str:
+    def format_message(self) -> str:
         """Return the message without the hint."""
         return f"{named(self.key)}: unknown key, must be {self.allowed}"
 
@@ -112,9 +112,9 @@ def refuse(key: str, value: object, allowed: str, hint: str = "") -> Refusal:
     return Refusal(key, value, allowed, hint)
 
 
-def unknown_key(key: str, known: Iterable[str]) -> UnknownKey:
+def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     """Return the error that says that there is no such key, and suggests the nearest."""
-    names = list(known)
+    names = list(known_names)
     hint = suggestion(key.rsplit(".", 1)[-1], names)
     return UnknownKey(key, None, f"one of {listed(names)}", hint)
 
@@ -157,10 +157,10 @@ def known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result
     return checked
 
 
-def name_as_texts(key: str, given: Mapping[Any, Any]) -> dict[str, Any]:
+def name_as_texts(key: str, mapping: Mapping[Any, Any]) -> dict[str, Any]:
     """Return a mapping with texts for names, or refuse two names that are the same text."""
     found: dict[str, Any] = {}
-    for name, value in given.items():
+    for name, value in mapping.items():
         if str(name) in found:
             raise refuse(key, name, "names that differ as texts", f"{name} is there twice")
         found[str(name)] = value
@@ -184,12 +184,12 @@ def _call(
 
 
 @contextmanager
-def under(place: str) -> Iterator[None]:
+def under(prefix: str) -> Iterator[None]:
     """Put the place of a section before the key of a refusal within."""
     try:
         yield
     except Refusal as error:
-        raise error.within(place) from None
+        raise error.add_prefix(prefix) from None
 
 
 def scalar(value: object) -> Any:

@@ -59,7 +59,7 @@ def content_sha256(file: netCDF4.Dataset) -> str:
 
 
 @contextmanager
-def prepare_netcdf(path: Path, size: int) -> Iterator[Path]:
+def prepare_netcdf(path: Path, n_bytes: int) -> Iterator[Path]:
     """Give a name to write a netCDF file to, which then takes the place of a path; see `whole`.
 
     Parameters
@@ -75,7 +75,7 @@ def prepare_netcdf(path: Path, size: int) -> Iterator[Path]:
     """
     with LOCK, whole(path) as aside:
         # HDF5 keeps a file open for good that a full disk does not let it complete.
-        check_room(aside, size + size // 16 + _MARGIN)
+        check_room(aside, n_bytes + n_bytes // 16 + _MARGIN)
         try:
             yield aside
         except RuntimeError as error:
@@ -160,18 +160,18 @@ def _ends(path: str | Path) -> tuple[bytes, bytes, int]:
         return start, file.read(), size
 
 
-def _bytes_sha256(path: str | Path, size: int) -> str:
+def _bytes_sha256(path: str | Path, n_bytes: int) -> str:
     """Return the checksum of the first bytes of a file, which need not fit into memory."""
     digest = hashlib.sha256()
     with open(path, "rb") as file:
-        while size > 0 and (part := file.read(min(size, _AT_ONCE))):
+        while n_bytes > 0 and (part := file.read(min(n_bytes, _AT_ONCE))):
             digest.update(part)
-            size -= len(part)
+            n_bytes -= len(part)
     return digest.hexdigest()
 
 
-def _damaged(path: str | Path, what: str) -> DamagedError:
-    return DamagedError(f"{path}: damaged, {what} ({REMEDY})")
+def _damaged(path: str | Path, problem: str) -> DamagedError:
+    return DamagedError(f"{path}: damaged, {problem} ({REMEDY})")
 
 
 def _attributes(owner: netCDF4.Dataset | netCDF4.Variable) -> bytes:

@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(given: argparse.Namespace) -> None:
+def _run(arguments: argparse.Namespace) -> None:
     """Run an experiment; its dataset, figure and tables appear whole or not at all."""
     optional("pydantic", "experiments", "experiment files need")
     optional("yaml", "experiments", "experiment files need")
@@ -119,31 +119,31 @@ def _run(given: argparse.Namespace) -> None:
     from splits.instruments.arguments import check_threads, check_whole
     from splits.interrupts import end_on_signals
 
-    seed = 1 if given.seed is None else check_whole("--seed", given.seed, 0)
-    threads = check_threads(given.threads)
-    experiment = load_experiment(given.file, given.media)
+    seed = 1 if arguments.seed is None else check_whole("--seed", arguments.seed, 0)
+    threads = check_threads(arguments.threads)
+    experiment = load_experiment(arguments.file, arguments.media)
     own = experiment.instrument.seed
-    if given.seed is not None and own is not None:
-        raise refuse("--seed", given.seed, "left out", f"the file has instrument.seed = {own}")
+    if arguments.seed is not None and own is not None:
+        raise refuse("--seed", arguments.seed, "left out", f"the file has instrument.seed = {own}")
     drawn = experiment.figure.kind != "none"
     if drawn or experiment.retrieve:
         optional("matplotlib", "figures", "figures need")
         optional("seaborn", "figures", "figures need")
-    measured = given.media.parent / "measured"
+    measured = arguments.media.parent / "measured"
     shown = experiment.figure.measured
     beside = [read_spectra(measured / shown, "figure.measured")] if shown else []
-    target = given.output / f"{experiment.name}.nc"
+    target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
-    max_stderr, relative_stderr = ACCURACIES[given.accuracy]
+    max_stderr, relative_stderr = ACCURACIES[arguments.accuracy]
     accuracy = Accuracy(max_stderr=max_stderr, relative_stderr=relative_stderr)
-    again = shlex.join(["splits", *map(str, given.words)])
+    again = shlex.join(["splits", *map(str, arguments.words)])
     end_on_signals("splits run", f"to go on where it stopped, type: {again}")
-    simulation = Simulation.model_validate(experiment.simulation())
+    simulation = Simulation.model_validate(experiment.dump_simulation())
     if experiment.fit:
         table = read_spectra(measured / experiment.fit.measured, "fit.measured")
         save(run_fit(simulation, accuracy, table, seed, threads, _say), target)
     else:
-        kept = given.output / "blocks" / experiment.name
+        kept = arguments.output / "blocks" / experiment.name
         write_run(simulation, accuracy, seed, kept, target, threads, _say)
     _print(target)
     if experiment.retrieve:
@@ -153,13 +153,13 @@ def _run(given: argparse.Namespace) -> None:
         from splits.analysis.sand_tables import fitted_parameters
         from splits.analysis.tables import write_table
 
-        parameters = given.output / f"{experiment.name}_parameters.csv"
+        parameters = arguments.output / f"{experiment.name}_parameters.csv"
         write_table(fitted_parameters(load(target)), parameters)
         _print(parameters)
     if drawn:
         from splits.figures import draw, save_figure
 
-        save_figure(draw(load(target), experiment.drawing(), *beside), target.with_suffix(""))
+        save_figure(draw(load(target), experiment.resolve_figure(), *beside), target.with_suffix(""))
         _print(target.with_suffix(".png"))
 
 
@@ -181,7 +181,7 @@ def _retrieve(experiment: Experiment, path: Path, folder: Path, seed: int) -> No
     write_table(retrieved_table(found, section.known), table)
     _print(table)
     joined = together(found, experiment.name)
-    save_figure(retrievals(joined, section.known, section.groups()), path.with_suffix(""))
+    save_figure(retrievals(joined, section.known, section.list_sample_prefixes()), path.with_suffix(""))
     _print(path.with_suffix(".png"))
 
 
@@ -195,7 +195,7 @@ def _print(line: object) -> None:
     write_line(str(line), sys.stdout)
 
 
-def _versions(given: argparse.Namespace) -> None:
+def _versions(arguments: argparse.Namespace) -> None:
     """Print what a report of a problem should hold."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
@@ -214,7 +214,7 @@ def _versions(given: argparse.Namespace) -> None:
             _print(f"{name} not installed")
 
 
-def _cache(given: argparse.Namespace) -> None:
+def _cache(arguments: argparse.Namespace) -> None:
     """Say what is kept where, or delete it."""
     from splits.transport.compiling.folders import folders
 
@@ -222,17 +222,17 @@ def _cache(given: argparse.Namespace) -> None:
         kept = sorted(folder.path.glob("*.nbc"))
         size = sum(path.stat().st_size for path in kept) / 1e6
         _print(f"{folder.path}: {len(kept)} compiled kernels, {size:.1f} MB")
-        if given.clear:
+        if arguments.clear:
             for path in kept:
-                folder.drop(path.name)
+                folder.remove(path.name)
             _print(f"deleted {len(kept)}")
 
 
-def _unpack(given: argparse.Namespace) -> None:
+def _unpack(arguments: argparse.Namespace) -> None:
     """Verify an archive and, where a folder is given, unpack it."""
     from splits.unpacking import unpack, verify
 
-    _print(unpack(given.archive, given.folder) if given.folder else verify(given.archive))
+    _print(unpack(arguments.archive, arguments.folder) if arguments.folder else verify(arguments.archive))
 
 
 if __name__ == "__main__":

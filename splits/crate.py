@@ -73,7 +73,7 @@ class Author:
     name: str
     orcid: str = ""
     affiliation: str = ""
-    person: bool = True
+    is_person: bool = True
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class About:
     software: Software
 
 
-def metadata(members: Mapping[str, bytes], about: About) -> bytes:
+def metadata(members: Mapping[str, bytes], info: About) -> bytes:
     """Return the content of ``ro-crate-metadata.json``.
 
     Parameters
@@ -126,7 +126,7 @@ def metadata(members: Mapping[str, bytes], about: About) -> bytes:
     from rocrate.rocrate import ROCrate
 
     crate = ROCrate(version=VERSION)
-    root, software = crate.root_dataset, about.software
+    root, software = crate.root_dataset, info.software
     files = {
         name: crate.add_file(dest_path=name, properties=_described(name, content))
         for name, content in sorted(members.items())
@@ -136,9 +136,9 @@ def metadata(members: Mapping[str, bytes], about: About) -> bytes:
         "Simulated light that snow, sand and rough layers send back: datasets, their figures and "
         "tables, and the configuration that they were made from."
     )
-    root["datePublished"] = about.date
-    root["license"] = _licence(crate, about.licence)
-    root["author"] = [_author(crate, author) for author in about.authors]
+    root["datePublished"] = info.date
+    root["license"] = _licence(crate, info.licence)
+    root["author"] = [_author(crate, author) for author in info.authors]
     program = _entity(crate, "#splits", {
         "@type": "SoftwareApplication",
         "name": "splits, its Snakemake workflow (Snakefile)",
@@ -189,10 +189,10 @@ def _author(crate: Any, author: Author) -> Any:
     """Return the entity of a person or of a group."""
     name = f"#{quote(author.name.replace(' ', '-'))}"
     identifier = ORCID + author.orcid if author.orcid else name
-    kind = "Person" if author.person else "Organization"
+    kind = "Person" if author.is_person else "Organization"
     properties: dict[str, Any] = {"@type": kind, "name": author.name}
     if author.affiliation:
-        properties["affiliation"] = _author(crate, Author(author.affiliation, person=False))
+        properties["affiliation"] = _author(crate, Author(author.affiliation, is_person=False))
     return _entity(crate, identifier, properties)
 
 

@@ -82,6 +82,6 @@ def _author(entry: dict[str, str]) -> Author:
     """Return an author of CITATION.cff: a group has a name, a person has two."""
     orcid, affiliation = entry.get("orcid", "").removeprefix(ORCID), entry.get("affiliation", "")
     if "name" in entry:
-        return Author(entry["name"], "", affiliation, person=False)
+        return Author(entry["name"], "", affiliation, is_person=False)
     name = f"{entry.get('given-names', '')} {entry.get('family-names', '')}".strip()
     return Author(name, orcid, affiliation)

@@ -28,7 +28,7 @@ BESIDE = "ancillary_variables"
 """Attribute of a variable: names of those that say more of its values, such as errors and flags."""
 
 
-def provenance(what: str = "dataset made") -> dict[str, Any]:
+def provenance(action: str = "dataset made") -> dict[str, Any]:
     """Return the attributes that say which program made a dataset, when and where.
 
     Parameters
@@ -46,7 +46,7 @@ def provenance(what: str = "dataset made") -> dict[str, Any]:
         "python_version": platform.python_version(),
         "numpy_version": np.__version__,
         "date_created": now,
-        "history": f"{now} splits {package_version()}: {what}",
+        "history": f"{now} splits {package_version()}: {action}",
     }
 
 
@@ -166,7 +166,7 @@ def opened(path: str | Path) -> xr.Dataset:
 
     For what does not fit into memory.  The file is checked whole when it is opened.
     """
-    return _owned(_read(path, lazily=True), path)
+    return _owned(_read(path, lazy=True), path)
 
 
 def _owned(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
@@ -181,13 +181,13 @@ def _owned(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     return dataset
 
 
-def _read(path: str | Path, *, lazily: bool = False) -> xr.Dataset:
+def _read(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
     """Return what a file holds, its checksum included, with coordinates that label dimensions."""
     path = expand_path(path)
     with LOCK:
         check(path)
         dataset = xr.open_dataset(path, engine="netcdf4")
-        if not lazily:
+        if not lazy:
             with dataset as file:
                 dataset = file.load()
     for variable in dataset.variables.values():
@@ -196,7 +196,7 @@ def _read(path: str | Path, *, lazily: bool = False) -> xr.Dataset:
     return as_stored(dataset)
 
 
-def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
+def at_points(dataset: xr.Dataset, coordinates: Mapping[str, float | str]) -> xr.Dataset:
     """Return the part of a dataset at coordinates of its grid.
 
     Parameters
@@ -210,7 +210,7 @@ def at_points(dataset: xr.Dataset, at: Mapping[str, float | str]) -> xr.Dataset:
     ValueError
         For a dimension or a coordinate that the dataset does not have.
     """
-    for dimension, given in at.items():
+    for dimension, given in coordinates.items():
         one_of("at", dimension, map(str, dataset.dims))
         values = dataset[dimension].values
         if np.issubdtype(values.dtype, np.number):

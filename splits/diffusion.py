@@ -67,28 +67,28 @@ class Rest(NamedTuple):
         Net flux over fluence rate at the bottom, (1 − ρ)/(2 (1 + ρ)) over an albedo ρ.
     """
 
-    slope: np.ndarray
-    depth: np.ndarray
-    bottom: np.ndarray
+    decay_flux_ratio: np.ndarray
+    decay_depth: np.ndarray
+    bottom_flux_ratio: np.ndarray
 
-    def entering(self) -> np.ndarray:
+    def compute_flux_ratio(self) -> np.ndarray:
         """Return the net flux over the fluence rate at the cut."""
-        tanh = np.tanh(self.depth)
-        upper = self.bottom + self.slope * tanh
-        lower = self.slope + self.bottom * tanh
-        values: np.ndarray = self.slope * upper / lower
+        tanh = np.tanh(self.decay_depth)
+        upper = self.bottom_flux_ratio + self.decay_flux_ratio * tanh
+        lower = self.decay_flux_ratio + self.bottom_flux_ratio * tanh
+        values: np.ndarray = self.decay_flux_ratio * upper / lower
         return values
 
-    def sent(self) -> np.ndarray:
+    def compute_reflected_fraction(self) -> np.ndarray:
         """Return the share of the light that enters which comes back."""
-        net = self.entering()
+        net = self.compute_flux_ratio()
         values: np.ndarray = (1.0 - 2.0 * net) / (1.0 + 2.0 * net)
         return np.clip(values, 0.0, 1.0)
 
-    def passed(self) -> np.ndarray:
+    def compute_transmitted_fraction(self) -> np.ndarray:
         """Return the share of the net flux at the cut that enters the bottom."""
-        kappa = np.minimum(self.depth, 700.0)
-        fluence = self.slope / (self.slope * np.cosh(kappa) + self.bottom * np.sinh(kappa))
-        gone = np.where(self.depth > 700.0, 0.0, self.bottom * fluence / self.entering())
+        kappa = np.minimum(self.decay_depth, 700.0)
+        fluence = self.decay_flux_ratio / (self.decay_flux_ratio * np.cosh(kappa) + self.bottom_flux_ratio * np.sinh(kappa))
+        gone = np.where(self.decay_depth > 700.0, 0.0, self.bottom_flux_ratio * fluence / self.compute_flux_ratio())
         values: np.ndarray = np.clip(gone, 0.0, 1.0)
         return values

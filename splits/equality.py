@@ -21,13 +21,13 @@ class ByContent:
         """Return whether the other is of this class and holds the same."""
         if type(other) is not type(self):
             return NotImplemented
-        return self is other or self._content() == other._content()
+        return self is other or self._comparison_key() == other._comparison_key()
 
     def __hash__(self) -> int:
         """Return the hash of what it holds."""
-        return hash(self._content())
+        return hash(self._comparison_key())
 
-    def _content(self) -> tuple[Hashable, ...]:
+    def _comparison_key(self) -> tuple[Hashable, ...]:
         """Return what two equal objects have in common."""
         own: Any = self
         return tuple(_hashable(getattr(own, f.name)) for f in fields(own) if f.compare)

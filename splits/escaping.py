@@ -47,9 +47,9 @@ def escape_rst(text: str) -> str:
     return "\n\n".join(re.sub(r"[^\w\s]|_", _rst_character, part) for part in paragraphs)
 
 
-def _rst_character(found: re.Match[str]) -> str:
+def _rst_character(match: re.Match[str]) -> str:
     """Return one character other than a letter, digit or space in reStructuredText."""
-    return _RST_LESS if found[0] == "<" else "\\" + found[0]
+    return _RST_LESS if match[0] == "<" else "\\" + match[0]
 
 
 def escape_mathtext(text: str) -> str:

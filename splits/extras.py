@@ -9,7 +9,7 @@ DISTRIBUTION = "splits-optics"
 """What this package is called on the package index; it is imported as `splits`."""
 
 
-def optional(module: str, extra: str, what: str) -> ModuleType:
+def optional(module: str, extra: str, purpose: str) -> ModuleType:
     """Return a module of an optional package.
 
     Parameters
@@ -33,6 +33,6 @@ def optional(module: str, extra: str, what: str) -> ModuleType:
         if (error.name or "").partition(".")[0] != package:
             raise
         raise ModuleNotFoundError(
-            f"{what} the package {package}: pip install '{DISTRIBUTION}[{extra}]'",
+            f"{purpose} the package {package}: pip install '{DISTRIBUTION}[{extra}]'",
             name=error.name,
         ) from None

@@ -211,7 +211,7 @@ def check_writable(path: str | Path) -> None:
         aside.touch()
 
 
-def check_room(path: Path, size: int) -> None:
+def check_room(path: Path, n_bytes: int) -> None:
     """Take the space that a file needs for a moment, and leave the file empty.
 
     Parameters
@@ -229,8 +229,8 @@ def check_room(path: Path, size: int) -> None:
     with open(path, "wb") as file:
         try:
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)
-            elif shutil.disk_usage(path.parent).free < size:
+                os.posix_fallocate(file.fileno(), 0, n_bytes)
+            elif shutil.disk_usage(path.parent).free < n_bytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         except OSError as error:
             # Not all file systems take space in advance.

@@ -37,7 +37,7 @@ def half_written(path: Path) -> Iterator[None]:
         _half_written.discard(path)
 
 
-def end_on_signals(name: str, how_to_go_on: str = "") -> None:
+def end_on_signals(name: str, resume_hint: str = "") -> None:
     """Let SIGINT and SIGTERM end this process within about `GRACE_S`, with a line of `name`.
 
     To be called once, in the main thread of a process that does nothing but one job.  A process
@@ -68,7 +68,7 @@ def end_on_signals(name: str, how_to_go_on: str = "") -> None:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
         # Not by way of Python's own end, which waits for threads and for whoever is compiling.
-        said = f"{name}: interrupted\n" + (f"{how_to_go_on}\n" if how_to_go_on else "")
+        said = f"{name}: interrupted\n" + (f"{resume_hint}\n" if resume_hint else "")
         with suppress(OSError):
             os.write(2, said.encode(errors="backslashreplace"))
         os._exit(INTERRUPTED)

@@ -77,14 +77,14 @@ def as_stored(dataset: xr.Dataset) -> xr.Dataset:
     return dataset.set_index(json.loads(dataset.attrs.pop(LEVELS, "{}")))
 
 
-def _names_in_file(dataset: xr.Dataset, taken: set[str]) -> dict[str, str]:
+def _names_in_file(dataset: xr.Dataset, reserved_names: set[str]) -> dict[str, str]:
     """Return the names of variables and dimensions in a file by their own, none of those taken."""
     found = {}
     for own in sorted(map(str, {*dataset.variables, *dataset.dims})):
         name = _plain(own)
-        while name in taken:
+        while name in reserved_names:
             name += "_"
-        taken.add(name)
+        reserved_names.add(name)
         found[own] = name
     return found
 

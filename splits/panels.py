@@ -27,13 +27,13 @@ FEWEST_AZIMUTHS, FEWEST_POLAR, WIDEST_GAP_DEG = 8, 3, 60.0
 HOW = "the dataset holds all; figure: none draws nothing"
 
 
-def too_many(what: str, count: int, most: int, at: object) -> ValueError:
+def too_many(what: str, count: int, limit: int, selection: object) -> ValueError:
     """Return the error that says that a figure would show too much, and how to show less."""
-    allowed = f"with values of so many parameters that at most {most} {what} are left of {count}"
-    return refuse("figure.at", dict(at) if isinstance(at, Mapping) else at, allowed, HOW)
+    allowed = f"with values of so many parameters that at most {limit} {what} are left of {count}"
+    return refuse("figure.at", dict(selection) if isinstance(selection, Mapping) else selection, allowed, HOW)
 
 
-def check_count(what: str, count: int, most: int, at: Mapping[str, object]) -> None:
+def check_count(what: str, count: int, limit: int, selection: Mapping[str, object]) -> None:
     """Refuse a figure of more than so many things.
 
     Raises
@@ -41,12 +41,12 @@ def check_count(what: str, count: int, most: int, at: Mapping[str, object]) -> N
     ValueError
         The message says how to show less.
     """
-    if count > most:
-        raise too_many(what, count, most, at)
+    if count > limit:
+        raise too_many(what, count, limit, selection)
 
 
 def facets(
-    sizes: Mapping[str, int], quantities: int = 1, at: Mapping[str, object] | None = None
+    sizes: Mapping[str, int], n_quantities: int = 1, selection: Mapping[str, object] | None = None
 ) -> list[str]:
     """Return the parameters whose values get a panel each, none if one panel shows all lines.
 
@@ -73,13 +73,13 @@ def facets(
     if count <= MOST_LINES:
         return []
     first, *others = (name for name, size in sizes.items() if size > 1)
-    panels = quantities * (count // sizes[first])
+    panels = n_quantities * (count // sizes[first])
     if sizes[first] > MOST_LINES or len(others) > 2 or panels > MOST_PANELS:
         what = (
             f"lines, or {MOST_PANELS} panels of two more parameters with at most {MOST_LINES} "
             "lines of the first,"
         )
-        raise too_many(what, count, MOST_LINES, at or {})
+        raise too_many(what, count, MOST_LINES, selection or {})
     return others
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from splits.checks import refuse
 
 
-def expand_path(given: Any, key: str = "path", hint: str = "") -> Path:
+def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:
     """Return a path whose ``~`` or ``~NAME`` at the beginning is the home of that user.
 
     Every path that a user gives goes through here: the shell leaves a ``~`` as it is in
@@ -28,9 +28,9 @@ def expand_path(given: Any, key: str = "path", hint: str = "") -> Path:
     ValueError
         For what is no path, and where no home is known.
     """
-    text = os.fspath(given) if isinstance(given, str | os.PathLike) else None
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str):
-        raise refuse(key, type(given).__name__, "the path of a file or a folder", hint)
+        raise refuse(key, type(value).__name__, "the path of a file or a folder", hint)
     path = Path(os.path.expanduser(text))
     if not str(path).startswith("~"):
         return path

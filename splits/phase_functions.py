@@ -153,35 +153,35 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = ANGLES_DEG) -> xr.Datase
     return xr.Dataset(variables, axes, attributes(dict(optics.attrs)))
 
 
-def _terms(mu: np.ndarray, most: int) -> np.ndarray:
+def _terms(mu: np.ndarray, max_order: int) -> np.ndarray:
     """Return what moments are multiplied by, shape (orders, angles)."""
-    damped = _damping(most)
-    terms = np.empty((most + 1, mu.size))
-    for order, polynomial in enumerate(_polynomials(mu, most)):
+    damped = _damping(max_order)
+    terms = np.empty((max_order + 1, mu.size))
+    for order, polynomial in enumerate(_polynomials(mu, max_order)):
         terms[order] = (2.0 * order + 1.0) * damped[order] / (4.0 * np.pi) * polynomial
     return terms
 
 
-def _polynomials(mu: np.ndarray, most: int) -> Iterator[np.ndarray]:
+def _polynomials(mu: np.ndarray, max_order: int) -> Iterator[np.ndarray]:
     """Yield Legendre's polynomials of each order."""
     before, last = np.zeros_like(mu), np.ones_like(mu)
     yield last
-    for n in range(1, most + 1):
+    for n in range(1, max_order + 1):
         before, last = last, ((2 * n - 1) * mu * last - (n - 1) * before) / n
         yield last
 
 
-def _damping(most: int) -> np.ndarray:
+def _damping(max_order: int) -> np.ndarray:
     """Return the moments of the narrowest peak that polynomials up to an (even) order can be.
 
     Of all that are nowhere negative, the square of a polynomial Σ (2k + 1) P_k(x) P_k(μ) of half
     the order has the largest mean cosine, x, the largest zero of the next polynomial: there
     Gauss's quadrature puts all of its weight on one node.
     """
-    half = most // 2
+    half = max_order // 2
     x = np.array([_largest_zero(half + 1)])
     # Fejér's quadrature is exact for polynomials of fewer orders than it has nodes.
-    count = 2 * most + 2
+    count = 2 * max_order + 2
     angle = (np.arange(count) + 0.5) * np.pi / count
     weight = np.full(count, 2.0 / count)
     for k in range(1, count // 2 + 1):
@@ -193,7 +193,7 @@ def _damping(most: int) -> np.ndarray:
     ):
         root += (2.0 * k + 1.0) * own * there
     peak = weight * root**2
-    moments = np.array([(peak * one).sum() for one in _polynomials(mu, most)])
+    moments = np.array([(peak * one).sum() for one in _polynomials(mu, max_order)])
     damped: np.ndarray = moments / moments[0]
     return damped
 
@@ -210,12 +210,12 @@ def _largest_zero(order: int) -> float:
     return float(x)
 
 
-def angles_that_resolve(moments: int) -> np.ndarray:
+def angles_that_resolve(n_moments: int) -> np.ndarray:
     """Return angles (degrees) between which a phase function of so many moments is nearly linear.
 
     A tenth of the narrowest peak apart near 0°, and then wider and wider, up to half a degree.
     """
-    finest = min(47.5 / max(moments, 1), 0.5)
+    finest = min(47.5 / max(n_moments, 1), 0.5)
     angles = [0.0]
     while angles[-1] < 180.0:
         angles.append(angles[-1] + min(max(finest, 0.03 * angles[-1]), 0.5))

@@ -28,7 +28,7 @@ def quantity(
 
 
 def deviations(
-    name: str, dims: str | tuple[str, ...], groups: np.ndarray, long_name: str
+    name: str, dims: str | tuple[str, ...], deviations: np.ndarray, long_name: str
 ) -> dict[str, Variable]:
     """Return how far groups of rays take a quantity off, ``…_groups``, by name.
 
@@ -46,20 +46,20 @@ def deviations(
         "comment": "sums over groups of products are covariances, without what stands for "
         "interpolation between refractive indices in the standard error",
     }
-    return {f"{name}_groups": (("group", *dims), groups.astype(np.float32), about)}
+    return {f"{name}_groups": (("group", *dims), deviations.astype(np.float32), about)}
 
 
-def stderr_of(groups: np.ndarray) -> np.ndarray:
+def stderr_of(batch_means: np.ndarray) -> np.ndarray:
     """Return the standard error of the mean of groups of rays."""
-    return groups.std(axis=0, ddof=1) / np.sqrt(len(groups))
+    return batch_means.std(axis=0, ddof=1) / np.sqrt(len(batch_means))
 
 
-def without_one(groups: np.ndarray) -> np.ndarray:
+def without_one(batch_means: np.ndarray) -> np.ndarray:
     """Return the means over all groups but one, the groups along the first axis."""
-    return (groups.sum(axis=0) - groups) / (len(groups) - 1)
+    return (batch_means.sum(axis=0) - batch_means) / (len(batch_means) - 1)
 
 
-def jackknife(left_out: np.ndarray) -> np.ndarray:
+def jackknife(leave_one_out: np.ndarray) -> np.ndarray:
     """Return the standard error of what was computed from all groups but one (Efron 1982)."""
-    n = len(left_out)
-    return np.sqrt((n - 1) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    n = len(leave_one_out)
+    return np.sqrt((n - 1) / n * ((leave_one_out - leave_one_out.mean(axis=0)) ** 2).sum(axis=0))

@@ -78,8 +78,8 @@ class Report:
 
     archive: Path
     sha256: str
-    files: int
-    size: int
+    n_files: int
+    n_bytes: int
     name: str
     date: str
     license: str
@@ -87,7 +87,7 @@ class Report:
     def __str__(self) -> str:
         """Return the report in three lines."""
         about = ", ".join(map(named, (self.name, self.date, self.license)))
-        counts = f"{self.files} files, {self.size} bytes, every one as listed"
+        counts = f"{self.n_files} files, {self.n_bytes} bytes, every one as listed"
         return f"{self.archive}: {counts}\n{about}\nSHA-256 of the archive: {self.sha256}"
 
 
@@ -296,8 +296,8 @@ def _copied(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None) -
     return size, digest.hexdigest()
 
 
-def _check_same(there: set[str], listed: set[str]) -> None:
+def _check_same(present: set[str], listed: set[str]) -> None:
     """Refuse files that are not listed, and those that are but are not there."""
-    for names, what in ((listed - there, "listed, but missing"), (there - listed, "not listed")):
+    for names, what in ((listed - present, "listed, but missing"), (present - listed, "not listed")):
         if names:
             raise ArchiveError(f"{shown(min(names))} is {what} ({len(names)} such)")

@@ -100,7 +100,7 @@ def _studies() -> list[Page]:
     found = []
     settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
     for name, study in settings.studies.items():
-        paths = study.paths(name)
+        paths = study.list_product_paths(name)
         section = yaml_of({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
         for product, report in CAPTIONS.get(study.kind, {}).items():
             caption = (ROOT / "workflow" / "report" / f"{report}.rst").read_text(encoding="utf-8")

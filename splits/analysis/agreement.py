@@ -35,10 +35,10 @@ AVIRIS_BANDS = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
 def read_published(path: str | Path, key: str = "published") -> pd.DataFrame:
     """Read the table of published numbers, indexed by id, or refuse it under a key."""
     cells = read_cells(key, path, ["published", "low", "high"])
-    columns: dict[str, Any] = {name: cells.texts(name) for name in ("quantity", "place", "bar")}
+    columns: dict[str, Any] = {name: cells.get_texts(name) for name in ("quantity", "place", "bar")}
     columns["bar"] = [bar or None for bar in columns["bar"]]
-    columns |= {name: cells.numbers(name, gaps=True) for name in ("published", "low", "high")}
-    return pd.DataFrame(columns, index=pd.Index(cells.texts("id"), name="id"))
+    columns |= {name: cells.get_numbers(name, allow_gaps=True) for name in ("published", "low", "high")}
+    return pd.DataFrame(columns, index=pd.Index(cells.get_texts("id"), name="id"))
 
 
 def agreement_table(

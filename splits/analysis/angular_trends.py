@@ -30,9 +30,9 @@ def peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return ratio - 1.0, error
 
 
-def spread(plane: xr.Dataset, steepest: float) -> tuple[np.ndarray, np.ndarray]:
+def spread(plane: xr.Dataset, max_angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the range of the BRDF up to an angle, relative to its mean, and its error."""
-    part = plane.sel(angle=slice(-steepest, steepest))
+    part = plane.sel(angle=slice(-max_angle_deg, max_angle_deg))
     high, low = part.brdf.argmax("angle"), part.brdf.argmin("angle")
     mean = part.brdf.mean("angle")
     value = (part.brdf.isel(angle=high) - part.brdf.isel(angle=low)) / mean

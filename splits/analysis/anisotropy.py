@@ -135,14 +135,14 @@ def _check_reach(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
         raise refuse("directions.wavelength_nm", sorted(missing), "those of the experiment")
 
 
-def _labels(labels: np.ndarray, given: pd.Series) -> np.ndarray:
+def _labels(labels: np.ndarray, values: pd.Series) -> np.ndarray:
     """Return the labels of a grid that values have."""
     known = {str(label): label for label in labels}
     known |= {f"{float(k):g}": v for k, v in known.items() if _is_number(k)}
-    texts = [f"{v:g}" if not isinstance(v, str) else v for v in given]
+    texts = [f"{v:g}" if not isinstance(v, str) else v for v in values]
     for text in texts:
         if text not in known:
-            raise refuse(f"directions.{given.name}", text, f"one of {', '.join(map(str, labels))}")
+            raise refuse(f"directions.{values.name}", text, f"one of {', '.join(map(str, labels))}")
     return np.array([known[text] for text in texts])
 
 

@@ -39,7 +39,7 @@ from those traced to another error."""
 
 
 def papers_times(
-    seconds: np.ndarray, rays: np.ndarray, stderr: np.ndarray, error: float, least_rays: int
+    seconds: np.ndarray, rays: np.ndarray, stderr: np.ndarray, error: float, min_rays: int
 ) -> tuple[float, float, float, float]:
     """Return what wavelengths traced one by one take to reach another error, by scaling.
 
@@ -61,7 +61,7 @@ def papers_times(
     adaptive_s, adaptive_rays : float
         If every wavelength takes the rays that it needs by itself.
     """
-    needed = np.maximum(rays * (stderr / error) ** 2, least_rays)
+    needed = np.maximum(rays * (stderr / error) ** 2, min_rays)
     per_ray = seconds / rays
     most = needed.max()
     return (

@@ -45,9 +45,9 @@ class OpticalShape(NamedTuple):
         B/(1 − g).
     """
 
-    enhancement: Measured
-    asymmetry: Measured
-    together: Measured
+    absorption_enhancement: Measured
+    asymmetry_parameter: Measured
+    b_over_1_minus_g: Measured
 
 
 def optical_shape(

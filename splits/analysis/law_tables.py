@@ -22,7 +22,7 @@ EXACT = 1e-6
 MASS = "impurities_ng_g"
 
 
-def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, models: str | None = None) -> Table:
+def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | None = None) -> Table:
     """Return what a law says of the snow of a table, over the axes that it knows.
 
     Kokhanovsky & Zege (2004, Appl. Opt. 43, 1589-1602, doi:10.1364/AO.43.001589) for deep snow, as
@@ -53,7 +53,7 @@ def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, models: str | None = No
     if size is None:
         raise refuse("retrieve.beside", law, f"with {AREA} or {RADIUS} on the grid")
     kept = [a for a in axes if a in (size, INCIDENCE) or (amount_of(a) or ("",))[0] == MASS]
-    for name in [a for a in axes if a not in (*kept, models)]:
+    for name in [a for a in axes if a not in (*kept, model_axis)]:
         if given[name].dtype.kind != "f" or float(given[name].values.min()) != 0.0:
             raise refuse("retrieve.beside", law, f"left out where {name} is on the grid without 0")
     w = given.wavelength.values
@@ -63,7 +63,7 @@ def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, models: str | None = No
     for place in np.ndindex(*shape):
         at = {a: given[a].values[i] for a, i in zip(kept, place, strict=True)}
         amounts = {str(amount_of(a)[1]): float(at[a]) for a in kept if amount_of(a)}  # type: ignore[index]
-        per_ice = sum((one.per_ice(w) for one in impurities_of(amounts, {})), np.zeros(w.size))
+        per_ice = sum((one.compute_absorption_per_kg_ice(w) for one in impurities_of(amounts, {})), np.zeros(w.size))
         # In 1/m of ice, and as the imaginary part of an index, which the law takes.
         more = per_ice * ICE_KG_M3 / snowoptics.default_B * (1e-9 * w) / (4.0 * np.pi)
         area = at[size] if size == AREA else 3e6 / (ICE_KG_M3 * at[size])
@@ -83,13 +83,13 @@ def law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, models: str | None = No
 
 
 def _albedo(
-    metres: np.ndarray, beam: object, area: float, index: tuple[np.ndarray, np.ndarray]
+    wavelength_m: np.ndarray, incidence: object, ssa_m2_kg: float, index: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Return the albedo of deep snow under a beam (degrees), or under diffuse light."""
-    if beam == "diffuse":
-        found = snowoptics.albedo_diffuse_KZ04(metres, area, ni=index[1])
+    if incidence == "diffuse":
+        found = snowoptics.albedo_diffuse_KZ04(wavelength_m, ssa_m2_kg, ni=index[1])
     else:
         found = snowoptics.albedo_direct_KZ04(
-            metres, np.radians(float(str(beam))), area, ni=index[1]
+            wavelength_m, np.radians(float(str(incidence))), ssa_m2_kg, ni=index[1]
         )
     return np.asarray(found, dtype=float)

@@ -57,7 +57,7 @@ def read_spectra(path: str | Path, key: str = "measured") -> pd.DataFrame:
 
 
 def rmse(
-    difference: np.ndarray, stderr: np.ndarray, combined: Callable[[np.ndarray], float]
+    difference: np.ndarray, stderr: np.ndarray, compute_stderr: Callable[[np.ndarray], float]
 ) -> tuple[float, float]:
     """Return the root mean square of differences and its standard error.
 
@@ -79,7 +79,7 @@ def rmse(
     bound = float(np.sqrt(np.mean(stderr**2)))
     if value == 0.0:
         return value, bound
-    first = combined(difference / (difference.size * value))
+    first = compute_stderr(difference / (difference.size * value))
     return value, float(min(np.hypot(first, 0.5 * bound**2 / value), bound))
 
 

@@ -40,13 +40,13 @@ class Statement:
     name: str
     place: str
     published: float
-    bar: float
-    trend: bool = False
+    tolerance: float
+    is_trend: bool = False
 
-    def distance(self, ours: np.ndarray | float) -> np.ndarray:
+    def normalize_difference(self, ours: np.ndarray | float) -> np.ndarray:
         """Return the signed difference from what is stated, in bars; 0 for a trend that holds."""
-        difference = (np.asarray(ours, dtype=float) - self.published) / self.bar
-        return np.minimum(difference, 0.0) if self.trend else difference
+        difference = (np.asarray(ours, dtype=float) - self.published) / self.tolerance
+        return np.minimum(difference, 0.0) if self.is_trend else difference
 
 
 def numbers_stated(published: pd.DataFrame, names: Iterable[str]) -> dict[str, Statement]:
@@ -86,10 +86,10 @@ class Misfit:
     total: float
     stderr: float
 
-    def rms(self, count: int) -> tuple[float, float]:
+    def compute_rms(self, n_statements: int) -> tuple[float, float]:
         """Return the root-mean-square difference in bars over `count` statements, and its error."""
-        value = float(np.sqrt(max(self.total, 0.0) / count))
-        spread = self.stderr / count
+        value = float(np.sqrt(max(self.total, 0.0) / n_statements))
+        spread = self.stderr / n_statements
         return value, float(spread / (2.0 * value)) if value > 0.0 else float(np.sqrt(spread))
 
 
@@ -105,13 +105,13 @@ def misfit(
     """
     total, variance = 0.0, 0.0
     for statement, value, error in zip(statements, ours, stderr, strict=True):
-        distance = float(statement.distance(value))
-        noise = (error / statement.bar) ** 2
-        if statement.trend and distance == 0.0:
+        distance = float(statement.normalize_difference(value))
+        noise = (error / statement.tolerance) ** 2
+        if statement.is_trend and distance == 0.0:
             z = value / error if error > 0.0 else np.inf
             variance += noise**2 * _unresolved(z)
             continue
-        total += max(distance**2 - noise, 0.0) if statement.trend else distance**2 - noise
+        total += max(distance**2 - noise, 0.0) if statement.is_trend else distance**2 - noise
         variance += 4.0 * distance**2 * noise + 2.0 * noise**2
     return Misfit(total, float(np.sqrt(variance)))
 

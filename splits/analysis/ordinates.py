@@ -86,7 +86,7 @@ def discrete_ordinates(
     fewest = min(one.sizes["order"] for one in layers)
     if fewest <= streams:
         raise refuse("streams", streams, f"below the number of moments, {fewest}")
-    below = Ground.of(ground)
+    below = Ground.from_input(ground)
     wavelengths = layers[0].wavelength.values
     for number, one in enumerate(layers):
         if not np.array_equal(one.wavelength.values, wavelengths):
@@ -113,14 +113,14 @@ def discrete_ordinates(
 
 
 def _between(
-    above: list[xr.Dataset],
-    under: list[xr.Dataset],
+    layers_above: list[xr.Dataset],
+    layers_below: list[xr.Dataset],
     cosine: float | None,
     streams: int,
     ground: np.ndarray,
-    one: xr.Dataset,
+    layer: xr.Dataset,
 ) -> np.ndarray:
-    return _pack([*above, one, *under], cosine, streams, ground)
+    return _pack([*layers_above, layer, *layers_below], cosine, streams, ground)
 
 
 def _used(optics: xr.Dataset) -> xr.Dataset:

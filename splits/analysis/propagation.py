@@ -61,14 +61,14 @@ def missed(theory: Theory, optics: xr.Dataset) -> np.ndarray:
     return bound
 
 
-def _one_by_one(missed: xr.DataArray) -> Iterator[xr.DataArray]:
+def _one_by_one(bound: xr.DataArray) -> Iterator[xr.DataArray]:
     """Yield it with one order after the other, all others 0; results know one wavelength each."""
-    along = [dim for dim in missed.dims if dim != "wavelength"]
-    for place in np.ndindex(*(missed.sizes[dim] for dim in along)):
+    along = [dim for dim in bound.dims if dim != "wavelength"]
+    for place in np.ndindex(*(bound.sizes[dim] for dim in along)):
         one = dict(zip(along, place, strict=True))
-        if missed[one].values.any():
-            off = xr.zeros_like(missed)
-            off[one] = missed[one]
+        if bound[one].values.any():
+            off = xr.zeros_like(bound)
+            off[one] = bound[one]
             yield off
 
 
@@ -79,5 +79,5 @@ def _without_parts(optics: xr.Dataset) -> Iterator[xr.Dataset]:
         yield optics.assign({n: optics[n + LEFT_OUT].isel(part=part) for n in names})
 
 
-def _with(optics: xr.Dataset, end: str) -> list[str]:
-    return [str(name).removesuffix(end) for name in optics.data_vars if str(name).endswith(end)]
+def _with(optics: xr.Dataset, suffix: str) -> list[str]:
+    return [str(name).removesuffix(suffix) for name in optics.data_vars if str(name).endswith(suffix)]

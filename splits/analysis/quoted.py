@@ -63,7 +63,7 @@ def quoted(results: str | Path) -> dict[str, str]:
             is_table = path.suffix == ".csv"
             sources[number.source] = pd.read_csv(path, dtype=LABELS) if is_table else load(path)
         try:
-            texts[key] = number.text(sources[number.source])
+            texts[key] = number.format_text(sources[number.source])
         except (KeyError, ValueError) as error:
             raise ValueError(f"{path}: {key}: {error}") from None
     return texts

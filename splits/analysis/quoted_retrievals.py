@@ -65,11 +65,11 @@ def _misfit(model: str, sand: str, column: str) -> Select:
     return select
 
 
-def _directions(readings: str, saturation: float, column: str) -> Select:
+def _directions(interpretation: str, saturation: float, column: str) -> Select:
     """Select the root mean square over wavelengths of what is off, from every angle of view."""
 
     def select(table: pd.DataFrame) -> Value:
-        own = table[(table.readings == readings) & (table.saturation == saturation)]
+        own = table[(table.readings == interpretation) & (table.saturation == saturation)]
         own = own[own.polar_deg.astype(str) == EVERY]
         mean = np.average(own[column] ** 2, weights=own.directions)
         return float(np.sqrt(mean)), None, ""

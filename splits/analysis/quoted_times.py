@@ -47,14 +47,14 @@ def _speed() -> dict[str, Number]:
 
 
 def _seconds(
-    sample: str, method: str, error: float, rival: str = ""
+    sample: str, method: str, error: float, baseline_method: str = ""
 ) -> Callable[[pd.DataFrame], Value]:
     """Select the time of a method, or its ratio to that of a rival."""
 
     def select(table: pd.DataFrame) -> Value:
         one = best_row(table, sample, method, error)
-        other = best_row(table, sample, rival, error) if rival else None
-        if one is None or (rival and other is None):
+        other = best_row(table, sample, baseline_method, error) if baseline_method else None
+        if one is None or (baseline_method and other is None):
             raise refuse("rows", f"{sample}, {method}, {error:g}", "there")
         return one.seconds / (1.0 if other is None else other.seconds), None, ""
 

@@ -34,14 +34,14 @@ class Number:
 
     source: str
     select: Callable[[Any], Value]
-    form: str = ".3f"
+    format_spec: str = ".3f"
 
-    def text(self, source: Any) -> str:
+    def format_text(self, source: Any) -> str:
         """Return the number as documents show it."""
         value, stderr, name = self.select(source)
-        text = _written(value, self.form)
+        text = _written(value, self.format_spec)
         if stderr is not None:
-            error = _written(stderr, self.form.lstrip("+"))
+            error = _written(stderr, self.format_spec.lstrip("+"))
             text += f" ± {error if float(error) > 0.0 else _written(stderr, '.1g')}"
         return f"{text} ({name.replace('_', ' ')})" if name else text
 
@@ -49,13 +49,13 @@ class Number:
 SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def _written(value: float, form: str) -> str:
+def _written(value: float, format_spec: str) -> str:
     """Return a number with a true minus sign; 0 is exact, 0.000 is rounded and has no sign."""
     if value == 0.0:
         return "0"
-    if form == "power":
+    if format_spec == "power":
         return "10" + f"{value:.0e}".partition("e+")[2].lstrip("0").translate(SUPERSCRIPT)
-    text = format(value, form).rstrip(".")
+    text = format(value, format_spec).rstrip(".")
     if float(text) == 0.0:
         text = text.lstrip("+-")
     text = re.sub(r"e([+-])0*(\d)", lambda e: f"e{e[1].lstrip('+')}{e[2]}", text)

@@ -21,7 +21,7 @@ class Role:
     instrument : str
     """
 
-    over: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
     labels: Mapping[str, tuple[float | str, ...]] = field(default_factory=dict)
     at_nm: tuple[float, ...] = ()
     band_nm: tuple[float, ...] = ()

@@ -40,7 +40,7 @@ class Sensitivity:
     index: float
     stderr: float
     index_resolved: float
-    resolved: float
+    resolved_fraction: float
 
 
 def spectra_sensitivity(

@@ -147,17 +147,17 @@ def _same(value: Any, label: Any) -> bool:
 
 
 def _row(
-    parameter: str, quantity: str, reading: str, low: Any, high: Any, chosen: bool, s: Sensitivity
+    parameter: str, quantity: str, interpretation: str, low: Any, high: Any, chosen: bool, sensitivity: Sensitivity
 ) -> dict[str, Any]:
     return {
         "parameter": parameter,
         "quantity": quantity,
-        "reading": reading,
+        "reading": interpretation,
         "low": low,
         "high": high,
         "chosen": chosen,
-        "msi": s.index,
-        "msi_stderr": s.stderr,
-        "msi_resolved": s.index_resolved,
-        "resolved_share": s.resolved,
+        "msi": sensitivity.index,
+        "msi_stderr": sensitivity.stderr,
+        "msi_resolved": sensitivity.index_resolved,
+        "resolved_share": sensitivity.resolved_fraction,
     }

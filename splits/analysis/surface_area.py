@@ -46,12 +46,12 @@ class Fit(NamedTuple):
     """
 
     area: float
-    level: float
+    scale: float
     rmse: float
 
 
 def fit_area(
-    areas: np.ndarray, modelled: np.ndarray, measured: np.ndarray, level: float | None = None
+    areas: np.ndarray, modelled: np.ndarray, measured: np.ndarray, scale: float | None = None
 ) -> Fit:
     """Return the surface area and the level that bring modelled nearest to measured reflectance.
 
@@ -69,7 +69,7 @@ def fit_area(
     def at(log_area: float) -> tuple[float, float]:
         """Return the level and the root-mean-square difference."""
         shape = model(log_area)
-        best = float(measured @ shape / (shape @ shape)) if level is None else level
+        best = float(measured @ shape / (shape @ shape)) if scale is None else scale
         return best, float(np.sqrt(np.mean((measured - best * shape) ** 2)))
 
     ends = np.log(areas[[0, -1]])
@@ -115,7 +115,7 @@ def surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
                 fit_area(areas, node[:, use], values[use], level)
                 for node, level in zip(nodes, levels, strict=True)
             ]
-            levels = [fit.level for fit in fits]
+            levels = [fit.scale for fit in fits]
             # What each group of rays takes off; the squares of these add up to the variance.
             off = np.subtract([fit[:2] for fit in fits[1:]], fits[0][:2])
             area_error, level_error = np.sqrt((off**2).sum(axis=0))

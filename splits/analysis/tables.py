@@ -47,7 +47,7 @@ def table1(sample: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["quantity", "value"])
 
 
-def table3(readings: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
+def table3(interpretations: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
     """Return measured, published and our reflectance in the AVIRIS-NG bands (Table 3).
 
     Parameters
@@ -62,8 +62,8 @@ def table3(readings: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) 
     """
     names = [name for name in published.index if str(name).startswith("table3_")]
     tables = []
-    for name in readings.readings.values:
-        table = bands(readings.sel(readings=name), aviris)
+    for name in interpretations.readings.values:
+        table = bands(interpretations.sel(readings=name), aviris)
         table.insert(0, "reading", name)
         table["relative_difference_percent"] = 100 * table.difference / table.measured
         table["published_model"] = published.loc[names].published.to_numpy()

@@ -135,10 +135,10 @@ def beyond(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> d
 
 def monotone(
     dataset: xr.Dataset, quantity: str, dimension: str, sign: int,
-    band: tuple[float, float], statement: str, place: str,
+    band_nm: tuple[float, float], statement: str, place: str,
 ) -> dict[str, object]:  # fmt: skip
     """Return the row of a band mean (nm) that rises (+1) or falls (-1) along a grid's dimension."""
-    step, error = steps(dataset, quantity, dimension, *band)
+    step, error = steps(dataset, quantity, dimension, *band_nm)
     return beyond(f"{statement}: smallest step", place, sign * step, error)
 
 

@@ -41,14 +41,14 @@ def check_retrieve(experiment: Experiment) -> None:
         raise refuse("figure", given, "left out with a section retrieve", hint)
     if "reflectance" not in (instrument.quantities or ("reflectance",)):
         raise refuse("instrument.quantities", instrument.quantities, "with reflectance")
-    rows = dict(zip(*experiment.axes(), strict=True))
+    rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
     for key in ("free", "at", "prior", "known"):
         allowed = grid if key == "at" else [*grid, LEVEL]
         for name in getattr(section, key):
             one_of(f"retrieve.{key}", name, allowed)
     with under("retrieve"):
-        Free.of(section.free, section.prior or None, ranges_of_axes(experiment.axes()))
+        Free.from_ranges(section.free, section.prior or None, ranges_of_axes(experiment.make_axes()))
     for name in [n for n in section.at if n in section.free]:
         raise refuse(f"retrieve.at.{name}", section.at[name], "left out", "it is free")
     named = {*section.free, *section.at, section.models, INCIDENCE}
@@ -77,14 +77,14 @@ def check_spectra(experiment: Experiment, measured: pd.DataFrame) -> None:
     section = experiment.retrieve
     if section is None:
         return
-    rows = dict(zip(*experiment.axes(), strict=True))
+    rows = dict(zip(*experiment.make_axes(), strict=True))
     first = {one.sample: one.at for one in section.prior_from}
-    for name, spectrum in section.spectra(measured, experiment.instrument.wavelengths()).items():
+    for name, spectrum in section.select_spectra(measured, experiment.instrument.get_wavelengths()).items():
         with under(f"retrieve ({name})"):
-            known = Measurement.of(spectrum, section.noise_of(spectrum.to_numpy()))
+            known = Measurement.from_input(spectrum, section.compute_noise(spectrum.to_numpy()))
             check_enough(len([n for n in section.free if n not in first.get(name, {})]), known)
         _check_angle(name, experiment)
-        where = section.where(name, list(rows))
+        where = section.get_fixed_values(name, list(rows))
         for axis, value in where.items():
             check_within(f"retrieve ({name}): {axis}", value, rows.get(axis))
         given = {*where, *section.free, *first.get(name, {})}
@@ -101,12 +101,12 @@ def _check_angle(sample: str, experiment: Experiment) -> None:
         raise refuse("retrieve.samples", sample, allowed, f"or give grid.{INCIDENCE}")
 
 
-def _check_models(section: RetrieveSection, rows: Rows) -> None:
+def _check_models(section: RetrieveSection, axes: Rows) -> None:
     """Refuse models that are no axis of texts, or that are given besides."""
     models = section.models
     if models is None:
         return
-    texts = [name for name, row in rows.items() if isinstance(row[0], str)]
+    texts = [name for name, row in axes.items() if isinstance(row[0], str)]
     if models not in texts:
         allowed = f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts"
         raise refuse("retrieve.models", models, allowed, "an axis of the grid")
@@ -117,31 +117,31 @@ def _check_models(section: RetrieveSection, rows: Rows) -> None:
             raise refuse(f"retrieve.{key}.{models}", "given", "left out", "it is models")
 
 
-def _check_values(section: RetrieveSection, rows: Rows) -> None:
+def _check_values(section: RetrieveSection, axes: Rows) -> None:
     """Refuse what is known outside the axes of the table."""
     for first in section.prior_from:
         for name, value in first.at.items():
-            one_of("retrieve.prior_from.at", name, [*rows, LEVEL])
-            check_within(f"retrieve.prior_from.at.{name}", value, rows.get(name))
+            one_of("retrieve.prior_from.at", name, [*axes, LEVEL])
+            check_within(f"retrieve.prior_from.at.{name}", value, axes.get(name))
         if not [n for n in section.free if n not in (*first.at, LEVEL)]:
             hint = "something of the first sample must be left to be found"
             raise refuse("retrieve.prior_from.at", sorted(first.at), "not all that is free", hint)
     for name, values in section.known.items():
         for sample, value in values.items():
-            check_within(f"retrieve.known.{name}.{sample}", value, rows.get(name))
+            check_within(f"retrieve.known.{name}.{sample}", value, axes.get(name))
 
 
-def check_within(key: str, value: Any, row: tuple[Any, ...] | None) -> None:
+def check_within(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:
     """Refuse a value that an axis does not reach."""
-    if row is None:
+    if nodes is None:
         return
-    if isinstance(row[0], str) or isinstance(value, str):
-        one_of(key, value, [str(one) for one in row])
-    elif not row[0] <= snap_to_ends(value, row[0], row[-1]) <= row[-1]:
-        raise refuse(key, value, f"{row[0]:g} to {row[-1]:g}, as far as the grid goes")
+    if isinstance(nodes[0], str) or isinstance(value, str):
+        one_of(key, value, [str(one) for one in nodes])
+    elif not nodes[0] <= snap_to_ends(value, nodes[0], nodes[-1]) <= nodes[-1]:
+        raise refuse(key, value, f"{nodes[0]:g} to {nodes[-1]:g}, as far as the grid goes")
 
 
-def _check_law(section: RetrieveSection, rows: Rows, medium: Mapping[str, Any]) -> None:
+def _check_law(section: RetrieveSection, axes: Rows, medium: Mapping[str, Any]) -> None:
     """Refuse a law beside a table of what it does not know."""
     key, law = "retrieve.beside", section.beside
     if law is None:
@@ -149,14 +149,14 @@ def _check_law(section: RetrieveSection, rows: Rows, medium: Mapping[str, Any]) 
     kind = medium.get("kind")
     if kind not in ("snow", "natural_snow"):
         raise refuse(key, law, "left out but for snow")
-    if not {AREA, RADIUS} & set(rows):
+    if not {AREA, RADIUS} & set(axes):
         raise refuse(key, law, f"left out without {AREA} or {RADIUS} on the grid")
     held = [name for name in LAW_KNOWS_NOT if medium.get(name)]
     depth = medium.get("depth_m", math.inf if kind == "natural_snow" else None)
     if held or depth != math.inf:
         hint = "it is for deep, dry snow with what is on the grid"
         raise refuse(key, law, f"left out with {held[0] if held else 'a finite depth_m'}", hint)
-    for name, row in rows.items():
+    for name, row in axes.items():
         told = name in (section.models, INCIDENCE, AREA, RADIUS)
         if not told and not name.startswith("impurities_ng_g.") and row[0] != 0.0:
             raise refuse(key, law, f"left out with {name} on the grid, unless that begins with 0")

@@ -136,85 +136,85 @@ def _check_bands(study: Study) -> None:
     check_whole("most", study.most, 1)
 
 
-def _check_names(study: str, about: Study, studies: Mapping[str, Study]) -> None:
+def _check_names(study: str, definition: Study, studies: Mapping[str, Study]) -> None:
     if not NAME.fullmatch(study) or study in RULES:
         raise refuse("name", study, f"{NAMES}, no rule's name")
-    if about.sensitivity is not None:
+    if definition.sensitivity is not None:
         kinds = {name: one.kind for name, one in studies.items()}
         known = [name for name, kind in kinds.items() if kind == "sensitivity"]
-        one_of("sensitivity", about.sensitivity, known)
+        one_of("sensitivity", definition.sensitivity, known)
 
 
-def _check_files(about: Study, tables: Mapping[str, Path]) -> None:
-    for key, file in about.files.items():
+def _check_files(definition: Study, tables: Mapping[str, Path]) -> None:
+    for key, file in definition.files.items():
         check_path(f"files.{key}", file)
-        place = tables[FILES[about.kind][key]]
+        place = tables[FILES[definition.kind][key]]
         if not (place / file).is_file():
             one_of(f"files.{key}", file, [path.name for path in place.glob("*.csv")])
         READERS.get(key, read_spectra)(place / file, f"files.{key}")
 
 
-def _check_table(place: str, experiment: Experiment) -> None:
+def _check_table(key: str, experiment: Experiment) -> None:
     """Refuse an experiment that makes no table of reflectance over two numbers or more."""
-    axes = experiment.axes().values if experiment.instrument.kind == "table" else ()
+    axes = experiment.make_axes().values if experiment.instrument.kind == "table" else ()
     several = [row for row in axes if len(row) > 1 and not isinstance(row[0], str)]
     if len(several) < 2:
-        raise refuse(place, experiment.name, "a table over two parameters or more")
+        raise refuse(key, experiment.name, "a table over two parameters or more")
 
 
-def _check_at(about: Study, available: Mapping[str, Experiment]) -> None:
+def _check_at(definition: Study, available: Mapping[str, Experiment]) -> None:
     """Refuse values of axes that no table has or reaches, and texts that are left open."""
-    if about.kind != "bands":
+    if definition.kind != "bands":
         return
-    tables = [available[n] for n in about.experiments.values() if n in available]
-    rows = {name: row for one in tables for name, row in zip(*one.axes(), strict=True)}
-    for name, value in about.at.items() if tables else ():
+    tables = [available[n] for n in definition.experiments.values() if n in available]
+    rows = {name: row for one in tables for name, row in zip(*one.make_axes(), strict=True)}
+    for name, value in definition.at.items() if tables else ():
         if name not in rows:
             raise unknown_key(f"at.{name}", rows)
         check_within(f"at.{name}", value, rows[name])
     for name, row in rows.items():
-        if isinstance(row[0], str) and len(row) > 1 and name not in about.at:
+        if isinstance(row[0], str) and len(row) > 1 and name not in definition.at:
             raise refuse(f"at.{name}", "nothing", f"one of {', '.join(map(str, row))}")
 
 
-def _check_role(place: str, experiment: Experiment, role: Role) -> None:
+def _check_role(place: str, experiment: Experiment, required: Role) -> None:
     """Refuse an experiment that cannot play a role."""
     instrument, grid = experiment.instrument, experiment.grid
 
     def wrong(allowed: str) -> ValueError:
         return refuse(place, experiment.name, allowed)
 
-    if instrument.kind != role.instrument or experiment.fit:
-        raise wrong(f"an experiment with a {role.instrument}")
-    if set(grid) != set(role.over) or any(len(grid[key]) < 2 for key in role.over):
-        several = f"over {' and '.join(role.over)}, two values or more each"
-        raise wrong(f"an experiment {several if role.over else 'without a grid'}")
-    for key, labels in role.labels.items():
+    if instrument.kind != required.instrument or experiment.fit:
+        raise wrong(f"an experiment with a {required.instrument}")
+    if set(grid) != set(required.axes) or any(len(grid[key]) < 2 for key in required.axes):
+        several = f"over {' and '.join(required.axes)}, two values or more each"
+        raise wrong(f"an experiment {several if required.axes else 'without a grid'}")
+    for key, labels in required.labels.items():
         for label in labels:
             if not _has(grid[key], label):
                 raise wrong(f"an experiment with {key} = {label} on its grid")
-    given = instrument.wavelengths()
-    for wavelength in role.at_nm:
+    given = instrument.get_wavelengths()
+    for wavelength in required.at_nm:
         if not np.isclose(given, wavelength).any():
             raise wrong(f"an experiment with wavelength {wavelength:g} nm")
-    if role.band_nm and (given[0] > role.band_nm[0] or given[-1] < role.band_nm[-1]):
-        low, high = role.band_nm
+    if required.band_nm and (given[0] > required.band_nm[0] or given[-1] < required.band_nm[-1]):
+        low, high = required.band_nm
         raise wrong(f"an experiment over wavelengths from {low:g} to {high:g} nm")
     turned = instrument.polar_deg or instrument.estimator == "cells"
-    if role.instrument == "goniophotometer" and turned:
+    if required.instrument == "goniophotometer" and turned:
         raise wrong("an experiment with the usual polar_deg")
 
 
-def _check_pair(place: str, pair: SensitivityPair, available: Mapping[str, Experiment]) -> None:
+def _check_pair(key: str, pair: SensitivityPair, available: Mapping[str, Experiment]) -> None:
     over = (pair.parameter, "depth_m")
     ends: dict[str, tuple[float | str, ...]] = {pair.parameter: (pair.low, pair.high)}
     band = (400.0, 2500.0)
     if pair.experiment in available:
         role = Role(over, {**ends, **SENSITIVITY_DEPTHS}, band_nm=band)
-        _check_role(f"{place}.experiment", available[pair.experiment], role)
+        _check_role(f"{key}.experiment", available[pair.experiment], role)
     if pair.readings in available:
         role = Role((*over, "readings"), SENSITIVITY_DEPTHS, band_nm=band)
-        _check_role(f"{place}.readings", available[str(pair.readings)], role)
+        _check_role(f"{key}.readings", available[str(pair.readings)], role)
 
 
 def _has(values: Mapping[str, Any], wanted: float | str) -> bool:
@@ -236,7 +236,7 @@ def check_free(studies: Mapping[str, Study], available: Mapping[str, Experiment]
     taken: dict[str, str] = {}
     for study, about in studies.items():
         owner = f"the study {study}"
-        for name in dict.fromkeys([study, *about.names(study).values()]):
+        for name in dict.fromkeys([study, *about.list_product_names(study).values()]):
             if taken.setdefault(name, owner) != owner:
                 raise ConfigError(_twice(f"studies.{study}", name, taken[name]))
     made_by_studies = set(taken)
@@ -252,6 +252,6 @@ def check_free(studies: Mapping[str, Study], available: Mapping[str, Experiment]
             raise ConfigError(_twice(f"experiment {name}", name, taken[name]))
 
 
-def _twice(place: str, name: str, owner: str) -> str:
+def _twice(key: str, name: str, owner: str) -> str:
     allowed = "one that nothing else has"
-    return f"{place}: {refuse('name', name, allowed, f'{owner} has it')}"
+    return f"{key}: {refuse('name', name, allowed, f'{owner} has it')}"

@@ -28,7 +28,7 @@ def composition_table(experiments: Mapping[str, Simulation]) -> pd.DataFrame:
     rows: list[dict[str, object]] = []
     for name, experiment in experiments.items():
         seen: list[Composition] = []
-        for labels, medium, _ in experiment.points():
+        for labels, medium, _ in experiment.iter_points():
             if not isinstance(medium, Sand) or medium.composition in seen:
                 continue
             seen.append(medium.composition)
@@ -40,5 +40,5 @@ def composition_table(experiments: Mapping[str, Simulation]) -> pd.DataFrame:
                 "magnetite": medium.magnetite,
                 "sand_density_kg_m3": medium.density_kg_m3,
             }
-            rows += [sample | row for row in medium.composition.rows()]
+            rows += [sample | row for row in medium.composition.to_rows()]
     return pd.DataFrame(rows)

@@ -26,7 +26,7 @@ def check_size(experiment: Experiment) -> None:
         The message names the limit, the number and what to do.
     """
     figure = experiment.figure
-    drawing = experiment.drawing()
+    drawing = experiment.resolve_figure()
     kind, at = drawing["kind"], figure.at
     if kind == "none":
         return
@@ -35,7 +35,7 @@ def check_size(experiment: Experiment) -> None:
     several = kind in (
         "points", "principal_plane", "hemisphere", "polarization", "lobes", "spread"
     )  # fmt: skip
-    wavelengths = experiment.instrument.wavelengths().size if several else 1
+    wavelengths = experiment.instrument.get_wavelengths().size if several else 1
     if kind == "spectra":
         if facets(sizes, len(figure.quantity), at) and figure.measured:
             allowed = f"left out for a figure of more than {MOST_LINES} lines"
@@ -63,8 +63,8 @@ def check_size(experiment: Experiment) -> None:
         check_count("lines", points, MOST_LINES, at)
 
 
-def _check_wavelengths(count: int, most: int) -> None:
+def _check_wavelengths(count: int, max_count: int) -> None:
     """Refuse more wavelengths than a figure tells apart: no label of a grid holds them fixed."""
-    if count > most:
-        allowed = f"at most {most} wavelengths for this figure"
+    if count > max_count:
+        allowed = f"at most {max_count} wavelengths for this figure"
         raise refuse("instrument.wavelength_nm", f"{count} wavelengths", allowed, HOW)

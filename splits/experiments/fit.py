@@ -84,7 +84,7 @@ class OfSands:
         Sands simulated so far.
     """
 
-    margin = 0.0
+    bound_margin = 0.0
 
     def __init__(
         self,
@@ -95,58 +95,58 @@ class OfSands:
         seed: int,
         threads: int | None,
     ) -> None:
-        self.cube, self.free = cube, cube.free
-        self.wavelengths, self.incidence, self.threads = wavelengths, incidence, threads
-        self.rays = effort.rays
-        self.count = 0
+        self.cube, self.state_vector = cube, cube.state_vector
+        self.wavelengths_nm, self.incidence, self.threads = wavelengths, incidence, threads
+        self.n_rays = effort.rays
+        self.n_simulations = 0
         count = len(effort.rays) + JACOBIANS + 1
         drawn = np.random.SeedSequence(seed).generate_state(count)
-        self.streams = [int(one) for one in drawn]
+        self.seeds = [int(one) for one in drawn]
         """Of the survey and every stage, of Jacobians, and of the last spectrum."""
-        self._last: tuple[bytes, int, np.ndarray] = (b"", 0, np.empty(0))
+        self._last_result: tuple[bytes, int, np.ndarray] = (b"", 0, np.empty(0))
 
-    def _run(self, place: np.ndarray, rays: int, stream: int) -> tuple[np.ndarray, np.ndarray]:
+    def _simulate(self, state: np.ndarray, rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Return reflectance and how far groups of rays take it off."""
-        self.count += 1
+        self.n_simulations += 1
         mean, _, groups = fixed_spectrum(
-            self.cube.sand(place), self.wavelengths, self.incidence,
-            spread_rows(len(self.wavelengths)), rays, stream, self.threads,
+            self.cube.to_sand(state), self.wavelengths_nm, self.incidence,
+            spread_rows(len(self.wavelengths_nm)), rays, seed, self.threads,
         )  # fmt: skip
         return mean[0], groups[:, 0]
 
-    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return reflectance with the rays of a stage, shape (wavelengths,)."""
-        if self._last[:2] != (place.tobytes(), stage):
-            found = self._run(place, self.rays[stage], self.streams[stage])[0]
-            self._last = place.tobytes(), stage, found
-        return self._last[2]
+        if self._last_result[:2] != (state.tobytes(), stage):
+            found = self._simulate(state, self.n_rays[stage], self.seeds[stage])[0]
+            self._last_result = state.tobytes(), stage, found
+        return self._last_result[2]
 
-    def slopes(self, place: np.ndarray, stage: int) -> np.ndarray:
+    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return derivatives from one neighbour per coordinate, inside the cube."""
-        here, columns = self.values(place, stage), []
-        for i, x in enumerate(place):
-            near = place.copy()
+        here, columns = self.evaluate(state, stage), []
+        for i, x in enumerate(state):
+            near = state.copy()
             near[i] += STEP if x + STEP <= 1.0 else -STEP
-            columns.append((self.values(near, stage) - here) / (near[i] - x))
+            columns.append((self.evaluate(near, stage) - here) / (near[i] - x))
         return np.column_stack(columns)
 
-    def noise(self, place: np.ndarray) -> np.ndarray:
+    def noise(self, state: np.ndarray) -> np.ndarray:
         """Return the covariance of the last stage's noise, which all of its runs share."""
-        groups = self._run(place, self.rays[-1], self.streams[len(self.rays) - 1])[1]
+        groups = self._simulate(state, self.n_rays[-1], self.seeds[len(self.n_rays) - 1])[1]
         found: np.ndarray = groups.T @ groups
         return found
 
-    def jacobians(self, place: np.ndarray) -> list[np.ndarray]:
+    def compute_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
         """Return derivatives with random numbers of their own."""
-        first = len(self.rays)
-        rays = max(self.rays[-1] // _RAYS_PER_DERIVATIVE, 1)
+        first = len(self.n_rays)
+        rays = max(self.n_rays[-1] // _RAYS_PER_DERIVATIVE, 1)
         return [
-            central(partial(self._reflectance, rays, stream), place)
-            for stream in self.streams[first : first + JACOBIANS]
+            central(partial(self._simulate_reflectance, rays, stream), state)
+            for stream in self.seeds[first : first + JACOBIANS]
         ]
 
-    def _reflectance(self, rays: int, stream: int, place: np.ndarray) -> np.ndarray:
-        return self._run(place, rays, stream)[0]
+    def _simulate_reflectance(self, rays: int, seed: int, state: np.ndarray) -> np.ndarray:
+        return self._simulate(state, rays, seed)[0]
 
 
 def fit(
@@ -157,7 +157,7 @@ def fit(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     seed: int = 1,
     threads: int | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
     *,
     effort: Effort | None = None,
 ) -> FitResult:
@@ -197,23 +197,23 @@ def fit(
         raise refuse("wavelength_nm", wavelengths.tolist(), f"{least} wavelengths at least")
     beam, seed = check_incidence(incidence_deg), check_whole("seed", seed, 0)
     runs = OfSands(cube, wavelengths, beam, effort, seed, threads)
-    ends = _ends(runs, wanted, effort, say)
-    best = ends[-1][0].place
+    ends = _ends(runs, wanted, effort, log)
+    best = ends[-1][0].state
     spectrum = spectrophotometer(
-        cube.sand(best), wavelengths, beam, effort.max_stderr, runs.streams[-1], threads=threads
+        cube.to_sand(best), wavelengths, beam, effort.max_stderr, runs.seeds[-1], threads=threads
     )
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
     off = modelled - wanted
-    jacobians = runs.jacobians(best)
+    jacobians = runs.compute_jacobians(best)
     held = held_at(best, np.mean(jacobians, axis=0).T @ off)
     left = left_open(jacobians, off, runs.noise(best), held)
-    draws = estimated(cube.free, best, left.of_place, seed).draws.places
+    draws = estimated(cube.state_vector, best, left.state, seed).draws.states
     value, value_stderr = _rms(off), _rms(stderr)
     seconds = time.perf_counter() - begun
-    say(f"{runs.count} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
+    log(f"{runs.n_simulations} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
     return FitResult(
         parameters=parameter_errors(cube, best, draws),
-        settings=cube.settings(best),
+        settings=cube.to_keywords(best),
         rmse=value,
         rmse_stderr=value_stderr,
         wavelength_nm=wavelengths,
@@ -225,33 +225,33 @@ def fit(
         coordinates=best,
         coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
         correlation=np.corrcoef(draws, rowvar=False),
-        others=[(_misfit(end, wanted), cube.natural(end.place)) for end in ends[0]],
-        evaluations=runs.count,
+        alternatives=[(_misfit(end, wanted), cube.to_parameters(end.state)) for end in ends[0]],
+        evaluations=runs.n_simulations,
         seconds=seconds,
     )
 
 
 def _ends(
-    runs: OfSands, wanted: np.ndarray, effort: Effort, say: Callable[[str], None]
+    model: OfSands, measured: np.ndarray, effort: Effort, log: Callable[[str], None]
 ) -> list[list[End]]:
     """Return where the descents of every stage ended, best first."""
     # Imported here: it takes a second, which every start of the workflow would take.
     qmc = optional("scipy.stats", "retrieval", "fits need").qmc
 
-    places = qmc.Sobol(len(runs.cube.names), seed=runs.streams[0]).random(effort.points)
+    places = qmc.Sobol(len(model.cube.names), seed=model.seeds[0]).random(effort.points)
     stages = [Stage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]
-    aim = Aim.least_squares(wanted, runs.free)
+    aim = Aim.least_squares(measured, model.state_vector)
 
     def tell(_: int, cost: float) -> None:
-        say(f"{runs.count} sands, best misfit {np.sqrt(cost / len(wanted)):.4f}")
+        log(f"{model.n_simulations} sands, best misfit {np.sqrt(cost / len(measured)):.4f}")
 
-    ends = search(runs, lambda place, stage: aim, places, stages, tell)
-    say(f"{runs.count} sands, best misfit {_misfit(ends[-1][0], wanted):.4f}; now its errors")
+    ends = search(model, lambda place, stage: aim, places, stages, tell)
+    log(f"{model.n_simulations} sands, best misfit {_misfit(ends[-1][0], measured):.4f}; now its errors")
     return ends
 
 
-def _misfit(end: End, wanted: np.ndarray) -> float:
-    return float(np.sqrt(end.cost / len(wanted)))
+def _misfit(minimum: End, measured: np.ndarray) -> float:
+    return float(np.sqrt(minimum.cost / len(measured)))
 
 
 def check_measured(measured: Any, wavelengths: np.ndarray, labels: Any = None) -> np.ndarray:
@@ -290,9 +290,9 @@ def parameter_errors(cube: Cube, best: np.ndarray, draws: np.ndarray) -> dict[st
     which treat a logarithmic coordinate and a mass fraction alike.
     """
     everywhere = np.random.default_rng(1).random(draws.shape)
-    around, anywhere = ([cube.natural(x) for x in places] for places in (draws, everywhere))
+    around, anywhere = ([cube.to_parameters(x) for x in places] for places in (draws, everywhere))
     found = {}
-    for name, value in cube.natural(best).items():
+    for name, value in cube.to_parameters(best).items():
         near = np.array([a[name] for a in around])
         order = np.sort([a[name] for a in anywhere])
         rank, ranks = np.searchsorted(order, value), np.searchsorted(order, near)

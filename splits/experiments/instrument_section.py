@@ -71,7 +71,7 @@ class WavelengthGrid(Section):
     step: float = Field(gt=0)
     also: tuple[float, ...] = ()
 
-    def values(self) -> np.ndarray:
+    def to_array(self) -> np.ndarray:
         """Return the wavelengths (nm), increasing."""
         steps = evenly_spaced("wavelength_nm", self.start, self.stop, self.step)
         return np.unique(np.concatenate([steps, self.also]))
@@ -109,7 +109,7 @@ class Instrument(Section):
 
     @field_validator("incidence_deg", mode="before")
     @classmethod
-    def _incidence(cls, value: float | str) -> float | str:
+    def _check_incidence(cls, value: float | str) -> float | str:
         with under("instrument"):
             if isinstance(value, (list, tuple)):
                 raise refuse("incidence_deg", value, "one angle or diffuse", SEVERAL)
@@ -117,11 +117,11 @@ class Instrument(Section):
 
     @field_validator("error_factor")
     @classmethod
-    def _error_factor(cls, value: float) -> float:
+    def _check_error_factor(cls, value: float) -> float:
         return in_range("instrument.error_factor", value, 0.01, 100.0)
 
     @model_validator(mode="after")
-    def _fitting(self) -> Instrument:
+    def _check_settings(self) -> Instrument:
         known = ESTIMATORS.get(self.kind, ())
         if self.estimator is not None and self.estimator not in known:
             allowed = "one of " + ", ".join(known) if known else "left out"
@@ -151,7 +151,7 @@ class Instrument(Section):
         if self.cells is not None:
             with under("instrument"):
                 check_cells(self.cells)
-        self._check_ignored()
+        self._check_unused()
         return self
 
     def _check_extent(self) -> None:
@@ -171,7 +171,7 @@ class Instrument(Section):
             check_radius(self.radius_m)
             check_ring(self.rays or RAYS, self.realisations or 1, depths.size)
 
-    def _check_ignored(self) -> None:
+    def _check_unused(self) -> None:
         """Refuse settings that would change nothing."""
         for key in IGNORED.get(self.kind, ()):
             value = getattr(self, key)
@@ -185,13 +185,13 @@ class Instrument(Section):
                 "the number of rays is fixed there, not the error",
             )  # fmt: skip
 
-    def wavelengths(self) -> np.ndarray:
+    def get_wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""
         grid = self.wavelength_nm
         with under("instrument"):
-            return check_wavelengths(grid.values() if isinstance(grid, WavelengthGrid) else grid)
+            return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
 
-    def values(self) -> int:
+    def count_values(self) -> int:
         """Return how many values a quantity has at one point of a grid."""
         if self.kind == "lens":
             return len(self.screen_depth_m or ()) * (self.rays or RAYS)
@@ -204,4 +204,4 @@ class Instrument(Section):
             places = math.prod(self.cells or CELLS_OF_5_DEG)
         elif self.kind == "goniophotometer":
             places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
-        return places * self.wavelengths().size
+        return places * self.get_wavelengths().size

@@ -38,19 +38,19 @@ class KeptPoints:
     """
 
     def __init__(self, folder: Path, experiment: Simulation, accuracy: Accuracy, seed: int) -> None:
-        self.folder, self.used = folder, list[Path]()
+        self.folder, self.files = folder, list[Path]()
         instrument = experiment.instrument.model_dump(mode="json")
         kind = experiment.medium.get("kind", "snow")
-        self._common = [physics_digest(), instrument, accuracy.model_dump(), seed, kind]
-        self._settings = [
+        self._common_key = [physics_digest(), instrument, accuracy.model_dump(), seed, kind]
+        self._point_keys = [
             (renamed(settings, by_content), incidence)
-            for _, settings, incidence in experiment.settings()
+            for _, settings, incidence in experiment.iter_settings()
         ]
 
-    def load(self, places: Sequence[int]) -> list[xr.Dataset] | None:
+    def load(self, indices: Sequence[int]) -> list[xr.Dataset] | None:
         """Return the points that share paths, or None if not all of them are there and sound."""
         found = []
-        for file in self._files(places):
+        for file in self._get_files(indices):
             if not file.exists():
                 return None
             try:
@@ -60,29 +60,29 @@ class KeptPoints:
                 return None
         return found
 
-    def keep(self, places: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
+    def save(self, indices: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
         """Write points that share paths, and return them as `load` would.
 
         Attributes of one number differ in a file: points of a resumed run must not from others.
         """
-        files = self._files(places)
+        files = self._get_files(indices)
         for file, point in zip(files, points, strict=True):
             save(point, file)
         return [load(file) for file in files]
 
-    def drop(self) -> None:
+    def delete(self) -> None:
         """Delete the files of the points asked for, and the folder if it holds no others."""
-        for file in self.used:
+        for file in self.files:
             file.unlink(missing_ok=True)
         for folder in (self.folder, self.folder.parent):
             with suppress(OSError):
                 folder.rmdir()
 
-    def _files(self, places: Sequence[int]) -> list[Path]:
+    def _get_files(self, indices: Sequence[int]) -> list[Path]:
         """Return where points are kept, whose numbers depend on all that share their paths."""
-        together = [self._settings[place] for place in places]
-        text = json.dumps([*self._common, together], sort_keys=True, default=repr)
+        together = [self._point_keys[place] for place in indices]
+        text = json.dumps([*self._common_key, together], sort_keys=True, default=repr)
         digest = hashlib.sha256(text.encode()).hexdigest()[:32]
-        files = [self.folder / f"point_{digest}_{number}.nc" for number in range(len(places))]
-        self.used += [file for file in files if file not in self.used]
+        files = [self.folder / f"point_{digest}_{number}.nc" for number in range(len(indices))]
+        self.files += [file for file in files if file not in self.files]
         return files

@@ -159,10 +159,10 @@ def _with_base(medium: Any, place: str, folder: Path) -> Any:
     return on_top(content, own)
 
 
-def _whole(medium: Any, place: str, folder: Path) -> Any:
+def _whole(medium: Any, key: str, folder: Path) -> Any:
     """Return a medium, or a stack and all of its layers, on top of the bases they name."""
-    medium = _with_base(medium, place, folder)
-    return with_bases(place, medium, lambda layer, here: _with_base(layer, here, folder))
+    medium = _with_base(medium, key, folder)
+    return with_bases(key, medium, lambda layer, here: _with_base(layer, here, folder))
 
 
 def load_experiments(
@@ -202,7 +202,7 @@ def load_experiments(
 def _check_tables(path: Path, experiment: Experiment) -> None:
     """Refuse users' own tables that the workflow could not take for its inputs."""
     try:
-        for table in experiment.tables():
+        for table in experiment.list_table_paths():
             check_path("table", table)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None

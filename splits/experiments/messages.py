@@ -43,14 +43,14 @@ def line_of(model: type[BaseModel], error: ValidationError) -> str:
     return str(refuse(key, first["input"], allowed, _hint(kind, first["input"])))
 
 
-def _lead(model: type[BaseModel], place: Sequence[Any]) -> tuple[str, Any]:
+def _lead(model: type[BaseModel], location: Sequence[Any]) -> tuple[str, Any]:
     """Return the key that a location leads to, and the type of what stands there.
 
     Locations also name branches of unions, which are no keys.
     """
     kind: Any = model
     names: list[str] = []
-    for part in place:
+    for part in location:
         if part == "[key]":
             kind = str
             continue

@@ -47,28 +47,28 @@ class Experiment(Simulation):
 
     @field_validator("name")
     @classmethod
-    def _not_taken(cls, value: str) -> str:
+    def _check_name_is_free(cls, value: str) -> str:
         if value in RULES:
             raise refuse("name", value, "none of the workflow's rules " + ", ".join(RULES))
         return value
 
     @field_validator("figure", mode="before")
     @classmethod
-    def _no_figure(cls, value: Any) -> Any:
+    def _parse_no_figure(cls, value: Any) -> Any:
         return {"kind": "none"} if value == "none" else value
 
     @field_validator("title")
     @classmethod
-    def _title(cls, value: str) -> str:
+    def _check_title(cls, value: str) -> str:
         return check_text("title", value, LONGEST_TITLE)
 
     @field_validator("caption")
     @classmethod
-    def _caption(cls, value: str) -> str:
-        return check_text("caption", value, LONGEST_CAPTION, lines=True)
+    def _check_caption(cls, value: str) -> str:
+        return check_text("caption", value, LONGEST_CAPTION, multiline=True)
 
     @model_validator(mode="after")
-    def _drawable(self) -> Experiment:
+    def _check_drawable(self) -> Experiment:
         if self.figure.kind == "fit" and not self.fit:
             raise refuse("figure.kind", "fit", "another one for an experiment without section fit")
         self._check_figure()
@@ -77,11 +77,11 @@ class Experiment(Simulation):
                 raise refuse("figure.at", dimension, "left out where there is no grid")
             one_of("figure.at", dimension, self.grid)
             label_at(dimension, self.grid[dimension], given)
-        self._check_shown()
-        self._check_points()
+        self._check_unused_figure_settings()
+        self._check_single_point()
         self._check_swatches()
         check_retrieve(self)
-        for _, medium, _ in self.points():
+        for _, medium, _ in self.iter_points():
             self._check_quantity(medium)
         return self
 
@@ -100,7 +100,7 @@ class Experiment(Simulation):
             for quantity in self.figure.quantity:
                 one_of("figure.quantity", quantity, QUANTITIES.get(instrument.kind, ()))
         if self.figure.kind == "hemisphere":
-            self._check_around()
+            self._check_hemisphere()
         turned = instrument.azimuth_deg
         if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
             raise refuse(
@@ -117,9 +117,9 @@ class Experiment(Simulation):
                 "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
             )
 
-    def _check_shown(self) -> None:
+    def _check_unused_figure_settings(self) -> None:
         """Refuse settings of the figure that it would not show."""
-        figure, kind = self.figure, self.drawing()["kind"]
+        figure, kind = self.figure, self.resolve_figure()["kind"]
         for key, kinds in USED_BY.items():
             if getattr(figure, key) is not None and kind not in kinds and kind != "none":
                 allowed = f"left out for a figure of kind {kind}"
@@ -133,12 +133,12 @@ class Experiment(Simulation):
             hint = "panels show differences from the default" if against else "there is one line"
             raise refuse("figure.legend", figure.legend, "left out", hint)
         low, high = figure.wavelength_nm or (0.0, np.inf)
-        x = self.instrument.wavelengths()
+        x = self.instrument.get_wavelengths()
         if not ((x >= low) & (x <= high)).any():
             allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
             raise refuse("figure.wavelength_nm", [low, high], allowed)
 
-    def _check_around(self) -> None:
+    def _check_hemisphere(self) -> None:
         """Refuse a map of the hemisphere where directions do not lie all around."""
         instrument = self.instrument
         polar = np.asarray(instrument.polar_deg or POLAR_DEG)
@@ -157,7 +157,7 @@ class Experiment(Simulation):
                 f"{WIDEST_GAP_DEG:g} degrees apart, all around, for figure.kind = 'hemisphere'",
             )  # fmt: skip
 
-    def _check_points(self) -> None:
+    def _check_single_point(self) -> None:
         """Refuse figures of one point of a grid that do not say which."""
         free = [parameter for parameter in self.grid if parameter not in self.figure.at]
         kind = self.figure.kind or FIGURES[self.instrument.kind][0]
@@ -171,7 +171,7 @@ class Experiment(Simulation):
         """Refuse colours of spectra that are not of daylight, or of too many parameters."""
         if self.figure.kind != "swatches":
             return
-        x = self.instrument.wavelengths()
+        x = self.instrument.get_wavelengths()
         if not covers_visible(x):
             raise refuse(
                 "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
@@ -202,13 +202,13 @@ class Experiment(Simulation):
             why = "left out: layers have no grains, stacks not one distance"
             raise refuse("figure.quantity", "mean_grain_distance", why)
 
-    def drawing(self) -> dict[str, Any]:
+    def resolve_figure(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.figures.draw`, with a kind that fits.
 
         What is held fixed is given as the dataset's coordinates have it.
         """
         usual = FIGURES[self.instrument.kind][0]
-        if usual == "spectra" and self.grid and self.instrument.wavelengths().size == 1:
+        if usual == "spectra" and self.grid and self.instrument.get_wavelengths().size == 1:
             usual = "points"
         at = {}
         for dimension, given in self.figure.at.items():

@@ -77,21 +77,21 @@ class Cube:
     def __init__(
         self, base: Mapping[str, Any], ranges: Mapping[str, tuple[float, float]] | None = None
     ) -> None:
-        self.base = dict(base)
-        for key in self.base:
+        self.fixed_keywords = dict(base)
+        for key in self.fixed_keywords:
             if key in FITTED:
-                raise refuse(key, self.base[key], "left out", "the fit decides it; see ranges")
+                raise refuse(key, self.fixed_keywords[key], "left out", "the fit decides it; see ranges")
         self.ranges = checked_ranges(ranges or {})
         self.names = tuple(self.ranges)
         unit = Widest(0.0, 1.0, "itself")
-        self.free = Free.of(self.names, None, dict.fromkeys(self.names, unit))
+        self.state_vector = Free.from_ranges(self.names, None, dict.fromkeys(self.names, unit))
         for corner in itertools.product((0.0, 1.0), repeat=len(self.names)):
             try:
-                self.sand(np.array(corner))
+                self.to_sand(np.array(corner))
             except ValueError as error:
                 raise ValueError(f"ranges: a sand within them cannot be: {error}") from None
 
-    def settings(self, coordinates: np.ndarray) -> dict[str, Any]:
+    def to_keywords(self, coordinates: np.ndarray) -> dict[str, Any]:
         """Return the keywords of the sand at a point of the cube, those that are fixed included.
 
         Parameters
@@ -115,7 +115,7 @@ class Cube:
         clay = at("clay", fines / 1.5)
         silt = max(fines - 1.5 * clay, 0.0)
         return {
-            **self.base,
+            **self.fixed_keywords,
             "iron_oxide": at("iron_oxide"),
             "hematite_ratio": at("hematite_ratio"),
             "magnetite": at("magnetite"),
@@ -123,13 +123,13 @@ class Cube:
             "texture": (clay, silt, 1.0 - clay - silt),
         }
 
-    def sand(self, coordinates: np.ndarray) -> Sand:
+    def to_sand(self, coordinates: np.ndarray) -> Sand:
         """Return the sand at a point of the cube."""
-        return Sand(**self.settings(coordinates))
+        return Sand(**self.to_keywords(coordinates))
 
-    def natural(self, coordinates: np.ndarray) -> dict[str, float]:
+    def to_parameters(self, coordinates: np.ndarray) -> dict[str, float]:
         """Return the parameters at a point of the cube, one number under each name."""
-        found = self.settings(coordinates)
+        found = self.to_keywords(coordinates)
         parts = zip(("pure", "mixed", "coated"), found["partition"], strict=True)
         return {
             **{name: found[name] for name in ("iron_oxide", "hematite_ratio", "magnetite")},
@@ -227,7 +227,7 @@ class FitResult:
     coordinates: np.ndarray
     coordinates_stderr: np.ndarray
     correlation: np.ndarray
-    others: list[tuple[float, dict[str, float]]]
+    alternatives: list[tuple[float, dict[str, float]]]
     evaluations: int
     seconds: float
 

@@ -21,10 +21,10 @@ Number = tuple[float, float]
 """A value and its standard error."""
 
 
-def incidence(trial: Trial) -> Values:
+def incidence(run: Trial) -> Values:
     """Return the trends of Fig 19: nearly Lambertian at 0°, a peak at 30°, a larger one at 60°."""
-    upright, tilted = trial.plane(600.0, 0.0, number=1), trial.plane(600.0, 30.0, number=2)
-    peaks = [_over_nadir(plane, LIMB) for plane in (tilted, trial.oblique)]
+    upright, tilted = run.simulate_plane(600.0, 0.0, run_number=1), run.simulate_plane(600.0, 30.0, run_number=2)
+    peaks = [_over_nadir(plane, LIMB) for plane in (tilted, run.oblique_plane)]
     value, noise = _spread(upright.sel(angle=slice(-60.0, 60.0)))
     return {
         "fig19_lambertian": same(LAMBERTIAN - value, noise),
@@ -34,16 +34,16 @@ def incidence(trial: Trial) -> Values:
     }
 
 
-def nadir(trial: Trial) -> Values:
+def nadir(run: Trial) -> Values:
     """Return the trends of Figs 16 to 18: where light falls steeply the nadir is dark."""
-    steep = trial.plane([600.0, 1800.0], 69.3, number=3, depth_m=0.25)
+    steep = run.simulate_plane([600.0, 1800.0], 69.3, run_number=3, depth_m=0.25)
     bright, dark = (steep.isel(wavelength=[i]) for i in (0, 1))
     darker = min(_over_nadir(dark, angle) for angle in (-LIMB, LIMB))
     limbs = [
         max(_over_nadir(plane, angle) for angle in (-LIMB, LIMB))
         for plane in (
-            trial.plane(600.0, 52.8, number=4, depth_m=0.25), bright,
-            trial.plane(600.0, 84.8, number=5, depth_m=0.25),
+            run.simulate_plane(600.0, 52.8, run_number=4, depth_m=0.25), bright,
+            run.simulate_plane(600.0, 84.8, run_number=5, depth_m=0.25),
         )
     ]  # fmt: skip
     grows = [_difference(b, a) for a, b in itertools.pairwise(limbs)]
@@ -55,23 +55,23 @@ def nadir(trial: Trial) -> Values:
     }
 
 
-def grains(trial: Trial) -> Values:
+def grains(run: Trial) -> Values:
     """Return the trends of Figs 20 to 22: forward peaks by grain size and facetness."""
     shown = {}
     for place, name, sign in (
         (600.0, "fig20_fine_least", -1.0), (1450.0, "fig21_fine_most", 1.0),
     ):  # fmt: skip
         *others, fine = (
-            _top(trial.plane(place, 67.0, size[1] > 300, number=6 + i, grain_size_um=size))
+            _top(run.simulate_plane(place, 67.0, size[1] > 300, run_number=6 + i, grain_size_um=size))
             for i, size in enumerate(((1500, 3000), (300, 750), (30, 300)))
         )
         steps = [(sign * (fine[0] / o[0] - 1.0), _ratio_error(fine, o)) for o in others]
         shown[name] = same(*min(steps))
     rounded, faceted = (
-        _rise(trial.plane(600.0, 60.0, True, number=9 + i, facetness=facetness))
+        _rise(run.simulate_plane(600.0, 60.0, True, run_number=9 + i, facetness=facetness))
         for i, facetness in enumerate(((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)))
     )
-    steps = [_difference(rounded, other) for other in (_rise(trial.oblique), faceted)]
+    steps = [_difference(rounded, other) for other in (_rise(run.oblique_plane), faceted)]
     return {**shown, "fig22_rounded_varies_most": same(*min(steps))}
 
 

@@ -44,12 +44,12 @@ FLOORS = (0.0, 0.005, 0.02)
 two of them are small their ratio is large."""
 
 
-def _distance(trial: Trial) -> Values:
-    return {"grain_distance": same(trial.snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0)}
+def _distance(run: Trial) -> Values:
+    return {"grain_distance": same(run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0)}
 
 
-def _table3(trial: Trial) -> Values:
-    spectra = trial.spectra(list(TABLE3_NM.values()), trial.errors.bands, 62.3, depth_m=0.25)
+def _table3(run: Trial) -> Values:
+    spectra = run.simulate_spectra(list(TABLE3_NM.values()), run.errors.bands, 62.3, depth_m=0.25)
     both = [
         np.array([one[name].values for one in spectra])
         for name in ("reflectance", "reflectance_stderr")
@@ -57,9 +57,9 @@ def _table3(trial: Trial) -> Values:
     return {name: (both[0][:, i], both[1][:, i]) for i, name in enumerate(TABLE3_NM)}
 
 
-def _transmittance(trial: Trial) -> Values:
+def _transmittance(run: Trial) -> Values:
     """Return the largest transmittance, where snow absorbs least (Fig 7)."""
-    spectra = trial.spectra(np.arange(400.0, 501.0, 20.0), trial.errors.transmittance)
+    spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
     best = [one.isel(wavelength=int(one.transmittance.values.argmax())) for one in spectra]
     value, error = (
         np.array([float(one[name]) for one in best])
@@ -77,8 +77,8 @@ def _sensitivities(parameters: Sequence[str], letters: Sequence[str]) -> Callabl
             quantity, depth, places = SPECTRA[letter]
             error = getattr(trial.errors, f"{quantity}s")
             ends = [
-                trial.spectra(
-                    places, error, number=1 + i, **{KEYWORDS[parameter]: value, "depth_m": depth}
+                trial.simulate_spectra(
+                    places, error, run_number=1 + i, **{KEYWORDS[parameter]: value, "depth_m": depth}
                 )
                 for i, value in enumerate(RANGES[parameter])
             ]
@@ -160,6 +160,6 @@ TRENDS: Mapping[str, Mapping[str, str]] = {
 def trends_stated(stage: str) -> dict[str, Statement]:
     """Return the trends of a stage."""
     return {
-        name: Statement(name, place, 0.0, TREND_BAR, trend=True)
+        name: Statement(name, place, 0.0, TREND_BAR, is_trend=True)
         for name, place in TRENDS.get(stage, {}).items()
     }

@@ -38,7 +38,7 @@ HOPELESS = 100.0
 """Sum of squares (ten bars once) from which a combination is simulated no further."""
 
 BOUNDARIES = "boundaries"
-PAPER_SETS = tuple(name for name in SETS if Readings.of(name).grain_extent == "finite")
+PAPER_SETS = tuple(name for name in SETS if Readings.from_input(name).grain_extent == "finite")
 """Sets that can be ranked by what the papers state: the papers' grains have an extent."""
 GRAINS_THAT_DO_NOT_FIT = ("grain_on_last_leg", "grain_across_boundary")
 """Readings that ``boundaries`` stands for together."""
@@ -86,50 +86,50 @@ class Combination:
         The least sum of squares so far with any water.
     """
 
-    trial: Trial
+    run: Trial
     values: Values = field(default_factory=dict)
-    done: int = 0
-    least: float = 0.0
+    n_stages: int = 0
+    min_misfit: float = 0.0
 
-    def keeps_to(self, text: Mapping[str, str]) -> bool:
+    def is_consistent_with(self, stated_choices: Mapping[str, str]) -> bool:
         """Tell whether the readings are those of a text."""
-        own = self.trial.readings
-        return all(getattr(own, name) == choice for name, choice in spelt_out(text).items())
+        own = self.run.interpretation
+        return all(getattr(own, name) == choice for name, choice in spelt_out(stated_choices).items())
 
-    def set_name(self) -> str:
+    def find_set_name(self) -> str:
         """Return the name that these readings have as a set, nothing if they have none."""
-        own = self.trial.readings
-        return next((name for name in PAPER_SETS if Readings.of(name) == own), "")
+        own = self.run.interpretation
+        return next((name for name in PAPER_SETS if Readings.from_input(name) == own), "")
 
-    def choices(self, stated: Mapping[str, Statement]) -> list[Choice]:
+    def find_best_matches(self, stated: Mapping[str, Statement]) -> list[Choice]:
         """Return the nearest choice with each water, of those statements that it has values for.
 
         One floor holds for all sensitivities, one pair of extremes for both of a parameter.
         """
         known = {name: stated[name] for name in stated if name in self.values}
         return [
-            min((self._with(known, w, f) for f in range(len(FLOORS))), key=lambda c: c.misfit.total)
+            min((self._match(known, w, f) for f in range(len(FLOORS))), key=lambda c: c.misfit.total)
             for w in range(len(WATERS))
         ]
 
-    def _with(self, known: Mapping[str, Statement], water: int, floor: int) -> Choice:
+    def _match(self, statements: Mapping[str, Statement], water: int, floor: int) -> Choice:
         """Return the choice with one water and one floor."""
         rows = {
             name: np.array([array[water] if array.ndim == 1 else _floored(array[water], floor)
                             for array in self.values[name]])
-            for name in known
+            for name in statements
         }  # fmt: skip
         values: dict[str, tuple[float, float]] = {}
         ranges: dict[str, str] = {}
         for parameter, names in _free(rows).items():
-            distance = sum(known[name].distance(rows[name][0]) ** 2 for name in names)
+            distance = sum(statements[name].normalize_difference(rows[name][0]) ** 2 for name in names)
             pair = int(np.argmin(distance))
             label = pairs_of(parameter)[pair]
             ranges |= dict.fromkeys(names, label)
             values |= {name: _pair(rows[name][:, pair]) for name in names}
         values |= {name: _pair(row) for name, row in rows.items() if row.ndim == 1}
-        ours, errors = zip(*(values[name] for name in known), strict=True) if known else ((), ())
-        found = misfit(known.values(), ours, errors)
+        ours, errors = zip(*(values[name] for name in statements), strict=True) if statements else ((), ())
+        found = misfit(statements.values(), ours, errors)
         return Choice(found, values, FLOORS[floor], ranges)
 
 
@@ -154,11 +154,11 @@ def _free(rows: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
 def rank_readings(
     published: pd.DataFrame,
     choices: Mapping[str, Sequence[str]],
-    text: Mapping[str, str],
+    stated_choices: Mapping[str, str],
     seed: int = 1,
     threads: int = 1,
     error_factor: float = 1.0,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[Combination], dict[str, Statement]]:
     """Simulate combinations of readings, each as far as it may be among the first.
 
@@ -187,7 +187,7 @@ def rank_readings(
     stated : dict
         All statements by name.
     """
-    begun, given = time.perf_counter(), Errors().times(error_factor)
+    begun, given = time.perf_counter(), Errors().scale(error_factor)
     stages = {
         stage: numbers_stated(published, NUMBERS.get(stage, ())) | trends_stated(stage)
         for stage in STAGES
@@ -198,49 +198,49 @@ def rank_readings(
         for one in itertools.product(*choices.values())
     ]
     # Sets with a name may differ from all of them in readings that are not tried.
-    readings += [one for one in map(Readings.of, PAPER_SETS) if one not in readings]
+    readings += [one for one in map(Readings.from_input, PAPER_SETS) if one not in readings]
     combinations = [Combination(Trial(one, seed, given)) for one in readings]
 
     def further(one: Combination) -> None:
-        stage = list(STAGES)[one.done]
-        one.values |= STAGES[stage](one.trial)
-        one.done += 1
-        one.least = min(choice.misfit.total for choice in one.choices(stated))
+        stage = list(STAGES)[one.n_stages]
+        one.values |= STAGES[stage](one.run)
+        one.n_stages += 1
+        one.min_misfit = min(choice.misfit.total for choice in one.find_best_matches(stated))
 
     alive = list(combinations)
     with ThreadPoolExecutor(threads) as pool:
         for number, stage in enumerate(stages):
-            alive.sort(key=lambda one: one.least)
+            alive.sort(key=lambda one: one.min_misfit)
             if stage in TAKEN:
                 some, true = TAKEN[stage]
-                literal = [one for one in alive if one.keeps_to(text)][:true]
-                kept = [*alive[:some], *literal, *(one for one in alive if one.set_name())]
+                literal = [one for one in alive if one.is_consistent_with(stated_choices)][:true]
+                kept = [*alive[:some], *literal, *(one for one in alive if one.find_set_name())]
                 alive = [one for one in alive if one in kept]
             if number:
                 # What is off beyond all repair by what costs nothing needs no rays, but two do.
                 alive = [
                     one for i, one in enumerate(alive)
-                    if i < 2 or one.least < HOPELESS or one.set_name()
+                    if i < 2 or one.min_misfit < HOPELESS or one.find_set_name()
                 ]  # fmt: skip
             for done, _ in enumerate(pool.map(further, alive), start=1):
                 if done % LINES_EVERY == 0 or done == len(alive):
-                    say(
+                    log(
                         f"readings: {stage}, {done} of {len(alive)}; stage {number + 1} of "
                         f"{len(stages)}; {time.perf_counter() - begun:.0f} s"
                     )
-    return sorted(combinations, key=lambda one: (-one.done, one.least)), stated
+    return sorted(combinations, key=lambda one: (-one.n_stages, one.min_misfit)), stated
 
 
-def spelt_out(chosen: Mapping[str, str]) -> dict[str, str]:
+def spelt_out(choices: Mapping[str, str]) -> dict[str, str]:
     """Return choices with both readings in place of ``boundaries``."""
-    rest = {name: choice for name, choice in chosen.items() if name != BOUNDARIES}
-    fates = FATES[chosen[BOUNDARIES]] if BOUNDARIES in chosen else ()
+    rest = {name: choice for name, choice in choices.items() if name != BOUNDARIES}
+    fates = FATES[choices[BOUNDARIES]] if BOUNDARIES in choices else ()
     return rest | dict(zip(GRAINS_THAT_DO_NOT_FIT, fates, strict=bool(fates)))
 
 
-def called(readings: Readings, name: str) -> str:
+def called(interpretation: Readings, name: str) -> str:
     """Return the choice that readings make of one name of a study, the inverse of `spelt_out`."""
-    own = readings.as_dict()
+    own = interpretation.as_dict()
     if name != BOUNDARIES:
         return own[name]
     fates = tuple(own[one] for one in GRAINS_THAT_DO_NOT_FIT)

@@ -28,7 +28,7 @@ def ranking(
     combinations: Sequence[Combination],
     stated: Mapping[str, Statement],
     choices: Mapping[str, Sequence[str]],
-    text: Mapping[str, str],
+    stated_choices: Mapping[str, str],
 ) -> pd.DataFrame:
     """Return one row per combination and water that went through all stages, then the others.
 
@@ -39,12 +39,12 @@ def ranking(
     """
     rows = []
     for one in combinations:
-        complete = one.done == len(STAGES)
-        found = one.choices(stated)
+        complete = one.n_stages == len(STAGES)
+        found = one.find_best_matches(stated)
         order = _nearest_first(found)
         for water in order if complete else order[:1]:
             row = _row(one, int(water), found[water], stated, choices)
-            rows.append({**row, "text": one.keeps_to(text), "complete": complete})
+            rows.append({**row, "text": one.is_consistent_with(stated_choices), "complete": complete})
     table = pd.DataFrame(rows)
     table = table.sort_values(["complete", "stages", "misfit"], ascending=[False, False, True])
     rank = np.where(table.complete, np.arange(1, len(table) + 1), 0)
@@ -53,23 +53,23 @@ def ranking(
 
 
 def _row(
-    one: Combination,
+    combination: Combination,
     water: int,
-    found: Choice,
+    match: Choice,
     stated: Mapping[str, Statement],
     choices: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    distances = {name: float(stated[name].distance(v)) for name, (v, _) in found.values.items()}
+    distances = {name: float(stated[name].normalize_difference(v)) for name, (v, _) in match.values.items()}
     worst = max(distances, key=lambda name: abs(distances[name]))
-    rms, _ = found.misfit.rms(len(distances))
+    rms, _ = match.misfit.compute_rms(len(distances))
     return {
-        **{key: called(one.trial.readings, key) for key in choices},
-        "set": one.set_name(),
+        **{key: called(combination.run.interpretation, key) for key in choices},
+        "set": combination.find_set_name(),
         "water": WATERS[water],
-        "stages": one.done,
-        "misfit": found.misfit.total,
-        "misfit_stderr": found.misfit.stderr,
-        "floor": found.floor,
+        "stages": combination.n_stages,
+        "misfit": match.misfit.total,
+        "misfit_stderr": match.misfit.stderr,
+        "floor": match.floor,
         "rms": rms,
         "worst": f"{worst} ({distances[worst]:+.1f})",
     }
@@ -88,24 +88,24 @@ def statements(
         Readings that tell combinations apart.
     """
     rows = []
-    complete = [one for one in combinations if one.done == len(STAGES)]
+    complete = [one for one in combinations if one.n_stages == len(STAGES)]
     for number, one in enumerate(complete, start=1):
-        own = one.trial.readings.as_dict()
+        own = one.run.interpretation.as_dict()
         label = ", ".join(f"{name}: {own[name]}" for name in names)
-        found = one.choices(stated)
+        found = one.find_best_matches(stated)
         for place, (water, (name, statement)) in enumerate(
             itertools.product(_nearest_first(found), stated.items())
         ):
             value, error = found[water].values[name]
             rows.append(
                 {
-                    "combination": number, "readings": label, "set": one.set_name(),
+                    "combination": number, "readings": label, "set": one.find_set_name(),
                     "water": WATERS[water],
                     "nearest_water": place < len(stated),
                     "statement": name, "place": statement.place,
-                    "published": "above 0" if statement.trend else f"{statement.published:g}",
-                    "ours": value, "stderr": error, "bar": statement.bar,
-                    "distance": float(statement.distance(value)),
+                    "published": "above 0" if statement.is_trend else f"{statement.published:g}",
+                    "ours": value, "stderr": error, "bar": statement.tolerance,
+                    "distance": float(statement.normalize_difference(value)),
                     "between": found[water].ranges.get(name, ""),
                     "floor": found[water].floor if name.startswith("msi_t") else np.nan,
                 }
@@ -122,13 +122,13 @@ def left_out(
     how much the second one's misfit is larger, of those that went through all stages.
     """
     rows = []
-    complete = [one for one in combinations if one.done == len(STAGES)]
+    complete = [one for one in combinations if one.n_stages == len(STAGES)]
     for group, beginnings in {"nothing": (), **GROUPS}.items():
         kept = {n: s for n, s in stated.items() if not (beginnings and n.startswith(beginnings))}
         best = []
         for one in complete:
-            nearest = min((c.misfit for c in one.choices(kept)), key=lambda m: m.total)
-            own = one.trial.readings.as_dict()
+            nearest = min((c.misfit for c in one.find_best_matches(kept)), key=lambda m: m.total)
+            own = one.run.interpretation.as_dict()
             label = ", ".join(f"{name}: {own[name]}" for name in names)
             best.append((nearest, label))
         best.sort(key=lambda pair: pair[0].total)
@@ -149,10 +149,10 @@ def left_out(
 
 def telling(combinations: Sequence[Combination]) -> list[str]:
     """Return the readings in which complete combinations differ, the first where none does."""
-    own = [one.trial.readings.as_dict() for one in combinations if one.done == len(STAGES)]
+    own = [one.run.interpretation.as_dict() for one in combinations if one.n_stages == len(STAGES)]
     return [name for name in own[0] if len({one[name] for one in own}) > 1] or list(own[0])[:1]
 
 
-def _nearest_first(found: Sequence[Choice]) -> np.ndarray:
+def _nearest_first(matches: Sequence[Choice]) -> np.ndarray:
     """Return the numbers of waters, that with the least misfit first."""
-    return np.argsort([choice.misfit.total for choice in found])
+    return np.argsort([choice.misfit.total for choice in matches])

@@ -33,7 +33,7 @@ class Noise(Section):
     correlation_nm: float | None = None
 
     @model_validator(mode="after")
-    def _some(self) -> Noise:
+    def _check_noise(self) -> Noise:
         with under("retrieve.noise"):
             for key in ("absolute", "relative"):
                 in_range(key, getattr(self, key), 0.0, 1.0)
@@ -47,7 +47,7 @@ class Noise(Section):
                                  "left out without relative", hint)  # fmt: skip
         return self
 
-    def of(self, values: np.ndarray) -> Any:
+    def evaluate(self, values: np.ndarray) -> Any:
         """Return the noise of reflectances as `splits.retrieve` takes it."""
         relative = np.maximum(self.relative * np.abs(values), LEAST)
         if self.correlation_nm is None:
@@ -99,12 +99,12 @@ class RetrieveSection(Section):
 
     @field_validator("measured")
     @classmethod
-    def _file(cls, value: str) -> str:
+    def _check_measured(cls, value: str) -> str:
         return check_file("retrieve.measured", value)
 
     @field_validator("noise", mode="before")
     @classmethod
-    def _of_keys(cls, value: Any) -> Any:
+    def _check_noise_type(cls, value: Any) -> Any:
         if value is None or isinstance(value, dict | Noise):
             return value
         allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
@@ -112,17 +112,17 @@ class RetrieveSection(Section):
 
     @field_validator("prior_from", mode="before")
     @classmethod
-    def _row(cls, value: Any) -> Any:
+    def _to_tuple(cls, value: Any) -> Any:
         return (value,) if isinstance(value, dict) else value
 
     @model_validator(mode="after")
-    def _intervals(self) -> RetrieveSection:
+    def _check_intervals(self) -> RetrieveSection:
         for low, high in self.left_out_nm:
             if not low < high:
                 raise refuse("retrieve.left_out_nm", [low, high], "low < high")
         return self
 
-    def spectra(self, measured: pd.DataFrame, wavelengths: np.ndarray) -> dict[str, pd.Series]:
+    def select_spectra(self, measured: pd.DataFrame, wavelengths: np.ndarray) -> dict[str, pd.Series]:
         """Return the spectra to read, by sample, where the table has them and nothing leaves out.
 
         Raises
@@ -162,11 +162,11 @@ class RetrieveSection(Section):
                 one_of(f"retrieve.known.{parameter}", sample, names)
         return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
 
-    def noise_of(self, values: np.ndarray) -> Any:
+    def compute_noise(self, values: np.ndarray) -> Any:
         """Return the noise of reflectances as `splits.retrieve` takes it."""
-        return None if self.noise is None else self.noise.of(values)
+        return None if self.noise is None else self.noise.evaluate(values)
 
-    def where(self, sample: str, axes: list[str]) -> dict[str, float | str]:
+    def get_fixed_values(self, sample: str, axes: list[str]) -> dict[str, float | str]:
         """Return what is known of a sample: `at`, and the angle that its name tells."""
         found = dict(self.at)
         if INCIDENCE not in axes or AT not in sample:
@@ -181,7 +181,7 @@ class RetrieveSection(Section):
             raise refuse(key, found.get(INCIDENCE, INCIDENCE), "left out", hint)
         return found if angle is None else {**found, INCIDENCE: angle}
 
-    def groups(self) -> list[str]:
+    def list_sample_prefixes(self) -> list[str]:
         """Return how names of samples begin that figures show together."""
         return [first.of for first in self.prior_from] or [""]
 

@@ -39,7 +39,7 @@ def run(
     accuracy: Accuracy,
     seed: int = 1,
     threads: int | None = None,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -66,8 +66,8 @@ def run(
     if experiment.instrument.kind == "refractive_index":
         return refractive_indices(experiment)
     if experiment.instrument.kind == "table":
-        return run_table(experiment, accuracy, seed, None, threads, say)
-    return _points(experiment, accuracy, seed, threads, say)
+        return run_table(experiment, accuracy, seed, None, threads, log)
+    return _points(experiment, accuracy, seed, threads, log)
 
 
 def write_run(
@@ -77,7 +77,7 @@ def write_run(
     folder: Path,
     path: Path,
     threads: int | None = None,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> None:
     """Write what `run` returns; a run that is interrupted goes on where it stopped.
 
@@ -92,13 +92,13 @@ def write_run(
     """
     check_writable(path)
     if experiment.instrument.kind == "table":
-        write_table(experiment, accuracy, seed, folder, path, threads, say)
+        write_table(experiment, accuracy, seed, folder, path, threads, log)
     elif experiment.instrument.kind == "refractive_index":
         save(refractive_indices(experiment), path)
     else:
         kept = KeptPoints(folder, experiment, accuracy, seed)
-        save(_points(experiment, accuracy, seed, threads, say, kept), path)
-        kept.drop()
+        save(_points(experiment, accuracy, seed, threads, log, kept), path)
+        kept.delete()
 
 
 def _points(
@@ -106,18 +106,18 @@ def _points(
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
-    say: Say,
-    kept: KeptPoints | None = None,
+    log: Say,
+    cache: KeptPoints | None = None,
 ) -> xr.Dataset:
     """Return the points of a grid, those not kept measured."""
     begun = time.perf_counter()
-    results = measured_points(experiment, accuracy, seed, threads, say, kept)
+    results = measured_points(experiment, accuracy, seed, threads, log, cache)
     return _stack(experiment, results, time.perf_counter() - begun)
 
 
-def _stack(experiment: Simulation, measured: Measured, seconds: float) -> xr.Dataset:
+def _stack(experiment: Simulation, points: Measured, seconds: float) -> xr.Dataset:
     """Return the points of a grid as one dataset."""
-    results = measured.datasets
+    results = points.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
     dims = tuple(experiment.grid)
     first = results[0]
@@ -145,8 +145,8 @@ def _stack(experiment: Simulation, measured: Measured, seconds: float) -> xr.Dat
         **constant,
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
-        "configuration": experiment.configuration(),
-        "rays": measured.rays,
+        "configuration": experiment.dump_configuration(),
+        "rays": points.rays,
         **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
         "wall_time_s": round(seconds, 3),
         **provenance(f"experiment {experiment.name}"),
@@ -159,9 +159,9 @@ def _stack(experiment: Simulation, measured: Measured, seconds: float) -> xr.Dat
 
 def refractive_indices(experiment: Simulation) -> xr.Dataset:
     """Return the complex refractive indices of an experiment's medium over wavelength."""
-    _, medium, _ = next(experiment.points())
-    wavelength = experiment.instrument.wavelengths()
-    index = medium.indices(wavelength)
+    _, medium, _ = next(experiment.iter_points())
+    wavelength = experiment.instrument.get_wavelengths()
+    index = medium.compute_refractive_indices(wavelength)
     variables = {
         "n": (("wavelength", "material"), index.real, {"long_name": "refractive index"}),
         "k": (("wavelength", "material"), index.imag, {"long_name": "extinction coefficient"}),
@@ -170,12 +170,12 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
         variable_attributes["units"] = "1"
     coordinates = {
         "wavelength": wavelength_axis(wavelength),
-        "material": ("material", list(medium.materials()), {"long_name": "material"}),
+        "material": ("material", list(medium.list_materials()), {"long_name": "material"}),
     }
     facts = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
-        "configuration": experiment.configuration(),
+        "configuration": experiment.dump_configuration(),
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
         "physics_sources_sha256": physics_digest(),
         **provenance(f"experiment {experiment.name}"),

@@ -32,7 +32,7 @@ def run_fit(
     measured: pd.DataFrame,
     seed: int = 1,
     threads: int | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> xr.Dataset:
     """Fit a sand to every sample of a measured table, for every point of an experiment's grid.
 
@@ -64,7 +64,7 @@ def run_fit(
     ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
     max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
-    cases = list(itertools.product(experiment.settings(), samples))
+    cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or cpus()
 
     def one(number: int) -> FitResult:
@@ -79,7 +79,7 @@ def run_fit(
             ranges,
             seed if experiment.instrument.seed is None else experiment.instrument.seed,
             max(1, workers // len(cases)),
-            lambda line: say(f"{head}: {line}"),
+            lambda line: log(f"{head}: {line}"),
             effort=effort_for(max_stderr),
         )
 
@@ -114,11 +114,11 @@ def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
         for x, value in zip(wavelength, measured[sample], strict=True):
             key = f"fit.measured ({sample} at {x:g} nm)"
             in_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
-    for labels, settings, _ in experiment.settings():
-        with experiment.placed(labels):
+    for labels, settings, _ in experiment.iter_settings():
+        with experiment.locate_errors(labels):
             cube = Cube(settings, section.ranges)
         with under("fit.measured"):
-            cube.sand(np.full(len(cube.names), 0.5)).indices(wavelength)
+            cube.to_sand(np.full(len(cube.names), 0.5)).compute_refractive_indices(wavelength)
         least = len(cube.names) + SPARE
         if wavelength.size < least:
             raise refuse("fit.measured", f"{wavelength.size} wavelengths", f"{least} at least")
@@ -135,23 +135,23 @@ def effort_for(max_stderr: float) -> Effort:
 
 
 def _groups(
-    dims: tuple[str, ...], found: list[xr.DataArray], shape: tuple[int, ...]
+    dims: tuple[str, ...], deviations: list[xr.DataArray], shape: tuple[int, ...]
 ) -> dict[str, Variable]:
     """Return how errors of modelled reflectance go together, see `splits.analysis.errors`."""
-    values = np.stack([one.values for one in found]).reshape(*shape, *found[0].shape)
-    tail = (str(d) for d in found[0].dims)
-    return {"reflectance_groups": ((*dims, *tail), values, dict(found[0].attrs))}
+    values = np.stack([one.values for one in deviations]).reshape(*shape, *deviations[0].shape)
+    tail = (str(d) for d in deviations[0].dims)
+    return {"reflectance_groups": ((*dims, *tail), values, dict(deviations[0].attrs))}
 
 
 def _coordinates(
-    experiment: Simulation, fit: FitResult, samples: list[str], wavelength: np.ndarray
+    experiment: Simulation, result: FitResult, samples: list[str], wavelength: np.ndarray
 ) -> dict[str, Any]:
     """Return the coordinates of a dataset of fits like this one."""
-    names = list(fit.names)
+    names = list(result.names)
     return {
         "wavelength": wavelength_axis(wavelength),
         "sample": ("sample", samples, {"long_name": "sample measured"}),
-        "parameter": ("parameter", list(fit.parameters), {"long_name": "parameter of the sand"}),
+        "parameter": ("parameter", list(result.parameters), {"long_name": "parameter of the sand"}),
         **{
             axis: (axis, names, {"long_name": "coordinate of the fit"})
             for axis in ("coordinate", "other_coordinate")
@@ -166,7 +166,7 @@ def _dataset(
     samples: list[str],
     wavelength: np.ndarray,
     max_stderr: float,
-    begun: float,
+    start_time: float,
 ) -> xr.Dataset:
     """Return all fits as one dataset."""
     shape = (*(len(values) for values in experiment.grid.values()), len(samples))
@@ -209,9 +209,9 @@ def _dataset(
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "medium": "sand",
-        "configuration": experiment.configuration(),
+        "configuration": experiment.dump_configuration(),
         "max_stderr": max_stderr,
-        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
         "physics_sources_sha256": physics_digest(fit=True),
         **provenance(f"experiment {experiment.name}"),
     }

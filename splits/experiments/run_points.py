@@ -56,40 +56,40 @@ def measured_points(
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
-    say: Say,
-    kept: KeptPoints | None = None,
+    log: Say,
+    cache: KeptPoints | None = None,
 ) -> Measured:
     """Measure all points of an experiment but those kept, see `splits.experiments.run.run`.
 
     Points whose spectra need the same paths share them: those that differ in what absorbs, in the
     albedo of a ground, or in the size of everything.
     """
-    instrument, points = experiment.instrument, list(experiment.points())
+    instrument, points = experiment.instrument, list(experiment.iter_points())
     seed = seed if instrument.seed is None else instrument.seed
     found: dict[int, xr.Dataset] = {}
     groups = _alike(instrument, points)
     if len(groups) < len(points):
-        say(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
+        log(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
     rays = 0
     for places, members in groups:
         head = _head(experiment.name, points, places)
-        before = kept.load(places) if kept else None
+        before = cache.load(places) if cache else None
         if before:
-            say(f"{head}: kept from an earlier run")
+            log(f"{head}: kept from an earlier run")
             found |= dict(zip(places, before, strict=True))
             rays += int(before[0].attrs["rays"])
             continue
-        show = _shown(head, say)
+        show = _shown(head, log)
         some = [points[place] for place in places]
         if members is None:
             _, medium, incidence = some[0]
             datasets = [measure(instrument, medium, incidence, accuracy, seed, threads, show)]
         else:
             datasets = _together(some, members, instrument, accuracy, seed, threads, show)
-        datasets = kept.keep(places, datasets) if kept else datasets
+        datasets = cache.save(places, datasets) if cache else datasets
         found |= dict(zip(places, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _tell(head, datasets, instrument, say)
+        _tell(head, datasets, instrument, log)
     return Measured([found[place] for place in range(len(points))], rays)
 
 
@@ -100,34 +100,34 @@ def _alike(
     grains = all(isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points)
     if instrument.kind != "spectrophotometer" or instrument.estimator == "analog" or not grains:
         return [([place], None) for place in range(len(points))]
-    wavelengths = np.asarray(instrument.wavelengths(), dtype=float)
+    wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     groups: list[tuple[list[int], Members | None]] = []
     for beam in dict.fromkeys(incidence for *_, incidence in points):
         under = [place for place, (*_, incidence) in enumerate(points) if incidence == beam]
         for members in families([points[place][1] for place in under], wavelengths):
-            places = [under[place] for place in members.places]
+            places = [under[place] for place in members.positions]
             groups.append((places, members if len(places) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))
 
 
 def _together(
     points: Sequence[Point],
-    members: Members,
+    group: Members,
     instrument: Instrument,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
-    show: Callable[[Progress], None],
+    progress: Callable[[Progress], None],
 ) -> list[xr.Dataset]:
     """Measure points that share paths, in the order of their family's members."""
     most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
-    run = Run.checked(instrument.wavelengths(), beam, error, seed, most, threads, "auto")
-    spectra = spectra_of(members.family, run, show)
+    run = Run.from_arguments(instrument.get_wavelengths(), beam, error, seed, most, threads, "auto")
+    spectra = spectra_of(group.path_sharing, run, progress)
     return [
         _of_medium(spectra[which], medium)
-        for which, (_, medium, _) in zip(members.which, points, strict=True)
+        for which, (_, medium, _) in zip(group.media_indices, points, strict=True)
     ]
 
 
@@ -139,43 +139,43 @@ def _of_medium(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
     return xr.Dataset(spectrum.data_vars, spectrum.coords, attributes(others | told))
 
 
-def _head(name: str, points: Sequence[Point], group: Sequence[int]) -> str:
+def _head(name: str, points: Sequence[Point], indices: Sequence[int]) -> str:
     """Return how lines about some points begin."""
-    if len(group) > 1:
-        return f"{name} {len(group)} of {len(points)} together, from {min(group) + 1}"
-    (place,) = group
+    if len(indices) > 1:
+        return f"{name} {len(indices)} of {len(points)} together, from {min(indices) + 1}"
+    (place,) = indices
     where = " ".join(f"{p}={label}" for p, label in points[place][0].items())
     return f"{name} {place + 1}/{len(points)} {where}".rstrip()
 
 
-def _shown(head: str, say: Say) -> Callable[[Progress], None]:
+def _shown(prefix: str, log: Say) -> Callable[[Progress], None]:
     """Return what tells of progress in lines."""
 
     def show(progress: Progress) -> None:
         if progress.stderr >= 1.0:
-            say(f"{head}: first round, {progress.rays} rays")
+            log(f"{prefix}: first round, {progress.rays} rays")
             return
-        say(
-            f"{head}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
+        log(
+            f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
             f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
         )
 
     return show
 
 
-def _tell(head: str, datasets: Sequence[xr.Dataset], instrument: Instrument, say: Say) -> None:
+def _tell(prefix: str, datasets: Sequence[xr.Dataset], instrument: Instrument, log: Say) -> None:
     """Say how it went."""
     facts = datasets[0].attrs
     reached = [
         f", error {max(one.attrs[key] for one in datasets):.4f}" for key in REACHED if key in facts
     ]
-    say(f"{head}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
+    log(f"{prefix}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
     asked = instrument.rays or instrument.estimator == "cells"
     if facts.get("stopped_by") == "rays" and not asked:
-        say(f"{head}: stopped by max_rays = {facts['max_rays']} before the error was reached")
+        log(f"{prefix}: stopped by max_rays = {facts['max_rays']} before the error was reached")
     if facts.get("stopped_by") == "degree":
-        say(
-            f"{head}: stopped before the error was reached: in some directions light changes "
+        log(
+            f"{prefix}: stopped before the error was reached: in some directions light changes "
             "faster than the expansion can follow, which no rays mend; stated errors allow "
             "for it; `estimator: cells` shows such light"
         )
@@ -191,7 +191,7 @@ def measure(
     progress: Callable[[Progress], None],
 ) -> xr.Dataset:
     """Put a medium under an instrument; see `run`."""
-    scene: tuple[Any, ...] = (medium, instrument.wavelengths(), incidence_deg)
+    scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
     common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
     keys = (
         "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",

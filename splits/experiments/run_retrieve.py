@@ -39,9 +39,9 @@ class Reading(NamedTuple):
 
     model: str
     sample: str
-    told: Retrieved
-    misfit: float
-    alone: bool
+    result: Retrieved
+    reference_chi2: float
+    is_prior_sample: bool
 
 
 def run_retrieve(
@@ -49,7 +49,7 @@ def run_retrieve(
     table: Table,
     measured: pd.DataFrame,
     seed: int = 1,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> list[Reading]:
     """Return what every sample tells, with every model.
 
@@ -59,23 +59,23 @@ def run_retrieve(
         Names the section's key.
     """
     with under("retrieve"):
-        spectra = section.spectra(measured, table.dataset.wavelength.values)
+        spectra = section.select_spectra(measured, table.dataset.wavelength.values)
     used, every = len(next(iter(spectra.values()))), len(measured)
     if used < every:
-        say(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
+        log(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
     axis, law = section.models, section.beside
     alone = OURS if law else ALONE
     names = [str(v) for v in table.dataset[axis].values] if axis else [alone]
     found = []
     for model in names:
         at = {axis: model} if axis else {}
-        found += _Task(section, table, spectra, model, at, seed).readings(say)
+        found += _Task(section, table, spectra, model, at, seed).retrieve_all(log)
     if law:
         # A package that nothing else of retrievals needs.
         from splits.analysis.law_tables import law_table
 
         theirs = law_table(table, law, axis)
-        found += _Task(section, theirs, spectra, law, {}, seed).readings(say)
+        found += _Task(section, theirs, spectra, law, {}, seed).retrieve_all(log)
     return found
 
 
@@ -86,62 +86,62 @@ class _Task(NamedTuple):
     table: Table
     spectra: Mapping[str, pd.Series]
     model: str
-    at: Mapping[str, Any]
+    fixed: Mapping[str, Any]
     seed: int
 
-    def readings(self, say: Say) -> list[Reading]:
+    def retrieve_all(self, log: Say) -> list[Reading]:
         """Return what all samples tell, and say it."""
         firsts = {one.sample: one for one in self.section.prior_from}
-        early = {n: self._one(n, self.section.prior, one.at) for n, one in firsts.items()}
+        early = {n: self._retrieve(n, self.section.prior, one.at) for n, one in firsts.items()}
         found = []
         for name in self.spectra:
-            prior = self._prior(early, name)
-            told = early[name] if name in early else self._one(name, prior, {})
-            misfit = np.nan if name in early else self._misfit(name, prior)
+            prior = self._make_prior(early, name)
+            told = early[name] if name in early else self._retrieve(name, prior, {})
+            misfit = np.nan if name in early else self._compute_reference_chi2(name, prior)
             found.append(Reading(self.model, name, told, misfit, name in early))
             mark = f"{name} ({self.model})" if self.model else name
             for line in repr(told).splitlines():
-                say(f"{mark}: {line}")
+                log(f"{mark}: {line}")
         return found
 
-    def _one(self, name: str, prior: Mapping[str, Any], known: Mapping[str, Any]) -> Retrieved:
+    def _retrieve(self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]) -> Retrieved:
         """Return what one sample tells, of which some of what is free elsewhere may be known."""
         axes = self.table.axes
-        names = [n for n in self.section.free if n not in known and n in (*axes, LEVEL)]
+        names = [n for n in self.section.free if n not in fixed and n in (*axes, LEVEL)]
         given: Any = self.section.free
         free = {n: given[n] for n in names} if isinstance(given, Mapping) else names
         spectrum = self.spectra[name]
-        at = {**self.section.where(name, axes), **self.at, **known}
+        at = {**self.section.get_fixed_values(name, axes), **self.fixed, **fixed}
         with under(f"retrieve ({name})"):
             return retrieve(
-                spectrum, self.table, free, self.section.noise_of(spectrum.to_numpy()),
+                spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
                 at={n: value for n, value in at.items() if n in (*axes, LEVEL)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
             )  # fmt: skip
 
-    def _misfit(self, name: str, prior: Mapping[str, Any]) -> float:
+    def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return the misfit left where what is known of a sample is so."""
         known = {n: values[name] for n, values in self.section.known.items() if name in values}
         others = [n for n in self.section.free if n not in known and n != LEVEL]
         if not known or not others or LEVEL in known or self.section.noise is None:
             return np.nan
-        return float(self._one(name, prior, known).dataset.attrs["chi2"])
+        return float(self._retrieve(name, prior, known).dataset.attrs["chi2"])
 
-    def _prior(self, early: Mapping[str, Retrieved], name: str) -> dict[str, Any]:
+    def _make_prior(self, prior_results: Mapping[str, Retrieved], name: str) -> dict[str, Any]:
         """Return what is known of a sample before, from those retrieved first, too."""
         prior: dict[str, Any] = dict(self.section.prior)
         for first in self.section.prior_from:
             if name.startswith(first.of):
-                told = early[first.sample]
+                told = prior_results[first.sample]
                 prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
         return prior
 
 
-def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
+def retrieved_table(retrievals: list[Reading], reference: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     """Return a line for every parameter of every sample; `known` has values found otherwise."""
     rows = []
-    for one in found:
-        ds = one.told.dataset
+    for one in retrievals:
+        ds = one.result.dataset
         for name in map(str, ds.parameter.values):
             own = ds.sel(parameter=name)
             long_name, _ = parameter_about(name)
@@ -155,7 +155,7 @@ def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float
                     "unit": str(own.parameter_unit.item()),
                     "median": middle,
                     "standard deviation": float(own.value_stderr),
-                    "known": known.get(name, {}).get(one.sample, np.nan),
+                    "known": reference.get(name, {}).get(one.sample, np.nan),
                     "16 %": below,
                     "84 %": above,
                     "2.5 %": low,
@@ -163,7 +163,7 @@ def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float
                     "told by the spectrum": "yes" if own.determined else "no",
                     "averaging kernel": float(own.averaging_kernel.sel(other_parameter=name)),
                     "chi2": ds.attrs["chi2"],
-                    "chi2 where known": one.misfit,
+                    "chi2 where known": one.reference_chi2,
                     "chi2 expected": ds.attrs["chi2_expected"],
                     "errors enlarged by": ds.attrs["errors_enlarged_by"],
                     "warnings": ds.attrs["warnings"],
@@ -172,20 +172,20 @@ def retrieved_table(found: list[Reading], known: Mapping[str, Mapping[str, float
     return pd.DataFrame(rows)
 
 
-def together(found: list[Reading], experiment: str) -> xr.Dataset:
+def together(retrievals: list[Reading], experiment: str) -> xr.Dataset:
     """Return all samples as one dataset, which `splits.figures.retrievals` draws.
 
     Over models and samples.  Of samples that were measured at other wavelengths, those that all
     have; without those that were retrieved first.
     """
-    full = [one for one in found if not one.alone]
+    full = [one for one in retrievals if not one.is_prior_sample]
     models = list(dict.fromkeys(one.model for one in full))
     joined = xr.concat(
         [_of_model([one for one in full if one.model == model]) for model in models],
         xr.IndexVariable("model", models), join="outer", combine_attrs="drop",
     )  # fmt: skip
     # In the order of the first model, which knows of all parameters.
-    order = full[0].told.dataset.parameter.values
+    order = full[0].result.dataset.parameter.values
     joined = joined.sel(parameter=order, other_parameter=order)
     facts = {
         "title": f"Retrievals of {experiment}",
@@ -195,13 +195,13 @@ def together(found: list[Reading], experiment: str) -> xr.Dataset:
     return joined.assign_attrs(attributes(facts))
 
 
-def _of_model(readings: list[Reading]) -> xr.Dataset:
+def _of_model(retrievals: list[Reading]) -> xr.Dataset:
     """Return the samples of one model as one dataset."""
-    sets, names = [one.told.dataset for one in readings], [one.sample for one in readings]
+    sets, names = [one.result.dataset for one in retrievals], [one.sample for one in retrievals]
     joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
     for key in ("chi2", "chi2_expected", "errors_enlarged_by", "degrees_of_freedom"):
         row = np.array([one.attrs[key] for one in sets])
         joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
-    misfits = np.array([one.misfit for one in readings])
+    misfits = np.array([one.reference_chi2 for one in retrievals])
     about = {"long_name": "chi2 where what is known is so", "units": "1"}
     return joined.assign(chi2_where_known=("sample", misfits, about))

@@ -36,8 +36,8 @@ def parts_of(experiment: Simulation) -> int:
 def plan_of(experiment: Simulation) -> Plan:
     """Return what is to be traced for a table; refuses points of it that cannot be."""
     instrument = experiment.instrument
-    axes, wavelengths = experiment.axes(), instrument.wavelengths()
-    return Plan.of(experiment.medium_at, axes, wavelengths, instrument.incidence_deg)
+    axes, wavelengths = experiment.make_axes(), instrument.get_wavelengths()
+    return Plan.from_grid(experiment.make_medium, axes, wavelengths, instrument.incidence_deg)
 
 
 def order_of(
@@ -48,7 +48,7 @@ def order_of(
     own = seed if instrument.seed is None else instrument.seed
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     rays = accuracy.max_rays or MAX_RAYS
-    run = Run.checked(instrument.wavelengths(), 0.0, error, own, rays, threads, "auto")
+    run = Run.from_arguments(instrument.get_wavelengths(), 0.0, error, own, rays, threads, "auto")
     quantities = instrument.quantities or ("reflectance",)
     return Order(run, quantities, instrument.covariance == "keep")
 
@@ -60,7 +60,7 @@ def run_part(
     folder: Path,
     part: int,
     threads: int | None = None,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> list[Path]:
     """Measure every so many-th ensemble of a table, from that one on, and keep its block.
 
@@ -83,9 +83,9 @@ def run_part(
         Of the blocks.
     """
     plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
-    mine = plan.ensembles[part :: parts_of(experiment)]
-    say(f"{experiment.name}: {plan}")
-    for _ in _measured(experiment, order, mine, folder, say):
+    mine = plan.path_groups[part :: parts_of(experiment)]
+    log(f"{experiment.name}: {plan}")
+    for _ in _measured(experiment, order, mine, folder, log):
         pass
     return [block_file(folder, one.number, digest_of(one, order)) for one in mine]
 
@@ -96,14 +96,14 @@ def run_table(
     seed: int,
     folder: Path | None,
     threads: int | None = None,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> xr.Dataset:
     """Return a table: blocks that a folder keeps, and what is missing measured."""
     begun = time.perf_counter()
     plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
-    say(f"{experiment.name}: {plan}")
+    log(f"{experiment.name}: {plan}")
     found, facts = blank(plan, order), []
-    for block in _measured(experiment, order, plan.ensembles, folder, say):
+    for block in _measured(experiment, order, plan.path_groups, folder, log):
         fill(found, block)
         facts.append(block.attrs)
     return _named(experiment, finished(found, plan, order, facts, time.perf_counter() - begun))
@@ -116,7 +116,7 @@ def write_table(
     folder: Path,
     path: Path,
     threads: int | None = None,
-    say: Say = lambda line: None,
+    log: Say = lambda line: None,
 ) -> None:
     """Write the table that `run_table` returns, one that does not fit into memory block by block.
 
@@ -127,14 +127,14 @@ def write_table(
     """
     plan, order = plan_of(experiment), order_of(experiment, accuracy, seed, threads)
     if bytes_of(plan, order) <= IN_MEMORY:
-        save(run_table(experiment, accuracy, seed, folder, threads, say), path)
+        save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return
-    say(f"{experiment.name}: {plan}")
+    log(f"{experiment.name}: {plan}")
     write_by_blocks(
         path,
         plan,
         order,
-        lambda: _measured(experiment, order, plan.ensembles, folder, say),
+        lambda: _measured(experiment, order, plan.path_groups, folder, log),
         lambda table: _named(experiment, table),
     )
 
@@ -145,26 +145,26 @@ def _named(experiment: Simulation, table: xr.Dataset) -> xr.Dataset:
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,
         instrument="table",
-        configuration=experiment.configuration(),
+        configuration=experiment.dump_configuration(),
     )
 
 
 def _measured(
     experiment: Simulation,
-    order: Order,
-    ensembles: Sequence[Ensemble],
+    request: Order,
+    groups: Sequence[Ensemble],
     folder: Path | None,
-    say: Say,
+    log: Say,
 ) -> Iterator[xr.Dataset]:
     """Yield blocks, and say how far they are."""
-    head, count = f"{experiment.name}: {len(ensembles)} ensembles", len(ensembles)
+    head, count = f"{experiment.name}: {len(groups)} ensembles", len(groups)
 
     def show(progress: Progress) -> None:
-        say(f"{head}, {progress}")
+        log(f"{head}, {progress}")
 
-    for number, block in enumerate(blocks(order, ensembles, folder, show), start=1):
+    for number, block in enumerate(blocks(request, groups, folder, show), start=1):
         reached = float(block.attrs["max_stderr_reached"])
-        say(f"{head}: {number} of {count} done, {block.attrs['rays']} rays, error {reached:.4f}")
+        log(f"{head}: {number} of {count} done, {block.attrs['rays']} rays, error {reached:.4f}")
         yield block
 
 
@@ -175,9 +175,9 @@ def note_part(files: Sequence[Path], path: Path) -> None:
         aside.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
 
 
-def drop_unused(notes: Sequence[Path]) -> None:
+def drop_unused(manifests: Sequence[Path]) -> None:
     """Delete the blocks beside the notes of a table's parts that none of these names."""
-    made = {name for note in notes for name in json.loads(note.read_text(encoding="utf-8"))}
-    for file in notes[0].parent.glob("block_*.nc"):
+    made = {name for note in manifests for name in json.loads(note.read_text(encoding="utf-8"))}
+    for file in manifests[0].parent.glob("block_*.nc"):
         if file.name not in made:
             file.unlink(missing_ok=True)

@@ -75,7 +75,7 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_switch(cls, value: Any) -> Any:
+    def _reject_booleans(cls, value: Any) -> Any:
         # Nothing here is switched on and off; pydantic would take true for the number 1.
         if isinstance(value, bool):
             raise PydanticCustomError("no_switch", "true or false")
@@ -102,12 +102,12 @@ class FigureSection(Section):
 
     @field_validator("quantity", mode="before")
     @classmethod
-    def _one_or_more(cls, value: Any) -> Any:
+    def _to_tuple(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
 
     @field_validator("at", mode="before")
     @classmethod
-    def _words(cls, value: Any) -> Any:
+    def _label_booleans(cls, value: Any) -> Any:
         # Grids label true and false by these words.
         if not isinstance(value, dict):
             return value
@@ -115,12 +115,12 @@ class FigureSection(Section):
 
     @field_validator("measured")
     @classmethod
-    def _file(cls, value: str | None) -> str | None:
+    def _check_measured(cls, value: str | None) -> str | None:
         return value if value is None else check_file("figure.measured", value)
 
     @field_validator("legend", "note")
     @classmethod
-    def _words_shown(cls, value: str | None, info: ValidationInfo) -> str | None:
+    def _check_text(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value is None:
             return None
         key = f"figure.{info.field_name}"
@@ -128,7 +128,7 @@ class FigureSection(Section):
         return check_mathematics(key, check_text(key, value, longest))
 
     @model_validator(mode="after")
-    def _fitting(self) -> FigureSection:
+    def _check_settings(self) -> FigureSection:
         if not self.quantity:
             raise refuse("figure.quantity", [], "at least one quantity")
         for key in ("wavelength_nm", "ylim"):
@@ -160,12 +160,12 @@ class FitSection(Section):
 
     @field_validator("measured")
     @classmethod
-    def _file(cls, value: str) -> str:
+    def _check_measured(cls, value: str) -> str:
         return check_file("fit.measured", value)
 
     @field_validator("ranges")
     @classmethod
-    def _ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
+    def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
         with under("fit"):
             checked_ranges(value)
         return value

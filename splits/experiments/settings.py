@@ -47,12 +47,12 @@ class ArchiveAuthor(Section):
 
     @field_validator("name", "affiliation")
     @classmethod
-    def _text(cls, value: str) -> str:
+    def _check_text(cls, value: str) -> str:
         return check_text("archive_authors", value, LONGEST_TITLE)
 
     @field_validator("orcid")
     @classmethod
-    def _orcid(cls, value: str) -> str:
+    def _check_orcid(cls, value: str) -> str:
         digits = value.removeprefix(ORCID)
         if not value or _is_orcid(digits):
             return digits
@@ -99,7 +99,7 @@ class Settings(Section):
 
     @field_validator("experiments", "archive", mode="before")
     @classmethod
-    def _names(cls, value: Any) -> Any:
+    def _split_names(cls, value: Any) -> Any:
         # On the command line a list is written with commas.
         if isinstance(value, str) and value != "all":
             return tuple(name.strip() for name in value.split(","))
@@ -107,7 +107,7 @@ class Settings(Section):
 
     @field_validator(*FOLDERS)
     @classmethod
-    def _folder(cls, value: str, info: ValidationInfo) -> str:
+    def _check_folder(cls, value: str, info: ValidationInfo) -> str:
         key = str(info.field_name)
         # Snakemake takes paths as texts: those of one file must be spelt alike.
         path = posixpath.normpath(str(expand_path(value, key))) if value else "."
@@ -117,7 +117,7 @@ class Settings(Section):
 
     @field_validator("archive_license")
     @classmethod
-    def _licence(cls, value: str) -> str:
+    def _check_licence(cls, value: str) -> str:
         if not _LICENCE.fullmatch(value):
             allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
             raise refuse("archive_license", value, allowed)
@@ -125,14 +125,14 @@ class Settings(Section):
 
     @field_validator("explorer")
     @classmethod
-    def _labels(cls, value: dict[str, str]) -> dict[str, str]:
+    def _check_labels(cls, value: dict[str, str]) -> dict[str, str]:
         for label in value:
             check_text("explorer (label)", label, LONGEST_LABEL)
         return value
 
     @field_validator("accuracies")
     @classmethod
-    def _folders(cls, value: dict[str, Accuracy]) -> dict[str, Accuracy]:
+    def _check_accuracy_names(cls, value: dict[str, Accuracy]) -> dict[str, Accuracy]:
         for name in value:
             if not _ACCURACY.fullmatch(name) or name.lower() in RESULT_FOLDERS:
                 allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
@@ -140,7 +140,7 @@ class Settings(Section):
         return value
 
     @model_validator(mode="after")
-    def _known_accuracy(self) -> Settings:
+    def _check_accuracy(self) -> Settings:
         one_of("accuracy", self.accuracy, self.accuracies)
         return self
 
@@ -150,11 +150,11 @@ class Settings(Section):
         return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
 
     @property
-    def tables(self) -> dict[str, Path]:
+    def table_folders(self) -> dict[str, Path]:
         """Where tables of measured and of published numbers are."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
 
-    def archived(self) -> Settings:
+    def select_archived(self) -> Settings:
         """Return the settings of a run that makes what an archive holds, and nothing else."""
         if self.archive == "all":
             return self
@@ -163,7 +163,7 @@ class Settings(Section):
         others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
         return self.model_copy(update={"experiments": names, "archive": "all", **others})
 
-    def authors(self) -> tuple[Author, ...]:
+    def list_authors(self) -> tuple[Author, ...]:
         """Return the authors of results that an archive names, if any are given."""
         return tuple(Author(**author.model_dump()) for author in self.archive_authors)
 
@@ -173,7 +173,7 @@ class Settings(Section):
             if name in available and available[name].instrument.kind != "table":
                 kind = available[name].instrument.kind
                 raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
-            rows = dict(zip(*available[name].axes(), strict=True)) if name in available else {}
+            rows = dict(zip(*available[name].make_axes(), strict=True)) if name in available else {}
             for axis, row in rows.items():
                 if len(row) < 2 or isinstance(row[0], str):
                     key = f"explorer.{label} = {name!r}"
@@ -190,7 +190,7 @@ class Settings(Section):
                 allowed = f"a goniophotometer over {' and '.join(DIRECTIONS)}"
                 raise ConfigError(f"{key}: must be {allowed}")
 
-    def select(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
+    def select_experiments(self, available: Mapping[str, Experiment]) -> dict[str, Experiment]:
         """Return the experiments chosen among those available.
 
         Raises
@@ -203,10 +203,10 @@ class Settings(Section):
                 if name not in available:
                     hint = suggestion(name, available) or "known: " + ", ".join(available)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
-        if not self.archived().experiments:
+        if not self.select_archived().experiments:
             allowed = "one or more of the experiments selected"
             raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
-        check_studies(self.studies, available, self.tables)
+        check_studies(self.studies, available, self.table_folders)
         self._check_explorer(available)
         chosen = available if self.experiments == "all" else self.experiments
         return {name: available[name] for name in chosen}

@@ -69,18 +69,18 @@ class Simulation(Section):
 
     @field_validator("name")
     @classmethod
-    def _name(cls, value: str) -> str:
+    def _check_name(cls, value: str) -> str:
         if not NAME.fullmatch(value):
             raise refuse("name", value, NAMES)
         return value
 
     @field_validator("grid", mode="before")
     @classmethod
-    def _labelled(cls, value: Any) -> Any:
+    def _label_grid(cls, value: Any) -> Any:
         return labelled(value)
 
     @model_validator(mode="after")
-    def _runnable(self) -> Simulation:
+    def _check_runnable(self) -> Simulation:
         kind = self.medium.get("kind", "snow")
         one_of("medium.kind", kind, MEDIA)
         keywords = keywords_taken(MEDIA[kind])
@@ -105,11 +105,11 @@ class Simulation(Section):
                 raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
         self._check_size()
-        wavelengths = self.instrument.wavelengths()
+        wavelengths = self.instrument.get_wavelengths()
         grounded: set[bool] = set()
         beam = self.instrument.kind in ("goniophotometer", "bssrdf")
-        for labels, medium, incidence in self.points():
-            with self.placed(labels):
+        for labels, medium, incidence in self.iter_points():
+            with self.locate_errors(labels):
                 if not self.fit:
                     constants_of(medium, wavelengths)
                 check_beam(incidence) if beam else check_incidence(incidence)
@@ -143,16 +143,16 @@ class Simulation(Section):
         """Refuse a grid whose dataset would not fit into memory."""
         if self.instrument.kind == "table":
             # Its blocks are written one by one.
-            self.axes()
+            self.make_axes()
             return
         points = math.prod(len(values) for values in self.grid.values())
         if points > MOST_POINTS:
             hint = "instrument.kind: table takes more"
             raise refuse("grid", f"{points} points", f"at most {MOST_POINTS} points", hint)
-        values = points * self.instrument.values()
+        values = points * self.instrument.count_values()
         if values > MOST_VALUES:
             raise refuse(
-                "grid", f"{points} points of {self.instrument.values()} values each",
+                "grid", f"{points} points of {self.instrument.count_values()} values each",
                 f"at most {MOST_VALUES} values in all", "several experiments hold more",
             )  # fmt: skip
 
@@ -179,7 +179,7 @@ class Simulation(Section):
     def _check_medium(self, kind: str, medium: Medium) -> None:
         """Refuse what only layers, only smooth or only rough ones have, where they have it not."""
         layer = isinstance(medium, TurbidMedium)
-        rough = isinstance(medium, TurbidMedium) and medium.fields() is not None
+        rough = isinstance(medium, TurbidMedium) and medium.make_height_fields() is not None
         instrument = self.instrument
         if instrument.kind in SURFACES and not rough:
             given = kind if not layer else "a layer without surface"
@@ -200,19 +200,19 @@ class Simulation(Section):
                 "layers have no colour: one wavelength says all",
             )  # fmt: skip
 
-    def tables(self) -> list[str]:
+    def list_table_paths(self) -> list[str]:
         """Return the files of users' own refractive indices, on which the numbers depend."""
-        return tables_in([settings for _, settings, _ in self.settings()])
+        return tables_in([settings for _, settings, _ in self.iter_settings()])
 
-    def points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
+    def iter_points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
-        for labels, settings, incidence in self.settings():
-            with self.placed(labels):
-                medium = self._made(settings)
+        for labels, settings, incidence in self.iter_settings():
+            with self.locate_errors(labels):
+                medium = self._make_medium(settings)
             yield labels, medium, incidence
 
     @contextmanager
-    def placed(self, labels: Mapping[str, str]) -> Iterator[None]:
+    def locate_errors(self, labels: Mapping[str, str]) -> Iterator[None]:
         """Put before the key of a refusal the section that gives it at a point of the grid."""
         try:
             yield
@@ -227,10 +227,10 @@ class Simulation(Section):
             else:
                 place = "fit" if key in FitSection.model_fields else "medium"
                 place = "instrument" if key in Instrument.model_fields else place
-            several = place == "medium" and self._is_several(key)
-            raise error.within(place, SEVERAL if several else "") from None
+            several = place == "medium" and self._has_several_values(key)
+            raise error.add_prefix(place, SEVERAL if several else "") from None
 
-    def _is_several(self, key: str) -> bool:
+    def _has_several_values(self, key: str) -> bool:
         """Tell whether a keyword of the medium holds a list of what a grid takes."""
         given = self.medium.get(key)
         usual = getattr(MEDIA[self.medium.get("kind", "snow")], key, None)
@@ -238,19 +238,19 @@ class Simulation(Section):
             return False
         return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
 
-    def settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
+    def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield what `points` yields, with the medium's keywords in its place."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
         if not isinstance(base.get("readings", {}), Mapping | str):
             allowed = "a mapping of named readings, or the name of a set"
             raise refuse("medium.readings", base["readings"], allowed)
-        for labels in self._labels():
+        for labels in self._iter_labels():
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
-            yield chosen, self.settings_at(base, values), incidence
+            yield chosen, self.merge_settings(base, values), incidence
 
-    def _labels(self) -> Iterator[tuple[str, ...]]:
+    def _iter_labels(self) -> Iterator[tuple[str, ...]]:
         """Yield the labels of every point; of a table, each value with the first of all others.
 
         All of a table's points are looked at where it is made.
@@ -264,7 +264,7 @@ class Simulation(Section):
             for label in list(values)[1:]:
                 yield (*first[:place], label, *first[place + 1 :])
 
-    def settings_at(self, base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    def merge_settings(self, base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the medium's keywords at a point of the grid, on top of those of all points."""
         values = dict(values)
         for parameter in [p for p in values if amount_of(p)]:
@@ -280,32 +280,32 @@ class Simulation(Section):
                 settings[key] = {k: v for part in parts for k, v in part.items()}
         return settings
 
-    def axes(self) -> Axes:
+    def make_axes(self) -> Axes:
         """Return the grid as the axes of a table: increasing numbers, or texts."""
-        return Axes.of({p: list(_nodes(values)) for p, values in self.grid.items()})
+        return Axes.from_mapping({p: list(_nodes(values)) for p, values in self.grid.items()})
 
-    def medium_at(self, **values: Any) -> Medium:
+    def make_medium(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid, without the incidence."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
         chosen = {p: self.grid[p][v] if _nodes(self.grid[p]) is self.grid[p] else v
                   for p, v in values.items()}  # fmt: skip
-        return self._made(self.settings_at(base, chosen))
+        return self._make_medium(self.merge_settings(base, chosen))
 
-    def _made(self, settings: Mapping[str, Any]) -> Medium:
+    def _make_medium(self, settings: Mapping[str, Any]) -> Medium:
         kind = self.medium.get("kind", "snow")
         made: Medium = stack_of(**settings) if kind == "stack" else MAKERS[kind](**settings)
         return made
 
-    def simulation(self) -> dict[str, Any]:
+    def dump_simulation(self) -> dict[str, Any]:
         """Return what decides the numbers; `Simulation.model_validate` makes the same of it."""
         content = self.model_dump(mode="json", include=set(Simulation.model_fields))
         if self.fit:
             del content["instrument"]["wavelength_nm"]
         return content
 
-    def configuration(self) -> str:
+    def dump_configuration(self) -> str:
         """Return `simulation` as JSON for a dataset, users' tables by name and content."""
-        return json.dumps(renamed(self.simulation(), by_content), sort_keys=True)
+        return json.dumps(renamed(self.dump_simulation(), by_content), sort_keys=True)
 
 
 def _nodes(values: Mapping[str, Any]) -> Iterable[Any]:

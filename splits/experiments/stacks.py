@@ -28,18 +28,18 @@ def kind_of(layer: Mapping[str, Any]) -> str:
     return str(layer.get("kind", "snow"))
 
 
-def keywords_of(layer: Mapping[str, Any], top: bool) -> list[str]:
+def keywords_of(layer: Mapping[str, Any], is_top: bool) -> list[str]:
     """Return the keywords that a layer of this kind has in a stack, as its top or below."""
-    left_out = NOT_IN_STACKS if top else (*NOT_IN_STACKS, "surface")
+    left_out = NOT_IN_STACKS if is_top else (*NOT_IN_STACKS, "surface")
     return [name for name in keywords_taken(MEDIA[kind_of(layer)]) if name not in left_out]
 
 
-def each_layer(place: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def each_layer(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield the place and the settings of every layer, or refuse what are none."""
     if not isinstance(layers, (list, tuple)) or not layers:
-        raise refuse(f"{place}.{LAYERS}", layers, "a list of layers, top first")
+        raise refuse(f"{key}.{LAYERS}", layers, "a list of layers, top first")
     for number, layer in enumerate(layers):
-        here = f"{place}.{LAYERS}.{number}"
+        here = f"{key}.{LAYERS}.{number}"
         if not isinstance(layer, Mapping):
             raise refuse(here, layer, "a mapping of a medium's keywords")
         yield here, layer
@@ -116,7 +116,7 @@ def with_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str,
     return found
 
 
-def with_bases(place: str, medium: Any, complete: Callable[[Any, str], Any]) -> Any:
+def with_bases(key: str, medium: Any, apply_base: Callable[[Any, str], Any]) -> Any:
     """Return a stack's settings with those of its layers complete.
 
     Parameters
@@ -129,11 +129,11 @@ def with_bases(place: str, medium: Any, complete: Callable[[Any, str], Any]) -> 
     """
     if not isinstance(medium, Mapping) or LAYERS not in medium:
         return medium
-    layers = [complete(layer, here) for here, layer in each_layer(place, medium[LAYERS])]
+    layers = [apply_base(layer, here) for here, layer in each_layer(key, medium[LAYERS])]
     return {**medium, LAYERS: layers}
 
 
-def stack_of(layers: Any, ground: Any = None, readings: Any = None) -> Stack:
+def stack_of(layers: Any, ground: Any = None, interpretation: Any = None) -> Stack:
     """Return the stack that settings describe; refusals name the layer."""
     media = []
     for number, layer in enumerate(layers):
@@ -142,4 +142,4 @@ def stack_of(layers: Any, ground: Any = None, readings: Any = None) -> Stack:
             # Below all layers is the stack's ground.
             bottom = {"bottom_albedo": None} if kind == "layer" else {}
             media.append(MAKERS[kind](**settings, **bottom))
-    return Stack(tuple(media), ground, readings)
+    return Stack(tuple(media), ground, interpretation)

@@ -48,35 +48,35 @@ class Study(Section):
     most: int = 5
     at: dict[str, float | str] = Field(default_factory=dict)
 
-    def needed(self) -> list[str]:
+    def list_experiments(self) -> list[str]:
         """Return the names of the experiments that it is made of, each once."""
         names = list(self.experiments.values())
         for pair in self.pairs.values():
             names += [pair.experiment, *([pair.readings] if pair.readings else [])]
         return list(dict.fromkeys(names))
 
-    def names(self, study: str) -> dict[str, str]:
+    def list_product_names(self, study: str) -> dict[str, str]:
         """Return the name of every product, without folder and suffix, by its key."""
         usual = PRODUCTS[self.kind]
         return {key: self.products.get(key, usual[key].name.format(study=study)) for key in usual}
 
-    def paths(self, study: str) -> dict[str, list[str]]:
+    def list_product_paths(self, study: str) -> dict[str, list[str]]:
         """Return the files of every product by its key, relative to the folder of results."""
         usual = PRODUCTS[self.kind]
         return {
             key: [f"{usual[key].folder}/{name}{suffix}" for suffix in usual[key].suffixes]
-            for key, name in self.names(study).items()
+            for key, name in self.list_product_names(study).items()
         }
 
 
 def lacked(
-    needed: Iterable[str], selected: Mapping[str, Experiment], available: Mapping[str, Experiment]
+    required: Iterable[str], selected: Mapping[str, Experiment], available: Mapping[str, Experiment]
 ) -> list[str]:
     """Return which experiments are needed and not selected, in words."""
-    needed = [one for one in dict.fromkeys(needed) if one not in selected]
-    idle = [one for one in needed if one in available]
+    required = [one for one in dict.fromkeys(required) if one not in selected]
+    idle = [one for one in required if one in available]
     lacking = [f"not selected: {', '.join(idle)}"] if idle else []
-    for one in needed:
+    for one in required:
         if one not in available:
             hint = suggestion(one, available)
             lacking.append(f"no such experiment: {one}" + (f" ({hint})" if hint else ""))
@@ -91,9 +91,9 @@ def left_out(
     """Return the studies that lack experiments among those selected, each with a line saying so."""
     lines = {}
     for name, study in studies.items():
-        needed = study.needed()
+        needed = study.list_experiments()
         if study.sensitivity:
-            needed += studies[study.sensitivity].needed()
+            needed += studies[study.sensitivity].list_experiments()
         lacking = lacked(needed, selected, available)
         sands = [one for one in selected.values() if one.medium.get("kind") == "sand"]
         if study.kind == "sand_compositions" and not sands:

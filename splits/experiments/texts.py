@@ -9,7 +9,7 @@ LONGEST_TITLE = 200
 LONGEST_CAPTION = 5000
 
 
-def check_text(key: str, value: str, longest: int, lines: bool = False) -> str:
+def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
     """Return a text of one line, or of several, or refuse what cannot be printed.
 
     Parameters
@@ -20,9 +20,9 @@ def check_text(key: str, value: str, longest: int, lines: bool = False) -> str:
     lines : bool
         Whether it may have several lines.
     """
-    if len(value) > longest:
-        raise refuse(key, value, f"at most {longest} characters")
-    plain = value.replace("\n", "").replace("\t", "") if lines else value
+    if len(value) > max_chars:
+        raise refuse(key, value, f"at most {max_chars} characters")
+    plain = value.replace("\n", "").replace("\t", "") if multiline else value
     if not plain.isprintable():
         raise refuse(key, value, "text without control characters or line breaks")
     return value

@@ -47,7 +47,7 @@ class Errors(NamedTuple):
     brdf: float = 0.05
     lobes: float = 0.03
 
-    def times(self, factor: float) -> Errors:
+    def scale(self, factor: float) -> Errors:
         """Return errors so many times as large, of which no run makes more than 0.5."""
         return Errors(*(min(factor * error, 0.5) for error in self))
 
@@ -63,16 +63,16 @@ class Trial:
     errors : Errors
     """
 
-    readings: Readings
+    interpretation: Readings
     seed: int
     errors: Errors
 
-    def snow(self, **settings: Any) -> Snow:
+    def make_snow(self, **settings: Any) -> Snow:
         """Return snow of Table 1 with some settings of its own."""
-        return Snow(readings=self.readings, **settings)
+        return Snow(interpretation=self.interpretation, **settings)
 
-    def spectra(
-        self, wavelength_nm: Any, error: float, incidence: float = 0.0, number: int = 0,
+    def simulate_spectra(
+        self, wavelength_nm: Any, error: float, incidence: float = 0.0, run_number: int = 0,
         **settings: Any,
     ) -> list[xr.Dataset]:  # fmt: skip
         """Return hemispherical values with each water.
@@ -80,13 +80,13 @@ class Trial:
         Runs of different numbers are independent, as what compares them takes them to be.
         """
         places, table = beside(np.asarray(wavelength_nm, dtype=float))
-        snow = self.snow(refractive_index={"water": table}, **settings)
-        found = spectrophotometer(snow, places, incidence, error, self.seed + number, threads=1)
+        snow = self.make_snow(refractive_index={"water": table}, **settings)
+        found = spectrophotometer(snow, places, incidence, error, self.seed + run_number, threads=1)
         return [found.isel(wavelength=slice(w, None, len(WATERS))) for w in range(len(WATERS))]
 
-    def plane(
+    def simulate_plane(
         self, wavelength_nm: float | list[float], incidence: float, lobes: bool = False,
-        number: int = 0, **settings: Any,
+        run_number: int = 0, **settings: Any,
     ) -> xr.Dataset:  # fmt: skip
         """Return the BRDF in the principal plane by sector, with the first water.
 
@@ -94,16 +94,16 @@ class Trial:
         """
         error = self.errors.lobes if lobes else self.errors.brdf
         run = goniophotometer(
-            self.snow(**settings), np.atleast_1d(wavelength_nm), incidence, seed=self.seed + number,
+            self.make_snow(**settings), np.atleast_1d(wavelength_nm), incidence, seed=self.seed + run_number,
             relative_stderr=error, azimuth_deg=[0.0, 180.0],
             polar_deg=np.arange(0.0, 76.0, STEP_DEG), threads=1, max_rays=MOST_RAYS,
         )  # fmt: skip
         return sectors(principal_plane(run))
 
     @cached_property
-    def oblique(self) -> xr.Dataset:
+    def oblique_plane(self) -> xr.Dataset:
         """BRDF of Table 1's snow under 60°, which several figures share."""
-        return self.plane(600.0, 60.0)
+        return self.simulate_plane(600.0, 60.0)
 
 
 def beside(wavelength_nm: np.ndarray) -> tuple[np.ndarray, dict[str, list[float]]]:

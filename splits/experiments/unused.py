@@ -97,7 +97,7 @@ def refuse_unused(experiment: Simulation, given: Mapping[str, tuple[str, Any]]) 
     """
     if experiment.medium.get("kind") != "layer":
         return
-    layers = [medium for _, medium, _ in experiment.points() if isinstance(medium, Layer)]
+    layers = [medium for _, medium, _ in experiment.iter_points() if isinstance(medium, Layer)]
     for keys, idle, why in UNUSED:
         for key in keys:
             place, value = given.get(key, ("", None))

@@ -11,7 +11,7 @@ from splits.paths import expand_path
 KEYS = ("refractive_index", "ground", "impurities_ng_g")
 
 
-def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> Any:
+def renamed(settings: Any, replace: Callable[[str], str], inside: bool = False) -> Any:
     """Return settings with the path of every user's table replaced.
 
     Parameters
@@ -24,11 +24,11 @@ def renamed(settings: Any, name: Callable[[str], str], inside: bool = False) -> 
         Whether `settings` stands below one of `KEYS`.
     """
     if isinstance(settings, dict):
-        return {k: renamed(v, name, inside or _named(k)) for k, v in settings.items()}
+        return {k: renamed(v, replace, inside or _named(k)) for k, v in settings.items()}
     if isinstance(settings, (list, tuple)):
-        return [renamed(value, name, inside) for value in settings]
+        return [renamed(value, replace, inside) for value in settings]
     if inside and isinstance(settings, str) and settings.endswith(".csv"):
-        return name(settings)
+        return replace(settings)
     return settings
 
 

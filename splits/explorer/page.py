@@ -38,8 +38,8 @@ class Shown(NamedTuple):
     """
 
     table: Table
-    file: str
-    about: str
+    file_name: str
+    description: str
     directions: xr.Dataset | None = None
 
 
@@ -75,10 +75,10 @@ def write_page(tables: Mapping[str, Shown], path: str | Path) -> None:
         aside.write_bytes(content)
 
 
-def _embedded(label: str, shown: Shown) -> dict[str, Any]:
+def _embedded(label: str, entry: Shown) -> dict[str, Any]:
     """Return what the page holds of a table."""
-    dataset = shown.table.dataset
-    names = shown.table.axes[:-1]
+    dataset = entry.table.dataset
+    names = entry.table.axes[:-1]
     axes = []
     for name in names:
         nodes = dataset[name].values
@@ -101,8 +101,8 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
     wavelength = dataset.wavelength.values
     return {
         "label": label,
-        "file": shown.file,
-        "about": shown.about,
+        "file": entry.file_name,
+        "about": entry.description,
         "note": "The band is two standard errors wide on either side; it holds the noise of the "
         "simulation and what reading between the nodes of the table may miss.",
         "axes": axes,
@@ -110,7 +110,7 @@ def _embedded(label: str, shown: Shown) -> dict[str, Any]:
         "value": _packed(dataset.reflectance.values),
         "stderr": _packed(dataset.reflectance_stderr.values),
         "weights": colour_weights(wavelength).tolist(),
-        "directions": None if shown.directions is None else _directions(shown.directions, names),
+        "directions": None if entry.directions is None else _directions(entry.directions, names),
     }
 
 
@@ -154,14 +154,14 @@ def _directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _missed(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
+def _missed(values: np.ndarray, axis: int, nodes: np.ndarray) -> np.ndarray:
     """Return what reading between two nodes of an axis misses, relative, near each inner node.
 
     Logarithms are read, linear between nodes.  A quarter of what a node is off that is left out,
     for half the distance.
     """
     rows = np.moveaxis(np.log(values), axis, 0)
-    share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2])).reshape(-1, *[1] * (rows.ndim - 1))
+    share = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(-1, *[1] * (rows.ndim - 1))
     found: np.ndarray = 0.25 * np.abs((1.0 - share) * rows[:-2] + share * rows[2:] - rows[1:-1])
     return found
 

@@ -72,19 +72,19 @@ def anisotropy(
 
 
 def _plane(
-    axes: Axes, dataset: xr.Dataset, own: pd.DataFrame, axis: str, shades: dict[str, Any]
+    axes: Axes, dataset: xr.Dataset, rows: pd.DataFrame, model_axis: str, colour_of: dict[str, Any]
 ) -> None:
     """Draw the principal plane of every model, and what was measured in it."""
-    for model, colour in shades.items():
-        part = dataset.sel({axis: model}).sel(wavelength=float(own.wavelength_nm.iloc[0]))
+    for model, colour in colour_of.items():
+        part = dataset.sel({model_axis: model}).sel(wavelength=float(rows.wavelength_nm.iloc[0]))
         plane = principal_plane(part[["brdf", "brdf_stderr"]])
         plane = plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST_DEG)
         above = float(plane.brdf.sel(angle=0.0, method="nearest"))
         x, y = plane.angle.values, plane.brdf.values / above
         error = BAND * plane.brdf_stderr.values / above
-        axes.plot(x, y, color=colour, lw=1.2, label=value_label(model, axis))
+        axes.plot(x, y, color=colour, lw=1.2, label=value_label(model, model_axis))
         axes.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
-    first = own[own[axis] == next(iter(shades))]
+    first = rows[rows[model_axis] == next(iter(colour_of))]
     inside = first[first.azimuth_deg.isin([0.0, 180.0])]
     x = np.where(inside.azimuth_deg == 0.0, 1.0, -1.0) * inside.polar_deg
     axes.plot(x, inside[FACTOR], "o", color="black", ms=4, label="measured", zorder=3)
@@ -94,20 +94,20 @@ def _plane(
 
 
 def _all(
-    axes: Axes, own: pd.DataFrame, misfits: pd.DataFrame, axis: str, shades: dict[str, Any]
+    axes: Axes, rows: pd.DataFrame, misfits: pd.DataFrame, model_axis: str, colour_of: dict[str, Any]
 ) -> None:
     """Draw every direction and wavelength of a sample, modelled over measured."""
-    angles = sorted(own.polar_deg.unique())
-    for model, colour in shades.items():
-        every = misfits[(misfits[axis] == model) & (misfits.polar_deg == EVERY)]
+    angles = sorted(rows.polar_deg.unique())
+    for model, colour in colour_of.items():
+        every = misfits[(misfits[model_axis] == model) & (misfits.polar_deg == EVERY)]
         rmse = float(np.sqrt(np.average(every.rmse**2, weights=every.directions)))
         for mark, angle in zip(MARKS, angles, strict=False):
-            part = own[(own[axis] == model) & (own.polar_deg == angle)]
-            label = f"{value_label(model, axis)}: RMSE {rmse:.3f}" if mark == MARKS[0] else None
+            part = rows[(rows[model_axis] == model) & (rows.polar_deg == angle)]
+            label = f"{value_label(model, model_axis)}: RMSE {rmse:.3f}" if mark == MARKS[0] else None
             axes.plot(part[FACTOR], part.modelled, mark, color=colour, ms=2.2, alpha=0.6,
                       label=label)  # fmt: skip
-    low, high = min(own[FACTOR].min(), own.modelled.min()), max(own[FACTOR].max(),
-                                                                own.modelled.max())  # fmt: skip
+    low, high = min(rows[FACTOR].min(), rows.modelled.min()), max(rows[FACTOR].max(),
+                                                                rows.modelled.max())  # fmt: skip
     axes.plot([low, high], [low, high], color="black", lw=0.6)
     for mark, angle in zip(MARKS, angles, strict=False):
         axes.plot([], [], mark, color="0.4", ms=2.5, label=f"seen from {angle:g}°")

@@ -23,7 +23,7 @@ from splits.figures.style import (
 _HEIGHT = 4.2
 
 
-def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
+def chosen_bands(selections: Mapping[str, xr.Dataset], conditions: str = "") -> Figure:
     """Draw a column for every table: information by the number of bands, and what is left.
 
     Parameters
@@ -35,10 +35,10 @@ def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
     """
     with style():
         figure, panels = subplots(
-            2, len(found), width=TWO_COLUMNS if len(found) > 1 else ONE_COLUMN, height=_HEIGHT,
+            2, len(selections), width=TWO_COLUMNS if len(selections) > 1 else ONE_COLUMN, height=_HEIGHT,
             sharex="col", squeeze=False,
         )  # fmt: skip
-        for column, (title, dataset) in enumerate(found.items()):
+        for column, (title, dataset) in enumerate(selections.items()):
             top, bottom = panels[:, column]
             x, bits = dataset.step.values, dataset.information_bits.values
             (blue,) = colours(1)
@@ -64,5 +64,5 @@ def chosen_bands(found: Mapping[str, xr.Dataset], known: str = "") -> Figure:
             "Bands from left to right, each the one that adds most to those before it, in the mean "
             "over the ranges of the table. Error bars: two standard errors of that mean."
         )
-        note += f" {escape_mathtext(known.replace('_', ' '))}." if known else ""
+        note += f" {escape_mathtext(conditions.replace('_', ' '))}." if conditions else ""
         return finished(figure, panels[0], note)

@@ -13,7 +13,7 @@ from splits.figures.style import BAND, parameter_label, value_label
 Facts = Mapping[str, Any]
 
 
-def _quantity(words: str, unit: str = "") -> Callable[[Any], str]:
+def _quantity(label: str, unit: str = "") -> Callable[[Any], str]:
     """Return how a value is said: the words before it and the unit behind."""
 
     def said(value: Any) -> str:
@@ -22,7 +22,7 @@ def _quantity(words: str, unit: str = "") -> Callable[[Any], str]:
             text = "–".join(value_label(float(f"{x:.4g}")) for x in values)
         else:
             text = value_label(str(value))
-        return f"{words} {text} {'' if text == '∞' else unit}".strip()
+        return f"{label} {text} {'' if text == '∞' else unit}".strip()
 
     return said
 
@@ -94,14 +94,14 @@ def conditions(
     return told[:1].upper() + told[1:]
 
 
-def _of_medium(facts: Facts, at: dict[str, Any]) -> list[str]:
+def _of_medium(attributes: Facts, at: dict[str, Any]) -> list[str]:
     """Return what is said of the medium, and of the labels held fixed."""
-    kind = str(facts.get("medium", ""))
+    kind = str(attributes.get("medium", ""))
     if kind not in SAID:
         return []
-    own = {key: facts[f"{kind}_{key}"] for key in SAID[kind] if f"{kind}_{key}" in facts} | at
-    opaque = facts.get(f"{kind}_opaque") == "true"
-    alone = opaque or facts.get("instrument") in _SURFACES
+    own = {key: attributes[f"{kind}_{key}"] for key in SAID[kind] if f"{kind}_{key}" in attributes} | at
+    opaque = attributes.get(f"{kind}_opaque") == "true"
+    alone = opaque or attributes.get("instrument") in _SURFACES
     items = [kind.replace("_", " ")]
     for key, said in SAID[kind].items():
         if key in own and not (alone and key in _BELOW):

@@ -83,7 +83,7 @@ def principal_planes(
         note += "; viewing angles are positive forward"
         return shifts(plane, quantity, dim, "angle", (NARROW, labels), note, ylim)
     around = mappable(dataset.polar.values, dataset.azimuth.values)
-    maps = len(lines.all) if around and len(lines.all) <= BESIDE else 0
+    maps = len(lines.lines) if around and len(lines.lines) <= BESIDE else 0
     with style():
         figure = Drawing(TWO_COLUMNS, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity))
         per = 2 if maps > 1 else 1
@@ -104,7 +104,7 @@ def principal_planes(
                 below = grid[per * row + 1].subgridspec(1, maps)
                 cells = [below[i] for i in range(maps)]
                 shown += draw_maps(figure, cells, dataset, name, legend)
-        lines.legend(figure, [flat for _, _, flat, _ in planes], legend, INSIDE)
+        lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, INSIDE)
         return finished(figure, shown, note, legend_of(quantity) if maps else "")
 
 
@@ -119,15 +119,15 @@ def _plane(
     """Draw one quantity."""
     down = name == "btdf"
     dark = not (plane[name] > 0.0).any()
-    for one in () if dark else lines.all:
+    for one in () if dark else lines.lines:
         line = part_of(plane, one.labels)
         angle = line.angle.values
         value, error = line[name].values, BAND * line[f"{name}_stderr"].values
         low = np.maximum(value - error, 0.0)
         turned = directions(angle, down)
-        polar.plot(turned, np.maximum(value, 0.0), label=one.text, **one.look())
+        polar.plot(turned, np.maximum(value, 0.0), label=one.label, **one.to_plot_style())
         polar.fill_between(turned, low, value + error, color=one.colour, alpha=0.3, lw=0)
-        flat.plot(angle, value, label=one.text, **one.look())
+        flat.plot(angle, value, label=one.label, **one.to_plot_style())
         flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
     half_circle(polar, ylim[1] if ylim else None, down)
     if dark:
@@ -201,29 +201,29 @@ def collectors(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
         return finished(figure, [axes, *maps], note, legend_of(("brdf",)))
 
 
-def _beams(axes: Axes, plane: xr.Dataset, lines: Lines, down: bool) -> None:
+def _beams(axes: Axes, plane: xr.Dataset, lines: Lines, downward: bool) -> None:
     """Draw where the light comes from, or where it would go straight on."""
     top = axes.get_ylim()[1]
     shades: dict[float, list[Colour]] = {}
-    for one in lines.all:
+    for one in lines.lines:
         shades.setdefault(incidence_of(part_of(plane, one.labels)), []).append(one.colour)
     for incidence, used in shades.items():
         # Several beams have the colours of their lines.
         own = len(shades) > 1 and used.count(used[0]) == len(used)
-        turned = directions(np.full(2, incidence if down else -incidence), down)
-        axes.plot(turned, [0.0, top], color=used[0] if own else "black", **_beam(down))
+        turned = directions(np.full(2, incidence if downward else -incidence), downward)
+        axes.plot(turned, [0.0, top], color=used[0] if own else "black", **_beam(downward))
     axes.set_ylim(0.0, top)
-    told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_beam(down))
-    told.set_label("straight on" if down else "towards the source")
+    told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_beam(downward))
+    told.set_label("straight on" if downward else "towards the source")
     axes.legend(
         handles=[told], frameon=False, fontsize=SMALLEST,
-        loc="lower center" if down else "upper center",
-        bbox_to_anchor=(0.5, 0.92) if down else (0.5, 0.08),
+        loc="lower center" if downward else "upper center",
+        bbox_to_anchor=(0.5, 0.92) if downward else (0.5, 0.08),
     )  # fmt: skip
 
 
-def _beam(down: bool) -> dict[str, Any]:
+def _beam(downward: bool) -> dict[str, Any]:
     mark: dict[str, Any] = (
-        {} if down else {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
+        {} if downward else {"marker": "o", "ms": 3.5, "markevery": [-1], "clip_on": False}
     )
     return {"lw": 0.7, "ls": "-", **mark}

@@ -67,10 +67,10 @@ def _label(method: str) -> str:
     return METHODS[method] + (" (another model)" if method in THEORIES else "")
 
 
-def _panel(axes: Axes, table: pd.DataFrame, looks: dict[str, tuple[Colour, str]]) -> None:
+def _panel(axes: Axes, table: pd.DataFrame, styles: dict[str, tuple[Colour, str]]) -> None:
     """Draw the methods of one medium."""
     for method, rows in table.groupby("method"):
-        colour, marker = looks[str(method)]
+        colour, marker = styles[str(method)]
         rows = rows.assign(error_shown=rows.stderr_largest)
         if method in THEORIES:
             rows = rows.assign(error_shown=rows.deviation_largest)

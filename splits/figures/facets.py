@@ -34,7 +34,7 @@ _BELOW = -10.0
 def faceted(
     dataset: xr.Dataset,
     quantity: Sequence[str],
-    apart: Sequence[str],
+    panel_dims: Sequence[str],
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
     note: str = "",
@@ -56,11 +56,11 @@ def faceted(
     note : str
         For the foot.
     """
-    dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *apart)]
+    dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *panel_dims)]
     lines = Lines(dataset, dims)
-    last = dataset.sizes[apart[-1]]
-    columns = last if len(apart) == 2 and last <= WIDEST else COLUMNS
-    places = list(itertools.product(*(dataset[d].values for d in apart)))
+    last = dataset.sizes[panel_dims[-1]]
+    columns = last if len(panel_dims) == 2 and last <= WIDEST else COLUMNS
+    places = list(itertools.product(*(dataset[d].values for d in panel_dims)))
     columns = min(columns, len(places))
     block = -(-len(places) // columns)
     rows = block * len(quantity)
@@ -74,7 +74,7 @@ def faceted(
             part = panels[number * block : (number + 1) * block]
             top = ylim or (0.0, _highest(dataset, name))
             for axes, place in zip(part.flat, places, strict=False):
-                at = dict(zip(apart, place, strict=True))
+                at = dict(zip(panel_dims, place, strict=True))
                 _panel(axes, dataset.sel(at), name, lines)
                 mark_nodes(axes, nodes)
                 axes.set_title(" · ".join(value_label(v, d) for d, v in at.items()))
@@ -89,12 +89,12 @@ def faceted(
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
             shown[-1].set_xlabel("wavelength (nm)")
-        panels_are = "panels: " + " · ".join(map(parameter_label, apart))
+        panels_are = "panels: " + " · ".join(map(parameter_label, panel_dims))
         # A legend of few lines stands above the panels.
-        above = not lines.bar and len(lines.all) <= FEW
+        above = not lines.has_colour_bar and len(lines.lines) <= FEW
         if not above:
             figure.suptitle(panels_are)
-        lines.legend(figure, list(panels.flat), legend, few=0)
+        lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
         return finished(figure, panels.flat, panels_are if above else "", note, nodes_note(nodes))
 
 
@@ -110,8 +110,8 @@ def _panel(axes: Axes, part: xr.Dataset, name: str, lines: Lines) -> None:
     rows = part.transpose(*lines.dims, "wavelength")
     values = rows[name].values.reshape(-1, x.size)
     errors = BAND * rows[f"{name}_stderr"].values.reshape(-1, x.size)
-    for one, y, error in zip(lines.all, values, errors, strict=True):
-        look = one.look() | {"lw": 0.7, "zorder": _BELOW + one.zorder}
+    for one, y, error in zip(lines.lines, values, errors, strict=True):
+        look = one.to_plot_style() | {"lw": 0.7, "zorder": _BELOW + one.zorder}
         axes.plot(x, y, **look)
         axes.fill_between(
             x, np.maximum(y - error, 0.0), y + error, color=one.colour, alpha=0.25, lw=0,

@@ -53,7 +53,7 @@ def fits(
             height=3.6 * blocks, sharex=True, squeeze=False,
             gridspec_kw={"height_ratios": [2.2, 1] * blocks},
         )  # fmt: skip
-        title = legend or lines.title() or "model"
+        title = legend or lines.make_title() or "model"
         tops, bottoms = panels[0::2].ravel(), panels[1::2].ravel()
         for top, bottom, sample in zip(tops, bottoms, samples, strict=False):
             _sample(top, bottom, dataset.sel(sample=sample), lines, title)
@@ -88,12 +88,12 @@ def _sample(top: Axes, bottom: Axes, part: xr.Dataset, lines: Lines, title: str)
     x = part.wavelength.values
     measured = part.measured.isel(dict.fromkeys(lines.dims, 0)).values
     top.plot(x, measured, "ks", ms=2, label="measured", zorder=1.9)
-    for line in lines.all:
+    for line in lines.lines:
         one = part.sel(line.labels)
         y, error = one.reflectance.values, BAND * one.reflectance_stderr.values
-        top.plot(x, y, label=f"{line.text or 'model'}: {float(one.rmse):.4f}", **line.look())
+        top.plot(x, y, label=f"{line.label or 'model'}: {float(one.rmse):.4f}", **line.to_plot_style())
         off = y - one.measured.values
-        bottom.plot(x, off, **line.look())
+        bottom.plot(x, off, **line.to_plot_style())
         for axes, middle in ((top, y), (bottom, off)):
             low, high = middle - error, middle + error
             axes.fill_between(x, low, high, color=line.colour, alpha=0.25, lw=0)

@@ -58,7 +58,7 @@ def hemispheres(
         What varies, where it is one parameter; the parameter's name by default.
     """
     dataset = part_at(dataset, at)
-    count = len(lines_of(dataset, quantity[0]).all)
+    count = len(lines_of(dataset, quantity[0]).lines)
     columns = min(COLUMNS, count)
     rows = -(-count // columns)
     with style():
@@ -85,7 +85,7 @@ def legend_of(quantity: Sequence[str]) -> str:
 
 def draw_maps(
     figure: Figure,
-    places: Sequence[SubplotSpec],
+    grid_cells: Sequence[SubplotSpec],
     dataset: xr.Dataset,
     name: str,
     legend: str | None = None,
@@ -110,15 +110,15 @@ def draw_maps(
         Those of the maps, in the order of the points.
     """
     shown = dataset.isel(polar=dataset.polar.values <= STEEPEST_DEG)
-    points = lines_of(dataset, name).all
+    points = lines_of(dataset, name).lines
     parts = [part_of(shown, one.labels) for one in points]
     titles = [title_of(one.labels, legend) for one in points]
-    return draw_parts(figure, places, parts, titles, name)
+    return draw_parts(figure, grid_cells, parts, titles, name)
 
 
 def draw_parts(
     figure: Figure,
-    places: Sequence[SubplotSpec],
+    grid_cells: Sequence[SubplotSpec],
     parts: Sequence[xr.Dataset],
     titles: Sequence[str],
     name: str,
@@ -126,7 +126,7 @@ def draw_parts(
     """Draw maps of datasets over ``polar`` and ``azimuth`` alone, see `draw_maps`."""
     norm = _scale(np.concatenate([part[name].values.ravel() for part in parts]))
     panels = []
-    for place, part, title in zip(places, parts, titles, strict=True):
+    for place, part, title in zip(grid_cells, parts, titles, strict=True):
         axes = figure.add_subplot(place, projection="polar")
         image = _map(axes, part, name, norm)
         axes.set_title(title)

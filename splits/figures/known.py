@@ -23,11 +23,11 @@ ASIDE = 0.012
 
 
 def against(
-    axes: Axes, dataset: xr.Dataset, name: str, known: Mapping[str, float], group: str
+    axes: Axes, dataset: xr.Dataset, name: str, reference: Mapping[str, float], prefix: str
 ) -> Axes:
     """Draw what was found of a parameter against what is known of it, models side by side."""
-    samples = shown(dataset, known, group)
-    x = np.array([known[s] for s in samples])
+    samples = shown(dataset, reference, prefix)
+    x = np.array([reference[s] for s in samples])
     top = highest = float(x.max())
     models = models_of(dataset)
     for number, (model, colour) in enumerate(models):
@@ -53,7 +53,7 @@ def against(
         highest = max(highest, float(most.max()))
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    axes.set_title(escape_mathtext(group.strip()) or "against what is known")
+    axes.set_title(escape_mathtext(prefix.strip()) or "against what is known")
     axes.set_xlabel(f"{parameter_label(name)}, known")
     axes.set_ylabel(f"{parameter_label(name)}, retrieved")
     axes.set_xlim(0.0, top)
@@ -67,9 +67,9 @@ def against(
     return axes
 
 
-def shown(dataset: xr.Dataset, known: Mapping[str, float], group: str) -> list[str]:
+def shown(dataset: xr.Dataset, reference: Mapping[str, float], prefix: str) -> list[str]:
     """Return the samples of a group of which something is known."""
-    return [s for s in known if s in dataset.sample.values and s.startswith(group)]
+    return [s for s in reference if s in dataset.sample.values and s.startswith(prefix)]
 
 
 def models_of(dataset: xr.Dataset) -> list[tuple[str, Any]]:

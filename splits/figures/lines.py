@@ -42,16 +42,16 @@ class Line(NamedTuple):
     """One line of a figure: its point of the grid and its look."""
 
     labels: dict[str, Any]
-    text: str
+    label: str
     colour: Colour
     dash: Dash
-    default: bool
+    is_default: bool
     zorder: float
 
-    def look(self) -> dict[str, Any]:
+    def to_plot_style(self) -> dict[str, Any]:
         """Return the look as keywords of `matplotlib.axes.Axes.plot`."""
         return {
-            "color": self.colour, "ls": self.dash, "lw": 1.4 if self.default else 1.0,
+            "color": self.colour, "ls": self.dash, "lw": 1.4 if self.is_default else 1.0,
             "zorder": self.zorder,
         }  # fmt: skip
 
@@ -70,7 +70,7 @@ class Lines:
         Whether dashes, too, tell few lines over one dimension, which may lie on each other.
     """
 
-    def __init__(self, dataset: xr.Dataset, dims: Sequence[str], dashed: bool = False) -> None:
+    def __init__(self, dataset: xr.Dataset, dims: Sequence[str], use_dashes: bool = False) -> None:
         self.dims = list(dims)
         self._values = {d: dataset[d].values for d in dims}
         sizes = {d: dataset.sizes[d] for d in dims}
@@ -78,49 +78,49 @@ class Lines:
         several = [d for d in dims if sizes[d] > 1]
         # What the others are read against is told by colour.
         marked = [d for d in several if DEFAULT in map(str, self._values[d])]
-        self.main = next(iter([*marked, *several]), "")
-        if self.main and count // sizes[self.main] > len(DASHES):
-            self.main = max(sizes, key=lambda d: sizes[d])
-        others = count // sizes.get(self.main, 1)
-        named = self._is_named(self.main)
+        self.colour_dim = next(iter([*marked, *several]), "")
+        if self.colour_dim and count // sizes[self.colour_dim] > len(DASHES):
+            self.colour_dim = max(sizes, key=lambda d: sizes[d])
+        others = count // sizes.get(self.colour_dim, 1)
+        named = self._is_nominal(self.colour_dim)
         # Colours of names repeat after a while, and dashes cannot tell both.
-        repeats = named and others > 1 and sizes[self.main] > LEGIBLE
+        repeats = named and others > 1 and sizes[self.colour_dim] > LEGIBLE
         crowded = others > len(DASHES) or repeats
         if crowded:
             # Every line has a colour and an entry of its own.
-            self.main, named = "", False
-        self.others = [d for d in dims if d != self.main and sizes[d] > 1 and not crowded]
-        values = self._values.get(self.main, np.zeros(count if crowded else 1))
-        self.shades = _shades(values, self.main if named else None)
-        self.bar = len(values) > LEGIBLE and not named and not crowded
-        looks = list(np.ndindex(*(sizes[d] for d in self.others)))
-        self.all: list[Line] = []
+            self.colour_dim, named = "", False
+        self.dash_dims = [d for d in dims if d != self.colour_dim and sizes[d] > 1 and not crowded]
+        values = self._values.get(self.colour_dim, np.zeros(count if crowded else 1))
+        self.colours = _shades(values, self.colour_dim if named else None)
+        self.has_colour_bar = len(values) > LEGIBLE and not named and not crowded
+        looks = list(np.ndindex(*(sizes[d] for d in self.dash_dims)))
+        self.lines: list[Line] = []
         for place in np.ndindex(*sizes.values()):
             at = dict(zip(dims, place, strict=True))
-            row = len(self.all) if crowded else at.get(self.main, 0)
-            turn = row if crowded else looks.index(tuple(at[d] for d in self.others))
-            if dashed and not self.others and len(values) <= 4:
+            row = len(self.lines) if crowded else at.get(self.colour_dim, 0)
+            turn = row if crowded else looks.index(tuple(at[d] for d in self.dash_dims))
+            if use_dashes and not self.dash_dims and len(values) <= 4:
                 turn = row
-            elif named and not self.others:
+            elif named and not self.dash_dims:
                 turn += row // LEGIBLE
             labels = {d: self._values[d][i] for d, i in at.items()}
-            default = str(labels.get(self.main)) == DEFAULT
+            default = str(labels.get(self.colour_dim)) == DEFAULT
             # The first is what the others are compared with: it lies on top of them.
-            zorder = 4.0 if default else 2.0 + 1.0 / (1 + len(self.all))
+            zorder = 4.0 if default else 2.0 + 1.0 / (1 + len(self.lines))
             text = " · ".join(value_label(v, d) for d, v in labels.items())
             dash = DASHES[turn % len(DASHES)]
-            self.all.append(Line(labels, text, self.shades[row], dash, default, zorder))
+            self.lines.append(Line(labels, text, self.colours[row], dash, default, zorder))
 
-    def _is_named(self, dim: str) -> bool:
+    def _is_nominal(self, dim: str) -> bool:
         return dim in NOMINAL and not np.issubdtype(self._values[dim].dtype, np.number)
 
-    def title(self) -> str:
+    def make_title(self) -> str:
         """Return the names of the dimensions."""
         return " · ".join(map(parameter_label, self.dims))
 
-    def legend(
-        self, figure: Figure, axes: Sequence[Axes], title: str | None = None, few: int = FEW,
-        extra: Sequence[Artist] = (),
+    def add_legend(
+        self, figure: Figure, axes: Sequence[Axes], title: str | None = None, max_inset_entries: int = FEW,
+        extra_handles: Sequence[Artist] = (),
     ) -> None:  # fmt: skip
         """Say which line is which: on the first axes where it covers nothing, above, or beside all.
 
@@ -137,60 +137,60 @@ class Lines:
         extra : sequence of artists
             With labels of their own, beside the lines'.
         """
-        if not self.dims and not extra:
+        if not self.dims and not extra_handles:
             return
-        if self.bar:
-            self._colour_bar(figure, axes, title)
-        handles = [*self._handles(title), *extra]
-        split = len(self.all) > FEW and bool(self.others)
-        head = None if split or self.bar else title or self.title() or None
+        if self.has_colour_bar:
+            self._add_colour_bar(figure, axes, title)
+        handles = [*self._make_handles(title), *extra_handles]
+        split = len(self.lines) > FEW and bool(self.dash_dims)
+        head = None if split or self.has_colour_bar else title or self.make_title() or None
         if not handles:
             return
-        if len(handles) <= few and not self.bar:
+        if len(handles) <= max_inset_entries and not self.has_colour_bar:
             for panel in axes:
                 legend = panel.legend(handles=handles, title=head, frameon=False)
                 if not covers(legend, panel):
                     return
                 legend.remove()
-        if len(handles) <= FEW and not self.bar:
+        if len(handles) <= FEW and not self.has_colour_bar:
             above(figure, handles, head)
         else:
             beside(figure, handles, head)
 
-    def _handles(self, title: str | None) -> list[Artist]:
+    def _make_handles(self, title: str | None) -> list[Artist]:
         """Return an entry per line, or of many lines per value of each parameter."""
-        if len(self.all) <= FEW or not self.others:
-            if self.bar:
+        if len(self.lines) <= FEW or not self.dash_dims:
+            if self.has_colour_bar:
                 return []
             return [
-                Line2D([], [], label=one.text or "model", **one.look()) for one in self.all
+                Line2D([], [], label=one.label or "model", **one.to_plot_style()) for one in self.lines
             ]  # fmt: skip
         handles: list[Artist] = []
-        if not self.bar:
-            handles.append(_heading(title or parameter_label(self.main)))
-            for value, shade in zip(self._values[self.main], self.shades, strict=True):
-                text = value_label(value, self.main)
+        if not self.has_colour_bar:
+            handles.append(_heading(title or parameter_label(self.colour_dim)))
+            for value, shade in zip(self._values[self.colour_dim], self.colours, strict=True):
+                text = value_label(value, self.colour_dim)
                 handles.append(Line2D([], [], color=shade, lw=1.4, label=text))
-        handles.append(_heading(" · ".join(map(parameter_label, self.others))))
+        handles.append(_heading(" · ".join(map(parameter_label, self.dash_dims))))
         for number, one in enumerate(
-            itertools.product(*(self._values[d] for d in self.others))
+            itertools.product(*(self._values[d] for d in self.dash_dims))
         ):  # fmt: skip
-            text = " · ".join(value_label(v, d) for d, v in zip(self.others, one, strict=True))
+            text = " · ".join(value_label(v, d) for d, v in zip(self.dash_dims, one, strict=True))
             dash = DASHES[number % len(DASHES)]
             handles.append(Line2D([], [], color="0.15", lw=1.0, ls=dash, label=text))
         return handles
 
-    def _colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
-        count = len(self.shades)
+    def _add_colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
+        count = len(self.colours)
         norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
         ticks = np.arange(0, count, -(-count // LEGIBLE))
         places = [panel.get_subplotspec() for panel in axes]
         rows = len({place.rowspan.start for place in places if place is not None})
         bar = figure.colorbar(
-            ScalarMappable(norm, ListedColormap(self.shades)), ax=list(axes), ticks=ticks,
-            aspect=20 * rows, label=title or parameter_label(self.main), pad=0.02,
+            ScalarMappable(norm, ListedColormap(self.colours)), ax=list(axes), ticks=ticks,
+            aspect=20 * rows, label=title or parameter_label(self.colour_dim), pad=0.02,
         )  # fmt: skip
-        bar.ax.set_yticklabels([value_label(self._values[self.main][i], self.main) for i in ticks])
+        bar.ax.set_yticklabels([value_label(self._values[self.colour_dim][i], self.colour_dim) for i in ticks])
         bar.ax.minorticks_off()
 
 

@@ -56,7 +56,7 @@ def lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> F
     whole = dataset.pad(azimuth=(0, 1), mode="wrap")
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
     plane = plane_of(dataset)
-    lines = lines_of(plane, "brdf").all
+    lines = lines_of(plane, "brdf").lines
     # Where nothing comes back, axes want a range all the same.
     top = 1.05 * float(dataset.brdf.max()) or 1.0
     columns = min(COLUMNS, len(lines))

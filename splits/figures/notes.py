@@ -78,13 +78,13 @@ def add_notes(figure: Figure, *notes: str) -> None:
     engine.set(rect=(0.0, share, 1.0, 1.0 - share))  # type: ignore[call-arg]
 
 
-def _broken(text: Text, note: str, widest: float) -> list[str]:
+def _broken(text: Text, note: str, max_width_px: float) -> list[str]:
     """Return the lines of a note that are no wider than so many pixels."""
     lines = [""]
     for word in note.split(" "):
         longer = f"{lines[-1]} {word}".strip(" ")
         text.set_text(longer)
-        if lines[-1] and text.get_window_extent().width > widest:
+        if lines[-1] and text.get_window_extent().width > max_width_px:
             lines.append(word)
         else:
             lines[-1] = longer

@@ -58,7 +58,7 @@ def lines_of(dataset: xr.Dataset, quantity: str) -> Lines:
     directions = ("angle", "polar", "azimuth")
     dims = [str(d) for d in dataset[quantity].dims if d not in directions]
     dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
-    return Lines(dataset, dims, dashed=True)
+    return Lines(dataset, dims, use_dashes=True)
 
 
 def part_of(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Dataset:
@@ -85,10 +85,10 @@ def title_of(labels: Mapping[str, float | str], legend: str | None = None) -> st
     return "\n".join(said)
 
 
-def directions(angle_deg: np.ndarray, down: bool = False) -> np.ndarray:
+def directions(angle_deg: np.ndarray, downward: bool = False) -> np.ndarray:
     """Return the polar plot's angles (radians) of viewing angles, for light going up or down."""
     angle = np.radians(angle_deg)
-    return np.pi - angle if down else angle
+    return np.pi - angle if downward else angle
 
 
 def incidence_of(line: xr.Dataset) -> float:
@@ -97,15 +97,15 @@ def incidence_of(line: xr.Dataset) -> float:
     return float(line.attrs["incidence_deg"] if place is None else place)
 
 
-def half_circle(axes: Axes, top: float | None, down: bool = False) -> None:
+def half_circle(axes: Axes, top: float | None, downward: bool = False) -> None:
     """Make polar axes a half circle of viewing angles, above the surface or below."""
     ticks = np.arange(-90, 91, 30)
     axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    axes.set_thetalim(*np.sort(directions(np.array([-90.0, 90.0]), down)))  # type: ignore[attr-defined]
+    axes.set_thetalim(*np.sort(directions(np.array([-90.0, 90.0]), downward)))  # type: ignore[attr-defined]
     axes.set_ylim(0.0, top)
     axes.set_thetagrids(  # type: ignore[attr-defined]
-        np.degrees(directions(ticks, down)), [f"{t}°".replace("-", "−") for t in ticks]
+        np.degrees(directions(ticks, downward)), [f"{t}°".replace("-", "−") for t in ticks]
     )
     axes.tick_params(labelsize=SMALLEST, pad=1.0)
     axes.yaxis.set_major_locator(MaxNLocator(3))

@@ -88,10 +88,10 @@ def points(
         handles: list[Artist] = []
         for axes in panels[0]:
             handles = handles or axes.get_legend_handles_labels()[0]
-        if series.bar and handles:
-            series.legend(figure, list(panels[0]))
+        if series.has_colour_bar and handles:
+            series.add_legend(figure, list(panels[0]))
         elif len(handles) > 1:
-            beside(figure, handles, series.title())
+            beside(figure, handles, series.make_title())
         timed = any("wavelength" in dataset[name].dims for name in quantity)
         told = f"Shifts: {INDEPENDENT}." if dim and timed else ""
         band = "bars" if timed else ""
@@ -119,13 +119,13 @@ def _series(axes: Axes, dataset: xr.Dataset, name: str, series: Lines, dim: str 
         others = value[dim] != DEFAULT
         value, error = value.where(others, 0.0), error.where(others, 0.0)
         axes.axvline(0.0, color="black", lw=0.6, zorder=1.0)
-    count = len(series.all)
-    for number, one in enumerate(series.all):
+    count = len(series.lines)
+    for number, one in enumerate(series.lines):
         x = value.sel(one.labels).values.ravel()
         y = np.arange(x.size) + (_DODGE * ((number + 0.5) / count - 0.5) if count > 1 else 0.0)
         axes.errorbar(
             x, y, xerr=BAND * error.sel(one.labels).values.ravel(),
-            fmt="o", ms=2.5, color=one.colour, elinewidth=0.8, label=one.text,
+            fmt="o", ms=2.5, color=one.colour, elinewidth=0.8, label=one.label,
         )  # fmt: skip
 
 

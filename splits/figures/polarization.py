@@ -44,7 +44,7 @@ def polarization(
     lines = lines_of(plane, "brdf")
     with style():
         figure, (left, right) = subplots(1, 2, width=TWO_COLUMNS, height=2.6)
-        for one in lines.all:
+        for one in lines.lines:
             line = part_of(plane, one.labels)
             angle = line.angle.values
             value, error = line.brdf.values, line.brdf_stderr.values
@@ -57,7 +57,7 @@ def polarization(
             spread = np.hypot(q_error, degree * error)
             spread = np.divide(spread, value, out=nothing, where=lit)
             for axes, y, e in ((left, value, error), (right, degree, spread)):
-                axes.plot(angle, y, label=one.text, **one.look())
+                axes.plot(angle, y, label=one.label, **one.to_plot_style())
                 axes.fill_between(
                     angle, y - BAND * e, y + BAND * e, color=one.colour, alpha=0.3, lw=0
                 )
@@ -69,5 +69,5 @@ def polarization(
             axes.set_xlim(-STEEPEST_DEG - 5.0, STEEPEST_DEG + 5.0)
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.spines[["top", "right"]].set_visible(False)
-        lines.legend(figure, [left], legend, INSIDE)
+        lines.add_legend(figure, [left], legend, INSIDE)
         return finished(figure, [left, right], conditions(dataset, at))

@@ -81,11 +81,11 @@ def _strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, colour:
     axes.spines[["top", "right", "left"]].set_visible(False)
 
 
-def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame], called: str) -> list[str]:
+def _notes(base: pd.DataFrame, compared: dict[int, pd.DataFrame], set_name: str) -> list[str]:
     """Return what the columns are, and what their errors."""
-    own = dict(part.split(": ") for part in base.readings.iloc[0].split(", "))
+    own = dict(part.split(": ") for part in base.interpretation.iloc[0].split(", "))
     lines = []
-    for number, part in shown.items():
+    for number, part in compared.items():
         other = dict(one.split(": ") for one in part.readings.iloc[0].split(", "))
         changed = [f"{key} {value}".replace("_", " ") for key, value in other.items()
                    if value != own[key]]  # fmt: skip
@@ -93,6 +93,6 @@ def _notes(base: pd.DataFrame, shown: dict[int, pd.DataFrame], called: str) -> l
     bars = f"bars of errors: {BAND:g} standard errors; {INDEPENDENT}"
     said = "; ".join(f"{key} {value}".replace("_", " ") for key, value in own.items())
     return [
-        f"Numbers behind the statements: values of the default ({called}: {said}); {bars}.",
+        f"Numbers behind the statements: values of the default ({set_name}: {said}); {bars}.",
         "Others, nearest first, by what they change. " + "; ".join(lines) + ".",
     ]

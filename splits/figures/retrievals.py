@@ -50,8 +50,8 @@ _ROW_INCHES, _KNOWN_INCHES = 3.3, 2.4
 
 def retrievals(
     dataset: xr.Dataset,
-    known: Mapping[str, Mapping[str, float]] | None = None,
-    groups: Sequence[str] = ("",),
+    reference: Mapping[str, Mapping[str, float]] | None = None,
+    prefixes: Sequence[str] = ("",),
 ) -> Figure:
     """Draw a row for some samples, and what was found of all against what is known.
 
@@ -65,13 +65,13 @@ def retrievals(
         How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values
-    known = {name: values for name, values in (known or {}).items() if shown(dataset, values, "")}
-    most = min(len(every), ROWS - bool(known))
+    reference = {name: values for name, values in (reference or {}).items() if shown(dataset, values, "")}
+    most = min(len(every), ROWS - bool(reference))
     some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
     samples = every[some]
-    rows = len(samples) + bool(known)
+    rows = len(samples) + bool(reference)
     with style():
-        heights = [_ROW_INCHES] * len(samples) + [_KNOWN_INCHES] * bool(known)
+        heights = [_ROW_INCHES] * len(samples) + [_KNOWN_INCHES] * bool(reference)
         figure = Drawing(TWO_COLUMNS, sum(heights))
         grid = figure.add_gridspec(
             rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
@@ -83,16 +83,16 @@ def retrievals(
             _corner(figure, grid[row, 1], part)
             _kernel(figure.add_subplot(grid[row, 2]), part)
         several = False
-        if known:
+        if reference:
             panels = [
-                (name, group) for name, values in known.items() for group in groups
+                (name, group) for name, values in reference.items() for group in prefixes
                 if shown(dataset, values, group)
             ]  # fmt: skip
             below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
-            several = any(len(shown(dataset, known[name], g)) >= FEWEST for name, g in panels)
+            several = any(len(shown(dataset, reference[name], g)) >= FEWEST for name, g in panels)
             for column, (name, group) in enumerate(panels):
                 axes = figure.add_subplot(below[column])
-                tops.append(against(axes, dataset, name, known[name], group))
+                tops.append(against(axes, dataset, name, reference[name], group))
         note = _note(dataset, len(samples), several)
         return finished(figure, tops, note)
 

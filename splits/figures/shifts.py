@@ -49,7 +49,7 @@ def shifts(
     dataset: xr.Dataset,
     quantity: Sequence[str],
     dim: str,
-    over: str,
+    axis_dim: str,
     labels: tuple[str, Sequence[str]],
     note: str = "",
     ylim: tuple[float, float] | None = None,
@@ -74,11 +74,11 @@ def shifts(
         Of the panels of defaults; from zero if there is none.
     """
     dataset = dataset.squeeze([d for d, n in dataset.sizes.items() if n == 1 and d in
-                               dataset[quantity[0]].dims and d not in (dim, over)])  # fmt: skip
+                               dataset[quantity[0]].dims and d not in (dim, axis_dim)])  # fmt: skip
     others = [str(v) for v in dataset[dim].values if str(v) != DEFAULT]
     columns = min(COLUMNS, 1 + len(others))
     block = -(-(1 + len(others)) // columns)
-    nodes = coarse_nodes(dataset) if over == "wavelength" else {}
+    nodes = coarse_nodes(dataset) if axis_dim == "wavelength" else {}
     with style():
         figure, panels = subplots(
             block * len(quantity), columns, width=TWO_COLUMNS, sharex=True, squeeze=False,
@@ -86,7 +86,7 @@ def shifts(
         )  # fmt: skip
         for number, (name, words) in enumerate(zip(quantity, labels[1], strict=True)):
             part = panels[number * block : (number + 1) * block].ravel()
-            _block(part, dataset, name, dim, over)
+            _block(part, dataset, name, dim, axis_dim)
             part[0].set_ylabel(words)
             part[0].set_ylim(ylim or (0.0, None))
             for axes in part:
@@ -103,9 +103,9 @@ def shifts(
         return finished(figure, panels.flat, note, told, nodes_note(nodes))
 
 
-def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, over: str) -> None:
+def _block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, axis_dim: str) -> None:
     """Draw a quantity's default in the first panel and the shifts of the others in the rest."""
-    x = dataset[over].values
+    x = dataset[axis_dim].values
     default = dataset.sel({dim: DEFAULT})
     _curve(panels[0], x, default[name].values, default[f"{name}_stderr"].values, "black")
     panels[0].set_title("default")

@@ -24,7 +24,7 @@ from splits.figures.style import (
 _HEIGHT = 3.4
 
 
-def sobol(found: Mapping[str, xr.Dataset]) -> Figure:
+def sobol(indices: Mapping[str, xr.Dataset]) -> Figure:
     """Draw a panel for every table: first-order indices, total ones, and how much light varies.
 
     Parameters
@@ -34,10 +34,10 @@ def sobol(found: Mapping[str, xr.Dataset]) -> Figure:
     """
     with style():
         figure, panels = subplots(
-            2, len(found), width=TWO_COLUMNS if len(found) > 1 else ONE_COLUMN, height=_HEIGHT,
+            2, len(indices), width=TWO_COLUMNS if len(indices) > 1 else ONE_COLUMN, height=_HEIGHT,
             sharex="col", squeeze=False, gridspec_kw={"height_ratios": [2.4, 1.0]},
         )  # fmt: skip
-        for column, (title, dataset) in enumerate(found.items()):
+        for column, (title, dataset) in enumerate(indices.items()):
             top, bottom = panels[:, column]
             x = dataset.wavelength.values
             names = list(map(str, dataset.parameter.values))

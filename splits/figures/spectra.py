@@ -103,16 +103,16 @@ def spectra(
             mark_nodes(axes, nodes)
             axes.spines[["top", "right"]].set_visible(False)
         panels[-1, 0].set_xlabel("wavelength (nm)")
-        lines.legend(figure, list(panels[:, 0]), legend, extra=shown)
+        lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=shown)
         return finished(figure, panels.flat, note, nodes_note(nodes))
 
 
 def _lines(axes: Axes, dataset: xr.Dataset, name: str, lines: Lines) -> None:
-    for line in lines.all:
+    for line in lines.lines:
         part = dataset.sel(line.labels)
         x, y = part.wavelength.values, part[name].values
         error = BAND * part[f"{name}_stderr"].values
-        axes.plot(x, y, label=line.text or "model", **line.look())
+        axes.plot(x, y, label=line.label or "model", **line.to_plot_style())
         axes.fill_between(
             x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0
         )

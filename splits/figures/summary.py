@@ -62,6 +62,6 @@ def summary(
     return spectra(shown, quantity, None, {}, None, legend, None)
 
 
-def _some(size: int, most: int) -> np.ndarray:
+def _some(size: int, max_count: int) -> np.ndarray:
     """Return places evenly over an axis, both ends among them."""
-    return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
+    return np.unique(np.linspace(0, size - 1, min(size, max_count)).round().astype(int))

@@ -26,10 +26,10 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _panels(count: int, plan: int, **settings: Any) -> tuple[Figure, np.ndarray]:
+def _panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure and its panels, side by side; one of them shows x and y from above."""
     figure, panels = subplots(1, count, width=TWO_COLUMNS, height=2.8, **settings)
-    panels[plan].set(xlabel="x (m)", ylabel="y (m)")
+    panels[map_panel].set(xlabel="x (m)", ylabel="y (m)")
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
     return figure, panels
@@ -49,7 +49,7 @@ def surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) ->
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     with style():
-        figure, (left, right) = _panels(2, plan=0, width_ratios=(1.35, 1.0))
+        figure, (left, right) = _panels(2, map_panel=0, width_ratios=(1.35, 1.0))
         reach = float(np.abs(height).max())
         light = LightSource(azdeg=315, altdeg=35)
         shaded = light.shade(
@@ -95,7 +95,7 @@ def lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Fi
     far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
     shown = sorted({0, best, far})
     with style():
-        figure, (rays, screen, dense) = _panels(3, plan=1)
+        figure, (rays, screen, dense) = _panels(3, map_panel=1)
         start = dataset.path.values
         for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
             seen = (dataset.seen.values[:, ray] > 0) & (depth <= 1.4 * depth[far])

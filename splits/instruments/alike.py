@@ -13,7 +13,7 @@ from splits.instruments.shared_paths import Family
 from splits.instruments.spectral_run import TITLE, Found, Run
 
 
-def spectra_of(family: Family, run: Run, progress: Report = None) -> list[xr.Dataset]:
+def spectra_of(path_sharing: Family, request: Run, progress: Report = None) -> list[xr.Dataset]:
     """Return what `splits.spectrophotometer` would of each medium of a family, from one ensemble.
 
     Each has the error asked for.  Errors of different media go together, as their `…_groups` tell.
@@ -30,24 +30,24 @@ def spectra_of(family: Family, run: Run, progress: Report = None) -> list[xr.Dat
         ``rays`` are those that all of them share.
     """
     begun = time.perf_counter()
-    found = run.estimated(family, progress=progress)
-    whole, count = found.result, run.wavelengths.size
+    found = request.estimate(path_sharing, progress=progress)
+    whole, count = found.estimate, request.wavelengths.size
     datasets = []
-    for number, (medium, scale) in enumerate(zip(*family, strict=True)):
+    for number, (medium, scale) in enumerate(zip(*path_sharing, strict=True)):
         rows = slice(number * count, (number + 1) * count)
         own = replace(
             whole,
             mean=whole.mean[:, rows],
             stderr=whole.stderr[:, rows],
-            bias=whole.bias[:, rows],
-            groups=whole.groups[..., rows],
-            converged=bool(whole.stderr[:, rows].max() <= run.max_stderr),
+            interpolation_error=whole.interpolation_error[:, rows],
+            batch_deviations=whole.batch_deviations[..., rows],
+            converged=bool(whole.stderr[:, rows].max() <= request.max_stderr),
         )
-        cut = found.cut
+        cut = found.truncation
         if cut is not None:
-            cut = cut._replace(depth_m=scale * cut.depth_m, enough_m=scale * cut.enough_m)
-        facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
-        facts |= {"estimator": "spectral"} | run.facts(Found(own, cut))
-        axes = {"wavelength": wavelength_axis(run.wavelengths)}
-        datasets.append(xr.Dataset(run.variables(own, ("wavelength",)), axes, facts))
+            cut = cut._replace(depth_m=scale * cut.depth_m, semi_infinite_depth_m=scale * cut.semi_infinite_depth_m)
+        facts = run_facts(TITLE, "spectrophotometer", medium, begun, request.seed, request.threads)
+        facts |= {"estimator": "spectral"} | request.make_attributes(Found(own, cut))
+        axes = {"wavelength": wavelength_axis(request.wavelengths)}
+        datasets.append(xr.Dataset(request.make_variables(own, ("wavelength",)), axes, facts))
     return datasets

@@ -47,23 +47,23 @@ class Estimate:
 
     mean: np.ndarray
     stderr: np.ndarray
-    steering: np.ndarray
-    sums: np.ndarray
+    stopping_error: np.ndarray
+    hemispherical: np.ndarray
     degree: np.ndarray
-    beyond: np.ndarray
+    truncation_error: np.ndarray
 
-    def scattered(self) -> np.ndarray:
+    def compute_scattered(self) -> np.ndarray:
         """Return the reflectance and the transmittance of light that met a grain."""
-        return self.sums[0] - self.sums[2]
+        return self.hemispherical[0] - self.hemispherical[2]
 
 
 def estimate(
-    ensembles: Sequence[Directional],
-    bias: np.ndarray,
-    angles: Angles,
-    symmetric: bool,
+    tallies: Sequence[Directional],
+    interpolation_bound: np.ndarray,
+    directions: Angles,
+    axisymmetric: bool,
     side: int,
-    counted: np.ndarray,
+    direction_mask: np.ndarray,
 ) -> tuple[Estimate, list[Shares]]:
     """Estimate BRDF and BTDF, and how much each class adds to their variance.
 
@@ -86,40 +86,40 @@ def estimate(
     variance : list of Shares
         For each wavelength, what the classes of the ensembles it draws on add to the variance.
     """
-    mean, stderr, steering, beyond = np.zeros((4, 2, len(bias), len(angles.values)))
-    sums = np.zeros((4, 2, len(bias)))
-    degree = np.zeros((2, len(bias)), dtype=int)
+    mean, stderr, steering, beyond = np.zeros((4, 2, len(interpolation_bound), len(directions.polynomials)))
+    sums = np.zeros((4, 2, len(interpolation_bound)))
+    degree = np.zeros((2, len(interpolation_bound)), dtype=int)
     variance: list[Shares] = []
-    for column in range(len(bias)):
-        drawn = [i for i, e in enumerate(ensembles) if column in e.place]
-        parts = [ensembles[i].coefficients(column) for i in drawn]
+    for column in range(len(interpolation_bound)):
+        drawn = [i for i, e in enumerate(tallies) if column in e.wavelength_rows]
+        parts = [tallies[i].compute_coefficients(column) for i in drawn]
         together = np.sum(parts, axis=0)
-        straight = np.sum([ensembles[i].unscattered(column) for i in drawn], axis=0)
-        keep = supported(together, angles.basis, symmetric)
+        straight = np.sum([tallies[i].compute_unscattered(column) for i in drawn], axis=0)
+        keep = supported(together, directions.basis, axisymmetric)
         shares = {}
         for i, part in zip(drawn, parts, strict=True):
-            one = np.where(keep[:, side], part[:, :, side], 0.0) @ angles.values[counted].T
+            one = np.where(keep[:, side], part[:, :, side], 0.0) @ directions.polynomials[direction_mask].T
             shares[i] = one.var(axis=0, ddof=1) / GROUPS
         variance.append(shares)
-        values = np.where(keep, together, 0.0).sum(axis=1) @ angles.values.T
+        values = np.where(keep, together, 0.0).sum(axis=1) @ directions.polynomials.T
         mean[:, column] = values.mean(axis=0)
         stated, steered, beyond[:, column] = errors_of_detail(
-            stderr_of(values), together, keep, angles, symmetric
+            stderr_of(values), together, keep, directions, axisymmetric
         )
-        counts = np.min([ensembles[i].counts() for i in drawn], axis=0)
-        light = together[..., 0].sum(axis=1) / angles.basis.scale[0]
+        counts = np.min([tallies[i].count_rays() for i in drawn], axis=0)
+        light = together[..., 0].sum(axis=1) / directions.basis.norms[0]
         sums[:, :, column], few, unseen = _totals(light, straight, counts)
         stderr[:, column] = np.hypot(stated, few[:, np.newaxis] / np.pi)
         steering[:, column] = np.hypot(steered, unseen[:, np.newaxis] / np.pi)
-        degree[:, column] = np.where(keep, angles.basis.degree, 0).max(axis=(0, -1))
-    missed = BIAS * bias[:, np.newaxis] * mean
-    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
+        degree[:, column] = np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1))
+    missed = BIAS * interpolation_bound[:, np.newaxis] * mean
+    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(interpolation_bound, sums[::2]))
     stderr, steering = np.hypot(stderr, missed), np.hypot(steering, missed)
     return Estimate(mean, stderr, steering, sums, degree, beyond), variance
 
 
 def _totals(
-    scattered: np.ndarray, straight: np.ndarray, counts: np.ndarray
+    scattered: np.ndarray, unscattered: np.ndarray, n_rays: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the sums of an `Estimate` at one wavelength, and light that its errors must allow for.
 
@@ -139,48 +139,48 @@ def _totals(
     few, unseen : float, shape (2,)
         What was seen in too few groups, or not at all; only the latter steers a run.
     """
-    whole = scattered + straight
+    whole = scattered + unscattered
     seen = scattered.astype(bool).sum(axis=0)
-    unseen = np.where(seen == 0, 1.0 / counts[-1], 0.0)
+    unseen = np.where(seen == 0, 1.0 / n_rays[-1], 0.0)
     few = np.where(seen <= FEW, scattered.mean(axis=0), 0.0)
     errors = np.hypot(stderr_of(whole), unseen)
-    sharp = np.hypot(stderr_of(straight), ~straight.any(axis=0) / counts[0])
-    sums = np.array([whole.mean(axis=0), errors, straight.mean(axis=0), sharp])
+    sharp = np.hypot(stderr_of(unscattered), ~unscattered.any(axis=0) / n_rays[0])
+    sums = np.array([whole.mean(axis=0), errors, unscattered.mean(axis=0), sharp])
     return sums, unseen + few, unseen
 
 
-def missed_of_totals(bias: np.ndarray, total: np.ndarray) -> np.ndarray:
+def missed_of_totals(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return what interpolation may miss of hemispherical quantities, as the spectrophotometer."""
-    return bias * np.clip(8.0 * total * (1.0 - total), 0.0, 1.0)
+    return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
 
 
-def reference(result: Estimate) -> np.ndarray:
+def reference(estimate: Estimate) -> np.ndarray:
     """Return what relative errors refer to, shape (2, wavelengths, directions).
 
     The value, or a twentieth of what it would be if the light were spread evenly, where it is less.
     """
-    even = result.scattered()[..., np.newaxis] / np.pi
-    return np.maximum(result.mean, LEAST * even)
+    even = estimate.compute_scattered()[..., np.newaxis] / np.pi
+    return np.maximum(estimate.mean, LEAST * even)
 
 
 def largest_error(
-    result: Estimate,
+    estimate: Estimate,
     side: int,
-    seen: np.ndarray | slice = slice(None),
+    direction_mask: np.ndarray | slice = slice(None),
     *,
-    steering: bool = False,
+    use_stopping_error: bool = False,
 ) -> float:
     """Return the largest relative error of one side; wavelengths without light do not count.
 
     Of the errors stated, or of those that steer.
     """
-    stderr = (result.steering if steering else result.stderr)[side][:, seen]
-    scale = reference(result)[side][:, seen]
+    stderr = (estimate.stopping_error if use_stopping_error else estimate.stderr)[side][:, direction_mask]
+    scale = reference(estimate)[side][:, direction_mask]
     return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 
 def rays_wanted(
-    ensembles: Sequence[Directional], variance: Sequence[Shares], target: np.ndarray
+    tallies: Sequence[Directional], variance: Sequence[Shares], target_variances: np.ndarray
 ) -> np.ndarray:
     """Return the rays that every level should have for the least cost, ensemble by ensemble.
 
@@ -197,10 +197,10 @@ def rays_wanted(
     target : float, shape (wavelengths, directions)
         Variances to reach.
     """
-    counts = np.array([e.counts() for e in ensembles])[:, :, np.newaxis]
-    costs = np.array([e.costs() for e in ensembles])[:, :, np.newaxis]
+    counts = np.array([e.count_rays() for e in tallies])[:, :, np.newaxis]
+    costs = np.array([e.compute_class_costs() for e in tallies])[:, :, np.newaxis]
     listened = np.zeros(counts.shape[:2])
-    for shares, goal in zip(variance, target, strict=True):
+    for shares, goal in zip(variance, target_variances, strict=True):
         rows = list(shares)
         per_ray = np.stack([shares[i] for i in rows]) * counts[rows]
         need = np.sqrt(per_ray * costs[rows]).sum(axis=(0, 1))

@@ -32,7 +32,7 @@ MEDIA: dict[type, tuple[str, ...]] = {
 """Names of the media that are what an instrument asks for."""
 
 
-def check_medium(medium: Any, *kinds: type, endless: bool = False) -> None:
+def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -> None:
     """Refuse what is no medium of these kinds, by default of any.
 
     Parameters
@@ -48,7 +48,7 @@ def check_medium(medium: Any, *kinds: type, endless: bool = False) -> None:
     if isinstance(medium, kinds) and not is_class:
         if isinstance(medium, GranularMedium | LayeredMedium):
             check_room(medium)
-            if math.isinf(medium.depth_m) and not endless:
+            if math.isinf(medium.depth_m) and not allow_semi_infinite:
                 hint = "give depth_m; spectra, albedos and profiles take packs without end"
                 raise refuse("depth_m", math.inf, "finite", hint)
         return
@@ -101,12 +101,12 @@ def check_angle(incidence_deg: Any, allowed: str) -> float:
     return in_range("incidence_deg", incidence_deg, 0.0, 89.9999, "degrees")
 
 
-def _meant(text: str) -> str:
+def _meant(given: str) -> str:
     """Return what was meant by text in place of an angle, if that can be told."""
     try:
-        return f"write {float(text):g}, without quotes"
+        return f"write {float(given):g}, without quotes"
     except ValueError:
-        return suggestion(text, ["diffuse"])
+        return suggestion(given, ["diffuse"])
 
 
 def check_whole(key: str, value: object, low: int, high: int = MOST_WHOLE) -> int:
@@ -123,7 +123,7 @@ def check_whole(key: str, value: object, low: int, high: int = MOST_WHOLE) -> in
     return whole
 
 
-def check_half_width(kind: str, half_width_m: Any) -> float:
+def check_half_width(instrument: str, half_width_m: Any) -> float:
     """Return half the edge of what an instrument looks at (m), or refuse it.
 
     Parameters
@@ -132,15 +132,15 @@ def check_half_width(kind: str, half_width_m: Any) -> float:
         Key of `HALF_WIDTH_M`.
     half_width_m : number
     """
-    return in_range("half_width_m", half_width_m, *HALF_WIDTH_M[kind], "m")
+    return in_range("half_width_m", half_width_m, *HALF_WIDTH_M[instrument], "m")
 
 
-def check_size(wavelengths: int, directions: int) -> None:
+def check_size(n_wavelengths: int, n_directions: int) -> None:
     """Refuse a goniophotometer's result that would not fit into memory."""
-    if wavelengths * directions > MOST_VALUES:
+    if n_wavelengths * n_directions > MOST_VALUES:
         raise refuse(
-            "wavelength_nm", f"{wavelengths} wavelengths", f"at most {MOST_VALUES // directions}",
-            f"{directions} directions each; {MOST_VALUES} values fit into memory",
+            "wavelength_nm", f"{n_wavelengths} wavelengths", f"at most {MOST_VALUES // n_directions}",
+            f"{n_directions} directions each; {MOST_VALUES} values fit into memory",
         )  # fmt: skip
 
 
@@ -151,16 +151,16 @@ def check_threads(threads: Any) -> int:
     return check_whole("threads", threads, 1)
 
 
-def check_angles(key: str, values: Any, end: float) -> np.ndarray:
+def check_angles(key: str, values: Any, upper_deg: float) -> np.ndarray:
     """Return increasing angles from 0 to below `end` degrees, or refuse them."""
     angles = row_of(key, values, "numbers in degrees")
-    return increasing(key, check_each(key, angles, 0.0, end, "degrees", open_high=True))
+    return increasing(key, check_each(key, angles, 0.0, upper_deg, "degrees", open_high=True))
 
 
-def check_cells(cells: Any) -> tuple[int, int]:
+def check_cells(n_bins: Any) -> tuple[int, int]:
     """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
     try:
-        polar, azimuth = (check_whole("cells", n, 1, 1000) for n in cells)
+        polar, azimuth = (check_whole("cells", n, 1, 1000) for n in n_bins)
     except (TypeError, ValueError):
-        raise refuse("cells", cells, "two whole numbers from 1 to 1000") from None
+        raise refuse("cells", n_bins, "two whole numbers from 1 to 1000") from None
     return polar, azimuth

@@ -128,7 +128,7 @@ def bssrdf(
         check_half_width("bssrdf", half_width_m)
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
-    nodes = choose_nodes(index, medium.interfaces(), _TOLERANCE)
+    nodes = choose_nodes(index, medium.list_interfaces(), _TOLERANCE)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
 
     def spreads(start: int, half_width: float, cells: int) -> list[_Spread]:
@@ -136,14 +136,14 @@ def bssrdf(
         return [_Spread(n, m, absorption, w, half_width, cells) for n, (m, w) in each]
 
     def trace(ensembles: list[_Spread], rays: int) -> None:
-        runner.trace([(e, level, rays) for e in ensembles for level in e.levels], 1.0, 0.0)
+        runner.trace([(e, level, rays) for e in ensembles for level in e.strata], 1.0, 0.0)
 
     if half_width_m is None:
         pilot = spreads(len(nodes.index), 0.0, 0)
         trace(pilot, ROUND)
         radii = _quantiles(_radial(pilot, len(wavelengths)).mean(axis=0), (0.75,))
         # A free path where no light leaves; an edge that a map can be divided by in any case.
-        found = radii[0].max() or 1.0 / runner.tracer.manner.attenuation
+        found = radii[0].max() or 1.0 / runner.tracer.traits.attenuation
         half_width_m = np.clip(found, *HALF_WIDTH_M["bssrdf"])
     half_width_m = float(half_width_m)
     ensembles = spreads(0, half_width_m, CELLS)
@@ -152,12 +152,12 @@ def bssrdf(
         **run_facts("Spread of a beam", "bssrdf", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "half_width_m": half_width_m,
-        "rays": sum(level.rays for e in ensembles for level in e.levels),
+        "rays": sum(level.n_rays for e in ensembles for level in e.strata),
         "ensembles": len(ensembles),
-        "interpolation_error_bound": float(nodes.bias.max()),
-        "kernel": runner.kernels(ensembles),
+        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
+        "kernel": runner.list_kernels(ensembles),
     }
-    return _dataset(ensembles, wavelengths, half_width_m, nodes.bias, facts)
+    return _dataset(ensembles, wavelengths, half_width_m, nodes.interpolation_bound, facts)
 
 
 class _Spread:
@@ -165,63 +165,63 @@ class _Spread:
 
     def __init__(
         self,
-        number: int,
+        stream_index: int,
         index: np.ndarray,
         absorption: np.ndarray,
         weights: np.ndarray,
         half_width: float,
-        cells: int,
+        n_pixels: int,
     ) -> None:
         served = weights > 0.0
-        self.served = served
+        self.wavelength_mask = served
         self.absorption = absorption[served]
         self.weights = weights[served]
         self.half_width = half_width
-        self.cells = cells
+        self.n_pixels = n_pixels
         optics = shared_optics(index, self.absorption)
-        self.levels = [Level(streams.SPREAD + number, optics, served, 400.0)]
-        self.radial = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
-        self.moment = np.zeros((GROUPS, 2, len(self.absorption)))
-        self.place = np.zeros((2, 2, len(self.absorption), cells, cells))
+        self.strata = [Level(streams.SPREAD + stream_index, optics, served, 400.0)]
+        self.radial_sums = np.zeros((GROUPS, 2, len(self.absorption), _BINS))
+        self.moment_sums = np.zeros((GROUPS, 2, len(self.absorption)))
+        self.map_sums = np.zeros((2, 2, len(self.absorption), n_pixels, n_pixels))
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
-        return int(self.radial[0].size + self.moment[0].size + self.place.size)
+        return int(self.radial_sums[0].size + self.moment_sums[0].size + self.map_sums.size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Sums:
         """Return the sums of a batch of exits."""
         sums = spread(
-            exits, self.absorption, SHORTEST_M, PER_DECADE, _BINS, self.half_width, self.cells
+            exits, self.absorption, SHORTEST_M, PER_DECADE, _BINS, self.half_width, self.n_pixels
         )
-        return (first // BATCH) % GROUPS, *sums
+        return (first_ray // BATCH) % GROUPS, *sums
 
-    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Sums]) -> None:
         """Add the sums of batches one by one: they do not depend on who traced them."""
-        level.rays += BATCH * len(tallies)
-        for group, radial, moment, place in tallies:
-            self.radial[group] += radial
-            self.moment[group] += moment
-            self.place += place
+        stratum.n_rays += BATCH * len(scores)
+        for group, radial, moment, place in scores:
+            self.radial_sums[group] += radial
+            self.moment_sums[group] += moment
+            self.map_sums += place
 
 
-def _radial(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+def _radial(tallies: Sequence[_Spread], n_wavelengths: int) -> np.ndarray:
     """Return the share of light by distance, by groups of rays."""
-    total = np.zeros((GROUPS, 2, wavelengths, _BINS))
-    for e in ensembles:
-        share = e.weights[:, np.newaxis] / (e.levels[0].rays / GROUPS)
-        total[:, :, e.served] += share * e.radial
+    total = np.zeros((GROUPS, 2, n_wavelengths, _BINS))
+    for e in tallies:
+        share = e.weights[:, np.newaxis] / (e.strata[0].n_rays / GROUPS)
+        total[:, :, e.wavelength_mask] += share * e.radial_sums
     return total
 
 
-def _quantiles(radial: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
+def _quantiles(radial_fractions: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
     """Return the radii (m) within which parts of the light leave, shape (…, quantiles).
 
     Between the edges of fine bins the logarithm is interpolated; 0 where there is no light.
     """
-    within = np.cumsum(radial, axis=-1)
+    within = np.cumsum(radial_fractions, axis=-1)
     edges = np.log(SHORTEST_M) + np.log(10.0) / PER_DECADE * np.arange(_BINS - 1)
-    found = np.zeros((*radial.shape[:-1], len(quantiles)))
-    for place in np.ndindex(*radial.shape[:-1]):
+    found = np.zeros((*radial_fractions.shape[:-1], len(quantiles)))
+    for place in np.ndindex(*radial_fractions.shape[:-1]):
         total = within[place][-1]
         if total > 0.0:
             found[place] = np.exp(np.interp(quantiles, within[place][:-1] / total, edges))
@@ -229,18 +229,18 @@ def _quantiles(radial: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
 
 
 def _dataset(
-    ensembles: Sequence[_Spread],
+    tallies: Sequence[_Spread],
     wavelengths: np.ndarray,
     half_width: float,
-    bias: np.ndarray,
-    facts: dict[str, Any],
+    interpolation_bound: np.ndarray,
+    attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Return the sums as a labelled dataset."""
-    radial = _radial(ensembles, len(wavelengths))
+    radial = _radial(tallies, len(wavelengths))
     moment = np.zeros(radial.shape[:-1])
-    for e in ensembles:
-        moment[:, :, e.served] += e.weights * e.moment / (e.levels[0].rays / GROUPS)
-    place = _places(ensembles, len(wavelengths))
+    for e in tallies:
+        moment[:, :, e.wavelength_mask] += e.weights * e.moment_sums / (e.strata[0].n_rays / GROUPS)
+    place = _places(tallies, len(wavelengths))
     inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _COARSE).sum(axis=-1)
     edges = SHORTEST_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _COARSE / PER_DECADE)
     profile = inner / (np.pi * np.diff(edges**2))
@@ -251,9 +251,9 @@ def _dataset(
     quantile = _quantiles(radial.mean(axis=0), QUANTILES)
     cell = (2.0 * half_width / CELLS) ** 2
     # Nothing seen is not certainty: as if one more ray had come.
-    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    unseen = max(1.0 / e.strata[0].n_rays for e in tallies)
     certain = np.where(share.mean(axis=0) > 0.0, stderr_of(share), unseen)
-    certain = np.hypot(certain, missed_of_totals(bias, share.mean(axis=0)))
+    certain = np.hypot(certain, missed_of_totals(interpolation_bound, share.mean(axis=0)))
     results = {
         "share": ("share of light", "1", (), share.mean(axis=0), certain),
         "mean_radius": (
@@ -285,19 +285,19 @@ def _dataset(
         "x": ("x", across, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
     }
-    return xr.Dataset(variables, coordinates, facts)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
-def _places(ensembles: Sequence[_Spread], wavelengths: int) -> np.ndarray:
+def _places(tallies: Sequence[_Spread], n_wavelengths: int) -> np.ndarray:
     """Return the light that leaves through each cell, and its variance, in the first axis."""
-    place = np.zeros((2, 2, wavelengths, CELLS, CELLS))
-    for e in ensembles:
-        rays = e.levels[0].rays
+    place = np.zeros((2, 2, n_wavelengths, CELLS, CELLS))
+    for e in tallies:
+        rays = e.strata[0].n_rays
         w = e.weights[:, np.newaxis, np.newaxis]
-        place[0][:, e.served] += w * e.place[0] / rays
-        place[1][:, e.served] += w**2 * (e.place[1] - e.place[0] ** 2 / rays) / rays**2
+        place[0][:, e.wavelength_mask] += w * e.map_sums[0] / rays
+        place[1][:, e.wavelength_mask] += w**2 * (e.map_sums[1] - e.map_sums[0] ** 2 / rays) / rays**2
     return place
 
 
-def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+def _ratio(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
+    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator > 0.0)

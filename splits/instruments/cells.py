@@ -49,48 +49,48 @@ class Cells:
 
     def __init__(
         self,
-        number: int,
+        stream_index: int,
         index: np.ndarray,
         absorption: np.ndarray,
         weights: np.ndarray,
-        shape: tuple[int, int],
-        stokes: Sequence[int] = (),
+        n_bins: tuple[int, int],
+        stokes_columns: Sequence[int] = (),
     ) -> None:
         self.absorption = absorption
         self.weights = weights
-        self.shape = shape
-        self.parts = (-1, *stokes)
-        self.sums = np.zeros((len(self.parts), 2, 2, len(absorption), *shape))
-        self.straight = np.zeros((2, 2, len(absorption)))
+        self.n_bins = n_bins
+        self.stokes_columns = (-1, *stokes_columns)
+        self.bin_sums = np.zeros((len(self.stokes_columns), 2, 2, len(absorption), *n_bins))
+        self.unscattered_sums = np.zeros((2, 2, len(absorption)))
         served = weights > 0.0
         optics = shared_optics(index, absorption[served])
-        self.levels = [Level(streams.CELLS + number, optics, served, 400.0)]
+        self.strata = [Level(streams.CELLS + stream_index, optics, served, 400.0)]
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
-        return int(self.sums.size + self.straight.size)
+        return int(self.bin_sums.size + self.unscattered_sums.size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Sums:
         """Return the sums of a batch of exits."""
-        found = [count_cells(exits, self.absorption, *self.shape, part) for part in self.parts]
+        found = [count_cells(exits, self.absorption, *self.n_bins, part) for part in self.stokes_columns]
         return np.stack([sums for sums, _ in found]), found[0][1]
 
-    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Sums]) -> None:
         """Add the sums of batches one by one: they do not depend on who traced them."""
-        level.rays += BATCH * len(tallies)
-        for sums, straight in tallies:
-            self.sums += sums
-            self.straight += straight
+        stratum.n_rays += BATCH * len(scores)
+        for sums, straight in scores:
+            self.bin_sums += sums
+            self.unscattered_sums += straight
 
 
-def centres(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def centres(n_bins: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return the polar and azimuth angles (degrees) of the middle of cells, from the zenith on."""
-    polar, azimuth = shape
+    polar, azimuth = n_bins
     cosine = (np.arange(polar)[::-1] + 0.5) / polar
     return np.degrees(np.arccos(cosine)), np.arange(azimuth) * (360.0 / azimuth)
 
 
-def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
+def estimate_cells(tallies: Sequence[Cells], interpolation_bound: np.ndarray) -> Estimate:
     """Estimate BRDF and BTDF of every cell, from the zenith on.
 
     Parameters
@@ -99,58 +99,58 @@ def estimate_cells(ensembles: Sequence[Cells], bias: np.ndarray) -> Estimate:
     bias : float, shape (wavelengths,)
         See `splits.instruments.nodes.Nodes`.
     """
-    polar, azimuth = ensembles[0].shape
-    mean, stderr = _means(ensembles, 0)
-    sums = np.zeros((4, 2, len(bias)))
-    for e in ensembles:
-        share = 1.0 / e.levels[0].rays
-        whole = e.sums[0].sum(axis=(-2, -1)) + e.straight
-        for row, part in ((0, whole), (2, e.straight)):
+    polar, azimuth = tallies[0].n_bins
+    mean, stderr = _means(tallies, 0)
+    sums = np.zeros((4, 2, len(interpolation_bound)))
+    for e in tallies:
+        share = 1.0 / e.strata[0].n_rays
+        whole = e.bin_sums[0].sum(axis=(-2, -1)) + e.unscattered_sums
+        for row, part in ((0, whole), (2, e.unscattered_sums)):
             sums[row] += e.weights * share * part[0]
             sums[row + 1] += (e.weights * share) ** 2 * (part[1] - share * part[0] ** 2)
     sums[1::2] = np.sqrt(np.maximum(sums[1::2], 0.0))
-    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(bias, sums[::2]))
-    missed = BIAS * bias[:, np.newaxis, np.newaxis] * mean
-    shape = (2, len(bias), polar * azimuth)
+    sums[1::2] = np.hypot(sums[1::2], missed_of_totals(interpolation_bound, sums[::2]))
+    missed = BIAS * interpolation_bound[:, np.newaxis, np.newaxis] * mean
+    shape = (2, len(interpolation_bound), polar * azimuth)
     stderr = np.hypot(stderr, missed).reshape(shape)
     return Estimate(
         mean.reshape(shape),
         stderr,
         stderr,
         sums,
-        np.zeros((2, len(bias)), dtype=int),
+        np.zeros((2, len(interpolation_bound)), dtype=int),
         np.zeros(shape),
     )
 
 
-def stokes_of_cells(ensembles: Sequence[Cells]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def stokes_of_cells(tallies: Sequence[Cells]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return Q, U and V of BRDF and BTDF with their errors, by name, where exits tell them."""
     found = {}
-    for place, name in enumerate("quv"[: len(ensembles[0].parts) - 1], start=1):
-        pair = _means(ensembles, place)
+    for place, name in enumerate("quv"[: len(tallies[0].stokes_columns) - 1], start=1):
+        pair = _means(tallies, place)
         for side, function in enumerate(("brdf", "btdf")):
             mean, stderr = (x[side].reshape(len(x[side]), -1) for x in pair)
             found[f"{function}_{name}"] = (mean, stderr)
     return found
 
 
-def _projected(shape: tuple[int, int]) -> np.ndarray:
+def _projected(n_bins: tuple[int, int]) -> np.ndarray:
     """Return the projected solid angle of cells from the zenith on, shape (polar, 1)."""
-    polar, azimuth = shape
+    polar, azimuth = n_bins
     edges = np.arange(polar + 1) / polar
     return (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]
 
 
-def _means(ensembles: Sequence[Cells], part: int) -> tuple[np.ndarray, np.ndarray]:
+def _means(tallies: Sequence[Cells], component: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a distribution function and its standard errors, from the zenith on."""
-    mean, variance = np.zeros((2, *ensembles[0].sums.shape[2:]))
-    for e in ensembles:
-        share, weights = 1.0 / e.levels[0].rays, e.weights[:, np.newaxis, np.newaxis]
-        total, square = e.sums[part]
+    mean, variance = np.zeros((2, *tallies[0].bin_sums.shape[2:]))
+    for e in tallies:
+        share, weights = 1.0 / e.strata[0].n_rays, e.weights[:, np.newaxis, np.newaxis]
+        total, square = e.bin_sums[component]
         mean += weights * share * total
         variance += weights**2 * share**2 * (square - share * total**2)
-    projected = _projected(ensembles[0].shape)
+    projected = _projected(tallies[0].n_bins)
     # An empty cell is not certain: as if a ray had come.
-    unseen = max(1.0 / e.levels[0].rays for e in ensembles)
+    unseen = max(1.0 / e.strata[0].n_rays for e in tallies)
     stderr = np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), unseen)
     return mean[:, :, ::-1] / projected, stderr[:, :, ::-1] / projected

@@ -46,14 +46,14 @@ class Cut(NamedTuple):
 
     media: tuple[Medium, ...]
     depth_m: float
-    passed: np.ndarray
-    clear: np.ndarray
-    escape: np.ndarray
-    below: np.ndarray
-    enough_m: float
+    transmitted_fraction: np.ndarray
+    conservative: np.ndarray
+    escape_probability: np.ndarray
+    ground_absorption: np.ndarray
+    semi_infinite_depth_m: float
 
-    def reached(
-        self, estimate: Callable[[float], Estimate], max_stderr: float, steps: np.ndarray = NO_STEPS
+    def estimate_to_error(
+        self, estimate_above: Callable[[float], Estimate], max_stderr: float, steps: np.ndarray = NO_STEPS
     ) -> Estimate:
         """Return the estimate of the whole pack to an error.
 
@@ -71,19 +71,19 @@ class Cut(NamedTuple):
         """
         goal = max_stderr * (1.0 - SHARE**2) ** 0.5
         for _ in range(ATTEMPTS):
-            found = estimate(goal)
-            result = self.completed(found, max_stderr)
+            found = estimate_above(goal)
+            result = self.complete_estimate(found, max_stderr)
             if result.converged or not found.converged:
                 break
             goal *= 0.5
-        return replace(result, slopes=self.slopes(found, steps)) if steps.size else result
+        return replace(result, derivatives=self.complete_derivatives(found, steps)) if steps.size else result
 
-    def completed(self, found: Estimate, max_stderr: float) -> Estimate:
+    def complete_estimate(self, above: Estimate, max_stderr: float) -> Estimate:
         """Return the estimate of the whole pack from that of the part above the cut."""
-        media = found.mean.shape[1] // self.passed.shape[1]
-        passed, clear, escape = (x[:media].ravel() for x in (self.passed, self.clear, self.escape))
-        kept = found.mean[1]
-        back = np.minimum(found.mean[0], 1.0)
+        media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
+        passed, clear, escape = (x[:media].ravel() for x in (self.transmitted_fraction, self.conservative, self.escape_probability))
+        kept = above.mean[1]
+        back = np.minimum(above.mean[0], 1.0)
         # Where nothing is absorbed, all that does not come back goes through, in error as in size.
         through = np.where(clear, 1.0 - back, np.minimum(kept * passed, 1.0 - back))
         mean = np.stack([back, through, 1.0 - back - through])
@@ -92,34 +92,34 @@ class Cut(NamedTuple):
         rest = np.where(clear, 0.0, np.hypot(doubt, below))
         missed = np.stack([doubt, below, rest])
         scale = np.stack([np.ones_like(kept), passed, np.ones_like(kept)])
-        own = scale * found.stderr
+        own = scale * above.stderr
         # Absorbed is what was so above the cut, and what the rest keeps for itself: all that is
         # neither reflected nor let through.
-        own[2] = np.minimum(own[2] + (1.0 - passed) * found.stderr[1], own[0] + own[1])
+        own[2] = np.minimum(own[2] + (1.0 - passed) * above.stderr[1], own[0] + own[1])
         own[1], own[2] = np.where(clear, own[0], own[1]), np.where(clear, 0.0, own[2])
         stderr = np.hypot(own, missed)
-        groups = found.groups * scale[:2]
+        groups = above.batch_deviations * scale[:2]
         groups[:, 1] = np.where(clear, -groups[:, 0], groups[:, 1])
-        bias = np.hypot(scale * found.bias, missed)
+        bias = np.hypot(scale * above.interpolation_error, missed)
         converged = bool(stderr.max() <= max_stderr)
         return replace(
-            found, mean=mean, stderr=stderr, bias=bias, groups=groups, converged=converged
+            above, mean=mean, stderr=stderr, interpolation_error=bias, batch_deviations=groups, converged=converged
         )
 
-    def slopes(self, found: Estimate, steps: np.ndarray) -> Slopes:
+    def complete_derivatives(self, above: Estimate, steps: np.ndarray) -> Slopes:
         """Return derivatives of the whole pack's answer from those of the part above the cut.
 
         What the rest keeps and lets through is moved in theory, whose doubt holds for that part.
         """
         step = steps[:, np.newaxis]
-        darker = (self.below[1:] - self.below[0]) / step
-        passing = (self.passed[1:] - self.passed[0]) / step
-        of_paths, ground = found.slopes.of(slice(None, -1)), found.slopes.of(slice(-1, None))
-        kept, passed = found.mean[1], self.passed[0]
+        darker = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
+        passing = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
+        of_paths, ground = above.derivatives.select(slice(None, -1)), above.derivatives.select(slice(-1, None))
+        kept, passed = above.mean[1], self.transmitted_fraction[0]
         scale = np.stack([np.ones_like(passed), passed])[:, np.newaxis]
         more = np.stack([np.zeros_like(passing), kept * passing])
-        groups = of_paths.groups * scale
-        groups[:, 1] += found.groups[:, 1, np.newaxis] * passing
+        groups = of_paths.batch_deviations * scale
+        groups[:, 1] += above.batch_deviations[:, 1, np.newaxis] * passing
         doubt = DOUBT * (scale * np.abs(darker * ground.mean) + np.abs(more))
-        missed = np.hypot(scale * of_paths.missed, doubt)
+        missed = np.hypot(scale * of_paths.bias_bound, doubt)
         return Slopes(of_paths.mean * scale + more, groups, missed)

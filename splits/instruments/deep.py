@@ -120,7 +120,7 @@ def deep_transmittance(
             number = streams.DEEP + (STAGES + 1) * row
             rate = _piloted(source, number, guess, float(medium.depth_m))
             run = _reached(goal, source, number + STAGES, rate)
-            results[:, row] = *run.estimate(), run.rays, rate
+            results[:, row] = *run.estimate(), run.n_histories, rate
     transmittance, errors, shares, count, rates = results
     long_name = (
         "hemispherical" if incidence == "diffuse" else "directional"
@@ -150,27 +150,27 @@ class _Goal(NamedTuple):
 
     relative_stderr: float
     max_rays: int
-    begun: float
+    start_time: float
     progress: Report
 
 
-def _reached(goal: _Goal, source: _Source, number: int, rate: float) -> _Sum:
+def _reached(stopping_rule: _Goal, tracer: _Source, stream: int, splitting_rate: float) -> _Sum:
     """Return families of rays of one wavelength, traced until the error or the rays asked for."""
     run = _Sum()
     wanted = PILOT
     while True:
-        run.add(source, number, wanted, rate)
+        run.trace_histories(tracer, stream, wanted, splitting_rate)
         mean, stderr, share = run.estimate()
         error = stderr / mean if mean > 0.0 else np.inf
-        if callable(goal.progress):
-            seconds = time.perf_counter() - goal.begun
-            left = seconds * max((error / goal.relative_stderr) ** 2 - 1.0, 0.0)
-            goal.progress(Progress(run.rays, error, goal.relative_stderr, seconds, left))
-        done = error <= goal.relative_stderr and share <= LARGEST_SHARE
-        if done or run.rays >= goal.max_rays:
+        if callable(stopping_rule.progress):
+            seconds = time.perf_counter() - stopping_rule.start_time
+            left = seconds * max((error / stopping_rule.relative_stderr) ** 2 - 1.0, 0.0)
+            stopping_rule.progress(Progress(run.n_histories, error, stopping_rule.relative_stderr, seconds, left))
+        done = error <= stopping_rule.relative_stderr and share <= LARGEST_SHARE
+        if done or run.n_histories >= stopping_rule.max_rays:
             return run
-        needed = 1.1 * run.rays * (error / goal.relative_stderr) ** 2
-        wanted = int(min(max(needed, 1.5 * run.rays), 4.0 * run.rays, 2.0 * goal.max_rays))
+        needed = 1.1 * run.n_histories * (error / stopping_rule.relative_stderr) ** 2
+        wanted = int(min(max(needed, 1.5 * run.n_histories), 4.0 * run.n_histories, 2.0 * stopping_rule.max_rays))
 
 
 class _Source(NamedTuple):
@@ -181,11 +181,11 @@ class _Source(NamedTuple):
     scene: Scene
     optics: Optics
 
-    def trace(self, number: int, first: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    def trace(self, stream: int, first_history: int, splitting_rate: float) -> tuple[np.ndarray, np.ndarray]:
         """Return moments and profile of a batch, see `splits.transport.grains.deep.families`."""
         moments, profile = np.zeros((2, 3)), np.zeros((2, SLICES))
-        work = np.array([number, first, BATCH])
-        spent = families(self.seed, work, self.scene, self.optics, rate, moments, profile)
+        work = np.array([stream, first_history, BATCH])
+        spent = families(self.seed, work, self.scene, self.optics, splitting_rate, moments, profile)
         if spent.lost:
             raise RuntimeError("a ray found no grain that fits between the boundaries")
         return moments[1], profile
@@ -200,32 +200,32 @@ class _Sum:
     """
 
     def __init__(self) -> None:
-        self.rays = 0
-        self._total, self._square, self._largest = 0.0, 0.0, 0.0
-        self._profile = np.zeros((2, SLICES))
+        self.n_histories = 0
+        self._sum, self._sum_of_squares, self._max_score = 0.0, 0.0, 0.0
+        self._depth_profile = np.zeros((2, SLICES))
 
-    def add(self, source: _Source, number: int, wanted: int, rate: float) -> None:
+    def trace_histories(self, tracer: _Source, stream: int, n_histories: int, splitting_rate: float) -> None:
         """Trace whole batches until there are so many rays."""
-        batches = range(self.rays, wanted, BATCH)
-        for moments, profile in source.pool.map(
-            lambda first: source.trace(number, first, rate), batches
+        batches = range(self.n_histories, n_histories, BATCH)
+        for moments, profile in tracer.pool.map(
+            lambda first: tracer.trace(stream, first, splitting_rate), batches
         ):
-            self._total += moments[0]
-            self._square += moments[1]
-            self._largest = max(self._largest, moments[2])
-            self._profile += profile
-            self.rays += BATCH
+            self._sum += moments[0]
+            self._sum_of_squares += moments[1]
+            self._max_score = max(self._max_score, moments[2])
+            self._depth_profile += profile
+            self.n_histories += BATCH
 
     def estimate(self) -> tuple[float, float, float]:
         """Return the mean, its standard error, and the heaviest family's share of the sum."""
-        mean = self._total / self.rays
-        stderr = np.sqrt(max(self._square / self.rays - mean**2, 0.0) / self.rays)
-        share = self._largest / self._total if self._total > 0.0 else 1.0
+        mean = self._sum / self.n_histories
+        stderr = np.sqrt(max(self._sum_of_squares / self.n_histories - mean**2, 0.0) / self.n_histories)
+        share = self._max_score / self._sum if self._sum > 0.0 else 1.0
         return float(mean), float(stderr), float(share)
 
-    def rate(self, depth: float, fallback: float) -> float:
+    def estimate_attenuation_rate(self, depth: float, fallback: float) -> float:
         """Return the rate (1/m) at which the weight falls off with depth, as far as it was seen."""
-        count, weight = self._profile
+        count, weight = self._depth_profile
         # Neither the slice at the top nor that at the bottom, where light escapes.
         inside = (count >= _SEEN) & (weight > 0.0)
         inside[[0, -1]] = False
@@ -235,13 +235,13 @@ class _Sum:
         return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
 
 
-def _piloted(source: _Source, number: int, guess: float, depth: float) -> float:
+def _piloted(tracer: _Source, first_stream: int, initial_rate: float, depth: float) -> float:
     """Return the rate (1/m) at which rays are to be split, as pilots see the light fall off."""
-    rate = _SAFE * guess
+    rate = _SAFE * initial_rate
     for stage in range(STAGES):
         pilot = _Sum()
-        pilot.add(source, number + stage, PILOT, rate)
-        rate = min(pilot.rate(depth, rate), guess)
+        pilot.trace_histories(tracer, first_stream + stage, PILOT, rate)
+        rate = min(pilot.estimate_attenuation_rate(depth, rate), initial_rate)
     return rate
 
 

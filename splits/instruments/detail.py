@@ -42,7 +42,7 @@ class Angles:
     """
 
     basis: Basis
-    values: np.ndarray
+    polynomials: np.ndarray
 
 
 def angles_of(polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: Basis) -> Angles:
@@ -53,7 +53,7 @@ def angles_of(polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: Basis) -> A
     return Angles(basis, evaluate_all(basis, directions))
 
 
-def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.ndarray:
+def supported(coefficients: np.ndarray, basis: Basis, axisymmetric: bool) -> np.ndarray:
     """Tell which polynomials the data support, bool[…, polynomials].
 
     Of each coefficient, the square it really has is lost if it is dropped, and its variance is
@@ -72,13 +72,13 @@ def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.nda
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
     # Where there is no light, nothing is gained by keeping anything.
     gain = mean**2 - PENALTY * variance - np.finfo(float).tiny
-    tallest = basis.per_m[0]
-    orders = basis.per_m[:1] if symmetric else basis.per_m
+    tallest = basis.n_per_m[0]
+    orders = basis.n_per_m[:1] if axisymmetric else basis.n_per_m
     # Best total gain of m and all higher ones, if m keeps at most so many.
     best = np.zeros((len(orders) + 1, *mean.shape[:-1], tallest + 1))
     choice = np.zeros(best.shape, dtype=int)
     heights = np.arange(tallest + 1)
-    ends = np.cumsum(basis.per_m)
+    ends = np.cumsum(basis.n_per_m)
     for m in reversed(range(len(orders))):
         part = slice(ends[m] - orders[m], ends[m])
         gained = np.full(best.shape[1:], -np.inf)
@@ -102,7 +102,7 @@ def supported(coefficients: np.ndarray, basis: Basis, symmetric: bool) -> np.nda
 
 
 def errors_of_detail(
-    noise: np.ndarray, together: np.ndarray, keep: np.ndarray, angles: Angles, symmetric: bool
+    noise_stderr: np.ndarray, coefficients: np.ndarray, term_mask: np.ndarray, directions: Angles, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return standard errors with detail that was dropped: stated, for steering, and what is finer.
 
@@ -128,40 +128,40 @@ def errors_of_detail(
     stderr, steering, beyond : float, shape (2, directions)
         See `splits.instruments.angular.Estimate`.
     """
-    kept, rest = np.where(keep, together, 0.0), np.where(keep, 0.0, together)
+    kept, rest = np.where(term_mask, coefficients, 0.0), np.where(term_mask, 0.0, coefficients)
     (apart, less), (common, less_common) = (
-        [detail(one, symmetric, angles.basis, doubt) for doubt in (0.0, FEIGNED)]
+        [detail(one, axisymmetric, directions.basis, doubt) for doubt in (0.0, FEIGNED)]
         for one in (rest, rest.sum(axis=1))
     )
     even = np.maximum(apart.sum(axis=0), common)[:, np.newaxis]
-    where, joint = (np.maximum(1.0, concentration(one, angles)) for one in (kept, kept.sum(axis=1)))
+    where, joint = (np.maximum(1.0, concentration(one, directions)) for one in (kept, kept.sum(axis=1)))
     there = np.maximum(
         (less[..., np.newaxis] + apart[..., np.newaxis] * (where - 1.0)).sum(axis=0),
         less_common[:, np.newaxis] + common[:, np.newaxis] * (joint - 1.0),
     )
-    beyond = finer(together.sum(axis=1), symmetric, angles)
+    beyond = finer(coefficients.sum(axis=1), axisymmetric, directions)
     stderr, steering = (
-        np.hypot(np.hypot(noise, np.sqrt(dropped)), beyond) for dropped in (there, even)
+        np.hypot(np.hypot(noise_stderr, np.sqrt(dropped)), beyond) for dropped in (there, even)
     )
     return stderr, steering, beyond
 
 
-def detail(dropped: np.ndarray, symmetric: bool, basis: Basis, doubt: float = 0.0) -> np.ndarray:
+def detail(coefficients: np.ndarray, axisymmetric: bool, basis: Basis, noise_sigma: float = 0.0) -> np.ndarray:
     """Return the mean square, over the hemisphere, of the detail that dropped coefficients hold.
 
     Their squares less their variances, as far as the sum is positive: what is too weak to be told
     from noise one by one may show in its sum.  So many standard errors (`doubt`) of what that sum
     is by noise alone are taken off.
     """
-    if symmetric:
-        dropped = dropped[..., : basis.per_m[0]]
-    variance = dropped.var(axis=0, ddof=1) / len(dropped)
-    power = (dropped.mean(axis=0) ** 2 - variance).sum(axis=-1)
+    if axisymmetric:
+        coefficients = coefficients[..., : basis.n_per_m[0]]
+    variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
+    power = (coefficients.mean(axis=0) ** 2 - variance).sum(axis=-1)
     noise = np.sqrt(2.0 * (variance**2).sum(axis=-1))
-    return np.maximum(power - doubt * noise, 0.0) / np.pi
+    return np.maximum(power - noise_sigma * noise, 0.0) / np.pi
 
 
-def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
+def concentration(coefficients: np.ndarray, directions: Angles) -> np.ndarray:
     """Return the detail's square over its mean over the hemisphere, shape (…, directions).
 
     What a class drops adds up where what it keeps does: a lobe is cut where the lobe is.  To spread
@@ -174,12 +174,12 @@ def concentration(kept: np.ndarray, angles: Angles) -> np.ndarray:
     kept : float, shape (groups, …, polynomials)
         Coefficients, 0 for those that were dropped.
     """
-    detail = kept[..., ALWAYS:]
+    detail = coefficients[..., ALWAYS:]
     mean, variance = detail.mean(axis=0), detail.var(axis=0, ddof=1) / len(detail)
     power = (mean**2).sum(axis=-1, keepdims=True)
     real = np.maximum(power - variance.sum(axis=-1, keepdims=True), 0.0)
     share = np.divide(real, power, out=np.zeros_like(power), where=power > 0.0)
-    square = np.pi * (mean @ angles.values[:, ALWAYS:].T) ** 2
+    square = np.pi * (mean @ directions.polynomials[:, ALWAYS:].T) ** 2
     square = np.divide(square, power, out=np.zeros_like(square), where=power > 0.0)
     found: np.ndarray = share * square + 1.0 - share
     return found
@@ -199,7 +199,7 @@ def stands_out(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
     return (mean**2).sum(axis=-1) > bound + np.finfo(float).tiny
 
 
-def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarray:
+def finer(coefficients: np.ndarray, axisymmetric: bool, directions: Angles) -> np.ndarray:
     """Return what detail finer than the polynomials may add, shape (2, directions).
 
     What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
@@ -208,11 +208,11 @@ def finer(coefficients: np.ndarray, symmetric: bool, angles: Angles) -> np.ndarr
     polynomials this is a lower bound, and so it is where detail that hardly falls has not yet
     risen well above the noise.
     """
-    values = angles.values
-    if symmetric:
-        coefficients = coefficients[..., : angles.basis.per_m[0]]
-        values = values[:, : angles.basis.per_m[0]]
-    degree = angles.basis.degree[: coefficients.shape[-1]]
+    values = directions.polynomials
+    if axisymmetric:
+        coefficients = coefficients[..., : directions.basis.n_per_m[0]]
+        values = values[:, : directions.basis.n_per_m[0]]
+    degree = directions.basis.degrees[: coefficients.shape[-1]]
     mean = coefficients.mean(axis=0)
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
     power = mean**2 - variance

@@ -56,12 +56,12 @@ class Differences(NamedTuple):
     """
 
     parameter: str
-    slopes: Slopes
-    rays: int
+    derivatives: Slopes
+    n_rays: int
 
 
 def difference(
-    measure: Measure, medium: Medium, incidence: float | str, parameter: str
+    estimator: Measure, medium: Medium, incidence: float | str, parameter: str
 ) -> Differences:
     """Return derivatives to a parameter.
 
@@ -83,8 +83,8 @@ def difference(
         Where no medium near this one can be, or reflectance goes as a root from this value on.
     """
     value = float(incidence) if parameter == INCIDENCE else value_of(medium, parameter)
-    way = _Way.of(parameter, value)
-    step = way.first_step(parameter)
+    way = _Way.for_parameter(parameter, value)
+    step = way.choose_first_step(parameter)
     known: dict[float, Estimate] = {}
     best: Slopes | None = None
     one_sided: list[Slopes] = []
@@ -95,10 +95,10 @@ def difference(
         if isinstance(points, ValueError):
             refusal = points
             continue
-        for x, scene in points.scenes.items():
+        for x, scene in points.inputs.items():
             if x not in known:
-                known[x] = measure(*scene)
-        slopes = _slopes(points.offsets, 2.0 * step, [known[x] for x in points.scenes])
+                known[x] = estimator(*scene)
+        slopes = _slopes(points.offsets, 2.0 * step, [known[x] for x in points.inputs])
         if sum(points.offsets) != 0.0:
             one_sided.append(slopes)
             best = slopes = _moved(one_sided)
@@ -108,21 +108,21 @@ def difference(
             better = best is None or one_sided or (slopes.stderr**2).sum() < (best.stderr**2).sum()
             best = slopes if better else best
             one_sided, settled = [], True
-        if settled and (slopes.missed**2).sum() < 0.5 * (slopes.stderr**2).sum():
+        if settled and (slopes.bias_bound**2).sum() < 0.5 * (slopes.stderr**2).sum():
             break
     if best is None:
         raise refusal
     _check_settled(parameter, value, best, one_sided)
-    rays = sum(one.rays for one in known.values())
-    return Differences(parameter, way.per_value(best), rays)
+    rays = sum(one.n_rays for one in known.values())
+    return Differences(parameter, way.to_value_derivatives(best), rays)
 
 
-def _check_settled(parameter: str, value: float, best: Slopes, one_sided: list[Slopes]) -> None:
+def _check_settled(parameter: str, value: float, derivatives: Slopes, one_sided_derivatives: list[Slopes]) -> None:
     """Refuse a derivative that grows as often as the step is halved."""
-    if len(one_sided) < 3:
+    if len(one_sided_derivatives) < 3:
         return
-    sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided[-3:]]
-    noise = float(np.sqrt((best.groups**2).sum()))
+    sizes = [float(np.sqrt((one.mean**2).sum())) for one in one_sided_derivatives[-3:]]
+    noise = float(np.sqrt((derivatives.batch_deviations**2).sum()))
     if (
         min(sizes[1] / sizes[0], sizes[2] / sizes[1]) > SLOWEST
         and sizes[2] - sizes[0] > 4.0 * noise
@@ -145,11 +145,11 @@ class _Way(NamedTuple):
     """
 
     start: float
-    end: float
+    endpoint: float
     sign: float
 
     @classmethod
-    def of(cls, parameter: str, value: float) -> _Way:
+    def for_parameter(cls, parameter: str, value: float) -> _Way:
         """Return the coordinate for a parameter; at the very end it is the value itself."""
         own = parameter.rpartition(".")[2]
         end = FROM.get(own)
@@ -157,42 +157,42 @@ class _Way(NamedTuple):
             return cls(value, 0.0, 0.0)
         return cls(abs(value - end) ** 0.5, end, 1.0 if end == 0.0 else -1.0)
 
-    def first_step(self, parameter: str) -> float:
+    def choose_first_step(self, parameter: str) -> float:
         """Return the step of the coordinate to begin with."""
         own = parameter.rpartition(".")[2]
         size = self.start**2 if self.sign else abs(self.start)
         step = max(STEP * size, LEAST_STEP.get(own, 0.0 if size else AT_ZERO))
         return float((size + step) ** 0.5 - self.start if self.sign else step)
 
-    def value(self, coordinate: float) -> float:
+    def to_value(self, coordinate: float) -> float:
         """Return the value at a coordinate."""
-        return self.end + self.sign * coordinate**2 if self.sign else coordinate
+        return self.endpoint + self.sign * coordinate**2 if self.sign else coordinate
 
-    def per_value(self, slopes: Slopes) -> Slopes:
+    def to_value_derivatives(self, derivatives: Slopes) -> Slopes:
         """Return derivatives to the value of those to the coordinate."""
         rate = 1.0 / (2.0 * self.sign * self.start) if self.sign else 1.0
-        return Slopes(rate * slopes.mean, rate * slopes.groups, abs(rate) * slopes.missed)
+        return Slopes(rate * derivatives.mean, rate * derivatives.batch_deviations, abs(rate) * derivatives.bias_bound)
 
 
 class _Points(NamedTuple):
     """Places of runs in steps, and the medium and incidence at each coordinate."""
 
     offsets: tuple[float, ...]
-    scenes: dict[float, tuple[Medium, float | str]]
+    inputs: dict[float, tuple[Medium, float | str]]
 
 
 def _points(
-    medium: Medium, incidence: float | str, parameter: str, way: _Way, step: float
+    medium: Medium, incidence: float | str, parameter: str, coordinate: _Way, step: float
 ) -> _Points | ValueError:
     """Return where to measure, or why that cannot be."""
     refusal = ValueError()
     for offsets in OFFSETS:
-        places = [way.start + offset * step for offset in offsets]
-        if way.sign and min(places) < 0.0:
+        places = [coordinate.start + offset * step for offset in offsets]
+        if coordinate.sign and min(places) < 0.0:
             continue
         try:
             return _Points(
-                offsets, {x: _scene(medium, incidence, parameter, way.value(x)) for x in places}
+                offsets, {x: _scene(medium, incidence, parameter, coordinate.to_value(x)) for x in places}
             )
         except ValueError as error:
             refusal = error
@@ -210,10 +210,10 @@ def _scene(
     return medium, value
 
 
-def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) -> Slopes:
+def _slopes(offsets: tuple[float, ...], step: float, estimates: Sequence[Estimate]) -> Slopes:
     """Return derivatives from runs at places in steps."""
-    means = np.stack([one.mean[:2] for one in found])
-    groups = np.stack([one.groups for one in found])
+    means = np.stack([one.mean[:2] for one in estimates])
+    groups = np.stack([one.batch_deviations for one in estimates])
     fine, coarse = _rules(offsets, step)
     mean, plain = (np.tensordot(rule, means, 1) for rule in (fine, coarse))
     noise = (np.tensordot(fine - coarse, groups, 1) ** 2).sum(axis=0)
@@ -223,25 +223,25 @@ def _slopes(offsets: tuple[float, ...], step: float, found: Sequence[Estimate]) 
     size = np.abs(mean)
     part = np.divide(off, size, out=np.ones_like(off), where=size > 0.0)
     rule = off * (part if sum(offsets) == 0.0 else np.sqrt(part))
-    bias = np.clip(8.0 * np.max([one.bias[:2] for one in found], axis=0), 0.0, 1.0)
+    bias = np.clip(8.0 * np.max([one.interpolation_error[:2] for one in estimates], axis=0), 0.0, 1.0)
     missed = np.hypot(np.minimum(rule, off), bias * size)
     return Slopes(mean[:, None], np.tensordot(fine, groups, 1)[:, :, None], missed[:, None])
 
 
-def _moved(one_sided: Sequence[Slopes]) -> Slopes:
+def _moved(one_sided_derivatives: Sequence[Slopes]) -> Slopes:
     """Return the last of some derivatives, with what it may miss by how it moved with the step.
 
     Where each halving moves it by 1/r of the move before, it is off by 1/(r − 1) of the last one.
     """
-    last = one_sided[-1]
-    if len(one_sided) < 2:
+    last = one_sided_derivatives[-1]
+    if len(one_sided_derivatives) < 2:
         return last
     moves = [float(np.sqrt(((b.mean - a.mean) ** 2).sum()))
-             for a, b in pairwise(one_sided[-3:])]  # fmt: skip
+             for a, b in pairwise(one_sided_derivatives[-3:])]  # fmt: skip
     ratio = moves[0] / max(moves[-1], 1e-300) if len(moves) > 1 else 2.0
     part = 1.0 / (min(max(ratio, SLOWEST), 8.0) - 1.0)
-    moved = part * np.abs(last.mean - one_sided[-2].mean)
-    return last._replace(missed=np.maximum(last.missed, moved))
+    moved = part * np.abs(last.mean - one_sided_derivatives[-2].mean)
+    return last._replace(bias_bound=np.maximum(last.bias_bound, moved))
 
 
 def _rules(offsets: tuple[float, ...], step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -254,10 +254,10 @@ def _rules(offsets: tuple[float, ...], step: float) -> tuple[np.ndarray, np.ndar
     return fine, coarse
 
 
-def _weights(places: np.ndarray) -> np.ndarray:
+def _weights(positions: np.ndarray) -> np.ndarray:
     """Return the weights whose sum is the derivative at 0 of the polynomial through places."""
-    powers = np.vander(places, increasing=True).T
-    wanted = np.zeros(len(places))
+    powers = np.vander(positions, increasing=True).T
+    wanted = np.zeros(len(positions))
     wanted[1] = 1.0
     found: np.ndarray = np.linalg.solve(powers, wanted)
     return found

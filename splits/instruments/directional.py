@@ -66,65 +66,65 @@ class Directional:
 
     def __init__(
         self,
-        number: int,
+        stream_index: int,
         index: np.ndarray,
         absorption: np.ndarray,
         weights: np.ndarray,
         basis: Basis,
-        classes: Sequence[int] = CLASSES,
-        sharp: bool = True,
+        max_orders: Sequence[int] = CLASSES,
+        exclude_unscattered: bool = True,
     ) -> None:
         served = weights > 0.0
         self.absorption = absorption[served]
         self.weights = weights
-        self.place = {int(column): row for row, column in enumerate(np.flatnonzero(served))}
+        self.wavelength_rows = {int(column): row for row, column in enumerate(np.flatnonzero(served))}
         self.basis = basis
-        self.sharp = sharp
-        self.edges = np.array(classes, dtype=np.int64)
-        rows = len(self.place)
-        self.sums = np.zeros((GROUPS, len(classes), 2, rows, basis.scale.size))
-        self.straight = np.zeros((GROUPS, 2, rows))
+        self.exclude_unscattered = exclude_unscattered
+        self.max_orders = np.array(max_orders, dtype=np.int64)
+        rows = len(self.wavelength_rows)
+        self.coefficient_sums = np.zeros((GROUPS, len(max_orders), 2, rows, basis.norms.size))
+        self.unscattered_sums = np.zeros((GROUPS, 2, rows))
         optics = shared_optics(index, self.absorption)
-        first = streams.DIRECTIONAL + number * len(classes)
-        self.levels = [
+        first = streams.DIRECTIONAL + stream_index * len(max_orders)
+        self.strata = [
             Level(first + i, optics, served, min(3.0 * most, 400.0), most)
-            for i, most in enumerate(classes)
+            for i, most in enumerate(max_orders)
         ]
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
-        return int(self.sums[0].size + self.straight[0].size)
+        return int(self.coefficient_sums[0].size + self.unscattered_sums[0].size)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Sums:
         """Return the sums of a batch of exits of a level."""
-        heard = self.edges[self.edges <= level.most]
-        if not self.sharp:
+        heard = self.max_orders[self.max_orders <= stratum.max_order]
+        if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
-        return (first // BATCH) % GROUPS, *expand(exits, self.absorption, heard, self.basis)
+        return (first_ray // BATCH) % GROUPS, *expand(exits, self.absorption, heard, self.basis)
 
-    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Sums]) -> None:
         """Add the sums of batches one by one: they do not depend on who traced them."""
-        level.rays += BATCH * len(tallies)
-        for group, sums, straight in tallies:
-            self.sums[group, : len(sums)] += sums
-            self.straight[group] += straight
+        stratum.n_rays += BATCH * len(scores)
+        for group, sums, straight in scores:
+            self.coefficient_sums[group, : len(sums)] += sums
+            self.unscattered_sums[group] += straight
 
-    def counts(self) -> np.ndarray:
+    def count_rays(self) -> np.ndarray:
         """Return the rays that each class listens to, shape (classes,)."""
-        rays = np.array([level.rays for level in self.levels])
+        rays = np.array([level.n_rays for level in self.strata])
         return np.cumsum(rays[::-1])[::-1]
 
-    def coefficients(self, wavelength: int) -> np.ndarray:
+    def compute_coefficients(self, wavelength: int) -> np.ndarray:
         """Return its part of a wavelength's coefficients, shape (groups, classes, 2, …)."""
-        each = (self.counts() / GROUPS)[:, np.newaxis, np.newaxis]
-        return self.weights[wavelength] * self.sums[:, :, :, self.place[wavelength]] / each
+        each = (self.count_rays() / GROUPS)[:, np.newaxis, np.newaxis]
+        return self.weights[wavelength] * self.coefficient_sums[:, :, :, self.wavelength_rows[wavelength]] / each
 
-    def unscattered(self, wavelength: int) -> np.ndarray:
+    def compute_unscattered(self, wavelength: int) -> np.ndarray:
         """Return its part of a wavelength's light that met no grain, shape (groups, 2)."""
-        each = self.counts()[0] / GROUPS
-        return self.weights[wavelength] * self.straight[:, :, self.place[wavelength]] / each
+        each = self.count_rays()[0] / GROUPS
+        return self.weights[wavelength] * self.unscattered_sums[:, :, self.wavelength_rows[wavelength]] / each
 
-    def costs(self) -> np.ndarray:
+    def compute_class_costs(self) -> np.ndarray:
         """Return the legs of a ray within each class, shape (classes,)."""
-        legs = np.array([level.legs / max(level.rays, 1) for level in self.levels])
+        legs = np.array([level.n_segments / max(level.n_rays, 1) for level in self.strata])
         return np.maximum(np.diff(legs, prepend=-1.0), 0.01)

@@ -49,13 +49,13 @@ class Level:
         Traced so far.
     """
 
-    number: int
+    stream: int
     optics: Optics
-    served: np.ndarray
-    guess: float
-    most: int = UNLIMITED
-    rays: int = 0
-    legs: int = 0
+    wavelength_mask: np.ndarray
+    expected_segments: float
+    max_order: int = UNLIMITED
+    n_rays: int = 0
+    n_segments: int = 0
 
 
 class Manner(NamedTuple):
@@ -74,8 +74,8 @@ class Manner(NamedTuple):
     """
 
     attenuation: float
-    ground: int = NO_GROUND
-    fading: bool = False
+    ground_column: int = NO_GROUND
+    extra_absorption: bool = False
     analog: bool = False
 
 
@@ -83,48 +83,48 @@ class Paths(Protocol):
     """What a `splits.instruments.runner.Runner` asks of an ensemble."""
 
     absorption: np.ndarray
-    levels: list[Level]
+    strata: list[Level]
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
         ...
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
         """Return what a batch of a level's exits and notes, from that ray on, adds up to."""
         ...
 
-    def add(self, level: Level, tallies: Sequence[Any]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Any]) -> None:
         """Add the tallies of successive batches."""
         ...
 
 
-def strengths(absorption: np.ndarray, manner: Manner) -> np.ndarray:
+def strengths(absorption: np.ndarray, traits: Manner) -> np.ndarray:
     """Return the absorption over one mean distance between scatterings, by wavelength."""
-    materials = np.arange(absorption.shape[1]) != manner.ground
-    strength: np.ndarray = absorption[:, materials].max(axis=1) / manner.attenuation
+    materials = np.arange(absorption.shape[1]) != traits.ground_column
+    strength: np.ndarray = absorption[:, materials].max(axis=1) / traits.attenuation
     return strength
 
 
 def levels_of(
-    first: int,
+    first_stream: int,
     index: np.ndarray,
     absorption: np.ndarray,
-    served: np.ndarray,
-    manner: Manner,
-    thresholds: Sequence[float],
+    wavelength_mask: np.ndarray,
+    traits: Manner,
+    bounds: Sequence[float],
 ) -> list[Level]:
     """Return levels for wavelengths that absorb more and more, numbered from `first` on.
 
     For the other parameters see `Ensemble`.
     """
-    strength = strengths(absorption, manner)
+    strength = strengths(absorption, traits)
     levels: list[Level] = []
-    for step, threshold in enumerate(thresholds):
-        part = served & (strength >= threshold)
-        if not part.any() or (levels and part.sum() == levels[-1].served.sum()):
+    for step, threshold in enumerate(bounds):
+        part = wavelength_mask & (strength >= threshold)
+        if not part.any() or (levels and part.sum() == levels[-1].wavelength_mask.sum()):
             continue
         optics = shared_optics(index, absorption[part])
-        levels.append(Level(first + step, optics, part, _FIRST_LEGS / 1.5**step))
+        levels.append(Level(first_stream + step, optics, part, _FIRST_LEGS / 1.5**step))
     return levels
 
 
@@ -162,88 +162,88 @@ class Ensemble:
 
     def __init__(
         self,
-        number: int,
+        stream_index: int,
         index: np.ndarray,
         absorption: np.ndarray,
-        served: np.ndarray,
-        manner: Manner,
-        levels: Sequence[float] = LEVELS,
+        wavelength_mask: np.ndarray,
+        traits: Manner,
+        bounds: Sequence[float] = LEVELS,
     ) -> None:
         self.absorption = absorption
-        self.manner = manner
-        rows = np.flatnonzero(served)
-        self.rows = rows[np.argsort(strengths(absorption[rows], manner), kind="stable")]
+        self.traits = traits
+        rows = np.flatnonzero(wavelength_mask)
+        self.rows = rows[np.argsort(strengths(absorption[rows], traits), kind="stable")]
         self.moments = np.zeros((3, 3, len(rows)))
-        self.least = np.full(len(rows), np.inf)
-        self.groups = np.zeros((GROUPS, 2, len(rows)))
-        used = levels[:1] if manner.analog else levels
-        first = streams.ANALOG if manner.analog else streams.SPECTRAL
-        first += number * len(LEVELS)
-        self.levels = levels_of(first, index, absorption, served, manner, used)
+        self.min_weight = np.full(len(rows), np.inf)
+        self.batch_sums = np.zeros((GROUPS, 2, len(rows)))
+        used = bounds[:1] if traits.analog else bounds
+        first = streams.ANALOG if traits.analog else streams.SPECTRAL
+        first += stream_index * len(LEVELS)
+        self.strata = levels_of(first, index, absorption, wavelength_mask, traits, used)
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds at most, those of blocks being half as long."""
         return (10 + GROUPS) * len(self.rows)
 
-    def part(self, level: Level) -> slice:
+    def select_rows(self, stratum: Level) -> slice:
         """Return which of the rows a level serves."""
-        return slice(len(self.rows) - int(level.served.sum()), None)
+        return slice(len(self.rows) - int(stratum.wavelength_mask.sum()), None)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Tally:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Tally:
         """Return the sums of a batch of a level, for the rows it serves."""
-        absorption = self.absorption[self.rows[self.part(level)]]
-        weighted, ground = not self.manner.analog, self.manner.ground
-        return *tally(exits, notes, absorption, weighted, ground), len(exits)
+        absorption = self.absorption[self.rows[self.select_rows(stratum)]]
+        weighted, ground = not self.traits.analog, self.traits.ground_column
+        return *tally(exits, crossings, absorption, weighted, ground), len(exits)
 
-    def add(self, level: Level, tallies: Sequence[Tally]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Tally]) -> None:
         """Add the tallies of batches one by one: sums do not depend on who traced them."""
-        part = self.part(level)
-        moments, least = self.moments[:, :, part], self.least[part]
-        groups = self.groups[:, :, part]
-        for more, lightest, blocks, rays in tallies:
-            first = level.rays // BLOCK % GROUPS
+        part = self.select_rows(stratum)
+        moments, least = self.moments[:, :, part], self.min_weight[part]
+        groups = self.batch_sums[:, :, part]
+        for more, lightest, blocks, rays in scores:
+            first = stratum.n_rays // BLOCK % GROUPS
             groups[first : first + len(blocks)] += blocks
-            level.rays += rays
+            stratum.n_rays += rays
             moments[:, :2] += more[:, :2]
             np.maximum(moments[:, 2], more[:, 2], out=moments[:, 2])
             np.minimum(least, lightest, out=least)
 
     @property
-    def count(self) -> np.ndarray:
+    def n_rays(self) -> np.ndarray:
         """Rays that each row listens to, shape (drawing,)."""
         count = np.zeros(len(self.rows))
-        for level in self.levels:
-            count[self.part(level)] += level.rays
+        for level in self.strata:
+            count[self.select_rows(level)] += level.n_rays
         return count
 
-    def everywhere(self, values: np.ndarray) -> np.ndarray:
+    def expand_to_all_rows(self, values: np.ndarray) -> np.ndarray:
         """Return what is known of the rows for all wavelengths, 0 for those that do not draw."""
         found = np.zeros((*values.shape[:-1], len(self.absorption)))
         found[..., self.rows] = values
         return found
 
-    def means(self) -> np.ndarray:
+    def compute_means(self) -> np.ndarray:
         """Return the mean weight, shape (2, drawing): reflected, transmitted."""
-        return self.moments[:2, 0] / np.maximum(self.count, 1.0)
+        return self.moments[:2, 0] / np.maximum(self.n_rays, 1.0)
 
-    def deviations(self) -> np.ndarray:
+    def compute_batch_deviations(self) -> np.ndarray:
         """Return how far each group of rays takes the means off, shape (GROUPS, 2, drawing).
 
         Sums over groups of products of two of them estimate covariances of means (random groups;
         Wolter 2007, Introduction to Variance Estimation, chapter 2).
         """
-        off = self.groups - self.rays_of_groups()[:, np.newaxis] * self.means()
-        return off / np.maximum(self.count, 1.0)
+        off = self.batch_sums - self.count_rays_per_batch()[:, np.newaxis] * self.compute_means()
+        return off / np.maximum(self.n_rays, 1.0)
 
-    def rays_of_groups(self) -> np.ndarray:
+    def count_rays_per_batch(self) -> np.ndarray:
         """Return how many rays of each group every row listens to, (GROUPS, drawing)."""
         rays = np.zeros((GROUPS, len(self.rows)))
-        for level in self.levels:
-            turns, rest = divmod(level.rays // BLOCK, GROUPS)
-            rays[:, self.part(level)] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
+        for level in self.strata:
+            turns, rest = divmod(level.n_rays // BLOCK, GROUPS)
+            rays[:, self.select_rows(level)] += BLOCK * (turns + (np.arange(GROUPS) < rest))[:, np.newaxis]
         return rays
 
-    def variances(self) -> np.ndarray:
+    def compute_variances(self) -> np.ndarray:
         """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).
 
         Two rays are added, of the largest and of the smallest weight possible by what was seen
@@ -253,14 +253,14 @@ class Ensemble:
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
         absorbs = self.absorption[self.rows].max(axis=1) > 0.0
-        tossed = self.manner.fading | (self.manner.analog & absorbs)
-        smallest[2] = np.where(tossed | (self.count == 0.0), 0.0, self.least)
-        n = self.count + 2.0
+        tossed = self.traits.extra_absorption | (self.traits.analog & absorbs)
+        smallest[2] = np.where(tossed | (self.n_rays == 0.0), 0.0, self.min_weight)
+        n = self.n_rays + 2.0
         mean = (total + largest + smallest) / n
         return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
 
 
-def scaled(groups: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def scaled(deviations: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return deviations of groups whose squares add up to a variance known better than they tell.
 
     Their correlations stay; where no group deviates at all, none does after.
@@ -270,6 +270,6 @@ def scaled(groups: np.ndarray, variance: np.ndarray) -> np.ndarray:
     groups : float, shape (groups, ...)
     variance : float, shape (...)
     """
-    square = (groups**2).sum(axis=0)
+    square = (deviations**2).sum(axis=0)
     seen = square > 0.0
-    return groups * np.sqrt(np.divide(variance, square, out=np.zeros_like(square), where=seen))
+    return deviations * np.sqrt(np.divide(variance, square, out=np.zeros_like(square), where=seen))

@@ -62,13 +62,13 @@ class Estimate:
 
     mean: np.ndarray
     stderr: np.ndarray
-    bias: np.ndarray
-    groups: np.ndarray
-    rays: int
-    ensembles: int
+    interpolation_error: np.ndarray
+    batch_deviations: np.ndarray
+    n_rays: int
+    n_ensembles: int
     converged: bool
     kernel: str
-    slopes: Slopes
+    derivatives: Slopes
 
 
 def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Estimate:
@@ -80,30 +80,30 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
     """
     nodes = choose_nodes(rows.index, rows.interfaces, _BIAS_SHARE * max_stderr)
     ensembles = [
-        SharedPaths(number, m, rows, w > 0.0, runner.tracer.manner)
+        SharedPaths(number, m, rows, w > 0.0, runner.tracer.traits)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
-    levels = [(e, level) for e in ensembles for level in e.levels]
+    levels = [(e, level) for e in ensembles for level in e.strata]
     weights = nodes.weights[:, np.newaxis, :]
 
-    if len(rows.index) > MANY and not len(rows.changes):
-        runner.batch = LARGE_BATCH
-    runner.prepare(ensembles)
+    if len(rows.index) > MANY and not len(rows.absorption_derivatives):
+        runner.rays_per_chunk = LARGE_BATCH
+    runner.share_kernel(ensembles)
     runner.trace([(e, level, PILOT) for e, level in levels], 1.0, max_stderr)
     while True:
         mean = np.einsum(
-            "jw,jqw->qw", nodes.weights, np.stack([e.everywhere(e.means()) for e in ensembles])
+            "jw,jqw->qw", nodes.weights, np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles])
         )
         mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
         # Near 0 and 1 a share changes in proportion to its distance from there; 8 allows for
         # elasticities up to 2.4, what a single reflection has is 4/(2 + c).
-        bias = nodes.bias * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
-        parts = weights**2 * np.stack([e.everywhere(e.variances()) for e in ensembles])
-        count = np.stack([np.maximum(e.everywhere(e.count), 1.0) for e in ensembles])
+        bias = nodes.interpolation_bound * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
+        parts = weights**2 * np.stack([e.expand_to_all_rows(e.compute_variances()) for e in ensembles])
+        count = np.stack([np.maximum(e.expand_to_all_rows(e.n_rays), 1.0) for e in ensembles])
         variance = (parts / count[:, np.newaxis]).sum(axis=0)
         stderr = np.sqrt(variance + bias**2)
         converged = bool(stderr.max() <= max_stderr)
-        rays = np.array([level.rays for _, level in levels], dtype=float)
+        rays = np.array([level.n_rays for _, level in levels], dtype=float)
         if converged or rays.sum() >= max_rays:
             break
         wanted = rays_wanted(parts, max_stderr**2 - bias**2, ensembles)
@@ -116,7 +116,7 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
         runner.trace(work, float(stderr.max()), max_stderr, left)
     groups = np.zeros((GROUPS, 2, len(rows.absorption)))
     for e, w in zip(ensembles, nodes.weights, strict=True):
-        groups[..., e.rows] += w[e.rows] * e.deviations()
+        groups[..., e.rows] += w[e.rows] * e.compute_batch_deviations()
     return Estimate(
         mean,
         stderr,
@@ -125,25 +125,25 @@ def spectral(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Es
         int(rays.sum()),
         len(ensembles),
         converged,
-        runner.kernels(ensembles),
+        runner.list_kernels(ensembles),
         _slopes(nodes, ensembles),
     )
 
 
-def _slopes(nodes: Nodes, ensembles: Sequence[SharedPaths]) -> Slopes:
+def _slopes(nodes: Nodes, tallies: Sequence[SharedPaths]) -> Slopes:
     """Return derivatives, rows taking the weighted mean of the nodes around them."""
-    some, wavelengths = len(ensembles[0].changes), nodes.weights.shape[1]
+    some, wavelengths = len(tallies[0].absorption_derivatives), nodes.weights.shape[1]
     mean = np.zeros((2, some, wavelengths))
     groups = np.zeros((GROUPS, *mean.shape))
-    for e, w in zip(ensembles, nodes.weights, strict=True):
-        own, off = e.slope_deviations()
+    for e, w in zip(tallies, nodes.weights, strict=True):
+        own, off = e.compute_derivatives()
         mean[..., e.rows] += w[e.rows] * own
         groups[..., e.rows] += w[e.rows] * off
     # As much of themselves as of light that is nearly all reflected or nearly all absorbed.
-    return Slopes(mean, groups, np.clip(8.0 * nodes.bias, 0.0, 1.0) * np.abs(mean))
+    return Slopes(mean, groups, np.clip(8.0 * nodes.interpolation_bound, 0.0, 1.0) * np.abs(mean))
 
 
-def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths]) -> np.ndarray:
+def rays_wanted(weighted_variances: np.ndarray, target_variances: np.ndarray, tallies: Sequence[Paths]) -> np.ndarray:
     """Return the rays per level that bring every variance to its target at the least cost.
 
     Parameters
@@ -154,13 +154,13 @@ def rays_wanted(parts: np.ndarray, target: np.ndarray, ensembles: Sequence[Paths
         Variances to reach.
     ensembles : sequence of Paths
     """
-    levels = [level for e in ensembles for level in e.levels]
-    owner = np.repeat(np.eye(len(ensembles)), [len(e.levels) for e in ensembles], axis=1)
-    return allocate_rays(parts / target, owner, np.stack([x.served for x in levels]), levels)
+    levels = [level for e in tallies for level in e.strata]
+    owner = np.repeat(np.eye(len(tallies)), [len(e.strata) for e in tallies], axis=1)
+    return allocate_rays(weighted_variances / target_variances, owner, np.stack([x.wavelength_mask for x in levels]), levels)
 
 
 def allocate_rays(
-    all_shares: np.ndarray, owner: np.ndarray, all_served: np.ndarray, levels: Sequence[Level]
+    relative_variances: np.ndarray, membership: np.ndarray, column_mask: np.ndarray, strata: Sequence[Level]
 ) -> np.ndarray:
     """Return the rays per level that bring sums of variances to their targets at the least cost.
 
@@ -178,17 +178,17 @@ def allocate_rays(
         Where the rays of a level count.
     levels : sequence of Level
     """
-    floor = np.array([level.rays for level in levels], dtype=float)
-    cost = np.array([level.legs / level.rays for level in levels]) + 1.0
-    binding = _binding(all_shares, all_served)
-    share, served = all_shares[..., binding], all_served[:, binding].astype(float)
+    floor = np.array([level.n_rays for level in strata], dtype=float)
+    cost = np.array([level.n_segments / level.n_rays for level in strata]) + 1.0
+    binding = _binding(relative_variances, column_mask)
+    share, served = relative_variances[..., binding], column_mask[:, binding].astype(float)
     rays = floor.copy()
     multipliers = np.full(share.shape[1:], 1.0 / share[0].size)
 
     def excess(
         rays: np.ndarray, share: np.ndarray = share, served: np.ndarray = served
     ) -> np.ndarray:
-        count = np.maximum((owner * rays) @ served, 1e-9)
+        count = np.maximum((membership * rays) @ served, 1e-9)
         return (share / count[:, np.newaxis]).sum(axis=0)
 
     for _ in range(200):
@@ -196,21 +196,21 @@ def allocate_rays(
         ratio = excess(rays)
         multipliers *= (ratio / ratio.max()) ** 0.5
         multipliers /= multipliers.sum()
-        count = np.maximum((owner * rays) @ served, 1e-9)
+        count = np.maximum((membership * rays) @ served, 1e-9)
         gain = (multipliers * share).sum(axis=1) / count**2
-        rays *= np.sqrt((((owner.T @ gain) * served).sum(axis=1) / cost).clip(1e-30))
+        rays *= np.sqrt((((membership.T @ gain) * served).sum(axis=1) / cost).clip(1e-30))
         rays *= excess(rays).max()
         if (np.abs(rays - before) <= 1e-4 * before).all():
             break
     rays = np.maximum(rays, floor)
     # What the floor gives away can be saved elsewhere; a little is added against falling short,
     # but only where more is wanted, or levels that have enough would grow with every round.
-    wanted = rays * max(excess(rays, all_shares, all_served.astype(float)).max(), 0.1)
+    wanted = rays * max(excess(rays, relative_variances, column_mask.astype(float)).max(), 0.1)
     more = wanted > floor * (1.0 + 1e-6)
     return np.where(more, np.ceil(1.03 * wanted), floor) if more.any() else floor + BATCH
 
 
-def _binding(share: np.ndarray, served: np.ndarray) -> np.ndarray:
+def _binding(relative_variances: np.ndarray, column_mask: np.ndarray) -> np.ndarray:
     """Return the rows that decide how many rays are wanted: of few all.
 
     Of many that draw on the same levels, those that want most of an ensemble, or of all together.
@@ -220,14 +220,14 @@ def _binding(share: np.ndarray, served: np.ndarray) -> np.ndarray:
     share : float, shape (ensembles, quantities, rows)
     served : bool, shape (levels, rows)
     """
-    many = share.shape[2]
+    many = relative_variances.shape[2]
     if many <= MANY:
         return np.arange(many)
-    _, which = np.unique(np.packbits(served, axis=0), axis=1, return_inverse=True)
+    _, which = np.unique(np.packbits(column_mask, axis=0), axis=1, return_inverse=True)
     chosen: list[int] = []
     for alike in range(int(which.max()) + 1):
         rows = np.flatnonzero(which.ravel() == alike)
-        part = share[..., rows]
+        part = relative_variances[..., rows]
         chosen += rows[part.argmax(axis=2)].ravel().tolist()
         chosen += rows[part.sum(axis=0).argmax(axis=1)].tolist()
     return np.unique(chosen)
@@ -247,22 +247,22 @@ def analog(runner: Runner, rows: Rows, max_stderr: float, max_rays: int) -> Esti
     one = np.ones(1, dtype=bool)
     traced = 0
     for row, (m, alpha) in enumerate(zip(rows.index, rows.absorption, strict=True)):
-        ensemble = Ensemble(row, m, alpha[np.newaxis], one, runner.tracer.manner)
-        level = ensemble.levels[0]
+        ensemble = Ensemble(row, m, alpha[np.newaxis], one, runner.tracer.traits)
+        level = ensemble.strata[0]
         runner.trace([(ensemble, level, ANALOG_PILOT)], 1.0, max_stderr)
         while True:
-            variance = ensemble.variances()[:, 0]
-            error = np.sqrt(variance / level.rays)
-            if error.max() <= max_stderr or level.rays >= limit:
+            variance = ensemble.compute_variances()[:, 0]
+            error = np.sqrt(variance / level.n_rays)
+            if error.max() <= max_stderr or level.n_rays >= limit:
                 break
             wanted = 1.05 * variance.max() / max_stderr**2
-            step = min(wanted, _GROWTH * level.rays, limit) - level.rays
+            step = min(wanted, _GROWTH * level.n_rays, limit) - level.n_rays
             runner.trace([(ensemble, level, int(np.ceil(step)))], float(error.max()), max_stderr)
-        reflected, transmitted = ensemble.means()[:, 0]
+        reflected, transmitted = ensemble.compute_means()[:, 0]
         mean[:, row] = reflected, transmitted, 1.0 - reflected - transmitted
         stderr[:, row] = error
-        groups[:, :, row] = ensemble.deviations()[:, :, 0]
-        traced += level.rays
+        groups[:, :, row] = ensemble.compute_batch_deviations()[:, :, 0]
+        traced += level.n_rays
     none = np.zeros((GROUPS, 2, 0, many))
     return Estimate(
         mean,

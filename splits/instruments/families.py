@@ -47,9 +47,9 @@ class Members(NamedTuple):
         Of the family's media.
     """
 
-    family: Family
-    places: np.ndarray
-    which: np.ndarray
+    path_sharing: Family
+    positions: np.ndarray
+    media_indices: np.ndarray
 
 
 def families(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[Members]:
@@ -96,7 +96,7 @@ def families(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[Members]:
 def absorbing(medium: Any, wavelength_nm: np.ndarray) -> bytes:
     """Return what a medium is to light, and its ground but below a pack without end, as bytes."""
     if math.isinf(medium.depth_m):
-        index = medium.indices(wavelength_nm)
+        index = medium.compute_refractive_indices(wavelength_nm)
         found = Constants(index, absorption_of(medium, index, wavelength_nm))
     else:
         found = constants_of(medium, wavelength_nm)
@@ -115,7 +115,7 @@ def likeness(medium: Any) -> tuple[bytes, float]:
     layers, types = scene.layers, scene.types
     # A rough surface has a scale of its own.
     unit = 1.0 if fields_of(medium) is not None else float(1.0 / layers.attenuation[0])
-    face = layers.face / unit
+    face = layers.boundaries / unit
     if endless:
         face[-1] = -math.inf
     digest = hashlib.sha256()
@@ -131,16 +131,16 @@ def likeness(medium: Any) -> tuple[bytes, float]:
         *(t for t, n in zip(types, types._fields, strict=True) if n != "curvature"),
         *scene.particles,
         np.array(scene.rules, dtype=float),
-        np.array([(i.share, i.near, i.far, i.layer) for i in medium.interfaces()], dtype=float),
-        np.array([len(medium.materials()), not endless and ground_of(medium) is not None]),
+        np.array([(i.fraction, i.outer_material, i.inner_material, i.layer) for i in medium.list_interfaces()], dtype=float),
+        np.array([len(medium.list_materials()), not endless and ground_of(medium) is not None]),
     ):
         digest.update(repr(np.shape(table)).encode())
         digest.update(_rounded(np.asarray(table, dtype=float)).tobytes())
-    names = [type(medium).__name__, *(i.place for i in medium.interfaces())]
+    names = [type(medium).__name__, *(i.location for i in medium.list_interfaces())]
     # What particles lie in has one index at all wavelengths, so no interface speaks of it.
     matrices = [
         float(part.layer.refractive_index)
-        for part in (medium.parts if isinstance(medium, LayeredMedium) else ())
+        for part in (medium.scene_layers if isinstance(medium, LayeredMedium) else ())
         if isinstance(part, ParticleLayer)
     ]
     digest.update(repr([names, matrices]).encode())

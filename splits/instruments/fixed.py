@@ -78,41 +78,41 @@ def fixed_spectrum(
     check_whole("rays_per_node", rays_per_node, 1)
     check_whole("seed", seed, 0)
     index, absorption = constants_of(medium, wavelengths)
-    nodes = nodes_at(index, medium.interfaces(), rows)
+    nodes = nodes_at(index, medium.list_interfaces(), rows)
     runner = Runner(medium, check_incidence(incidence_deg), int(seed), threads, False)
     # An ensemble keeps its number, hence its streams, also where a neighbour is not drawn on.
     ensembles = [
-        Ensemble(number, m, absorption, w > 0.0, runner.tracer.manner, levels=EVERY_RAY)
+        Ensemble(number, m, absorption, w > 0.0, runner.tracer.traits, strata=EVERY_RAY)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
         if w.any()
     ]
     weights = nodes.weights[nodes.weights.any(axis=1)]
-    runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.levels], 1.0, 0.0)
-    mean = np.einsum("jw,jqw->qw", weights, np.stack([e.everywhere(e.means()) for e in ensembles]))
+    runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.strata], 1.0, 0.0)
+    mean = np.einsum("jw,jqw->qw", weights, np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles]))
     variance = np.zeros((3, len(wavelengths)))
     groups = np.zeros((GROUPS, 2, len(wavelengths)))
     for e, w in zip(ensembles, weights, strict=True):
         part = w[e.rows]
-        variance[:, e.rows] += part**2 * e.variances() / np.maximum(e.count, 1.0)
-        groups[..., e.rows] += part * e.deviations()
+        variance[:, e.rows] += part**2 * e.compute_variances() / np.maximum(e.n_rays, 1.0)
+        groups[..., e.rows] += part * e.compute_batch_deviations()
     mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
     return mean, np.sqrt(variance), scaled(groups, variance[:2])
 
 
-def spread_rows(count: int) -> tuple[int, ...]:
+def spread_rows(n_wavelengths: int) -> tuple[int, ...]:
     """Return the first, an early and the last of so many wavelengths.
 
     Three nodes hold the index of iron oxides from 400 to 1000 nm, which bends in the first third,
     so well that interpolation misses at most about 0.01.
     """
-    return tuple(sorted({0, round(0.3 * (count - 1)), count - 1}))
+    return tuple(sorted({0, round(0.3 * (n_wavelengths - 1)), n_wavelengths - 1}))
 
 
-def _check_rows(node_rows: Sequence[int], count: int) -> list[int]:
+def _check_rows(node_rows: Sequence[int], n_wavelengths: int) -> list[int]:
     """Return the rows as a list, or refuse them."""
     rows = [int(row) for row in node_rows]
-    if not rows or len(set(rows)) < len(rows) or min(rows) < 0 or max(rows) >= count:
+    if not rows or len(set(rows)) < len(rows) or min(rows) < 0 or max(rows) >= n_wavelengths:
         raise refuse(
-            "node_rows", list(node_rows), f"different positions from 0 to {count - 1}, at least one"
+            "node_rows", list(node_rows), f"different positions from 0 to {n_wavelengths - 1}, at least one"
         )
     return rows

@@ -157,7 +157,7 @@ def goniophotometer(
     threads = check_threads(threads)
     begun = time.perf_counter()
     index, absorption = constants_of(medium, wavelengths)
-    nodes = choose_nodes(index, medium.interfaces(), _NODES_SHARE * relative_stderr)
+    nodes = choose_nodes(index, medium.list_interfaces(), _NODES_SHARE * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
     polar, azimuth = _directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
     check_size(len(wavelengths), len(polar) * len(azimuth))
@@ -177,11 +177,11 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": largest_error(found.result, side, seen),
+        "relative_stderr_reached": largest_error(found.estimate, side, seen),
         **facts_of(found, goal, nodes, runner),
     }
-    dataset = _dataset(found.result, found.stokes, wavelengths, polar, azimuth, facts)
-    unseen = OF_LIGHT_BELOW if grounded else found.unseen
+    dataset = _dataset(found.estimate, found.stokes, wavelengths, polar, azimuth, facts)
+    unseen = OF_LIGHT_BELOW if grounded else found.undefined_variables
     dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
     return under_sky(dataset) if incidence == "diffuse" else dataset
 
@@ -194,37 +194,37 @@ def _check_estimator(estimator: str, incidence: float | str) -> None:
         raise refuse("incidence_deg", incidence, allowed, "expansion takes it")
 
 
-def _side_of(target: str, grounded: bool) -> int:
+def _side_of(target: str, has_ground: bool) -> int:
     """Return the side of the sample that the target is on, or refuse that of a ground."""
     side = SIDES[one_of("target", target, SIDES)]
-    if grounded and side == 1:
+    if has_ground and side == 1:
         raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
     return side
 
 
 def _directions(
-    polar_deg: Any, azimuth_deg: Any, cells: tuple[int, int] | None
+    polar_deg: Any, azimuth_deg: Any, n_bins: tuple[int, int] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the directions asked for (degrees), or those of the centres of cells."""
-    if cells is not None:
-        return centres(check_cells(cells))
+    if n_bins is not None:
+        return centres(check_cells(n_bins))
     return check_angles("polar_deg", polar_deg, 90.0), check_angles(
         "azimuth_deg", azimuth_deg, 360.0
     )
 
 
 def _dataset(
-    result: Estimate,
+    estimate: Estimate,
     stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
     wavelengths: np.ndarray,
     polar: np.ndarray,
     azimuth: np.ndarray,
-    facts: dict[str, Any],
+    attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Return an estimate as a labelled dataset."""
     grid = ("wavelength", "polar", "azimuth")
     shape = (len(wavelengths), len(polar), len(azimuth))
-    scattered = result.scattered()[0][:, np.newaxis]
+    scattered = estimate.compute_scattered()[0][:, np.newaxis]
     share = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
     variables: dict[str, Variable] = {}
     directional = {
@@ -234,8 +234,8 @@ def _dataset(
         "anisotropy_factor": ("anisotropy factor", "1", 0, share),
     }
     for name, (long_name, units, side, factor) in directional.items():
-        mean = (factor * result.mean[side]).reshape(shape)
-        stderr = (factor * result.stderr[side]).reshape(shape)
+        mean = (factor * estimate.mean[side]).reshape(shape)
+        stderr = (factor * estimate.stderr[side]).reshape(shape)
         variables |= quantity(name, grid, mean, stderr, long_name, units)
     for name, (values, error) in stokes.items():
         part = name[-1].upper()
@@ -250,7 +250,7 @@ def _dataset(
         "direct_transmittance": ("transmittance without scattering", 2, 1),
     }
     for name, (long_name, row, side) in whole.items():
-        mean, stderr = result.sums[row : row + 2, side]
+        mean, stderr = estimate.hemispherical[row : row + 2, side]
         variables |= quantity(name, "wavelength", mean, stderr, long_name)
     angle = {"units": "degree"}
     coordinates = {
@@ -262,4 +262,4 @@ def _dataset(
             {**angle, "long_name": "angle from the direction in which the beam travels"},
         ),
     }
-    return xr.Dataset(variables, coordinates, facts)
+    return xr.Dataset(variables, coordinates, attributes)

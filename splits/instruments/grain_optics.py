@@ -40,8 +40,8 @@ class Plan(NamedTuple):
     Rays are a multiple of `BATCH`, or of `PARTS` and fewer.
     """
 
-    moments: int
-    rays: int
+    max_moment: int
+    n_rays: int
     seed: int
     threads: int
     wet_pores: str
@@ -61,20 +61,20 @@ class _Node:
         See `splits.transport.grains.scattering.scatter`.
     """
 
-    served: np.ndarray
+    wavelength_mask: np.ndarray
     weight: np.ndarray
     sums: np.ndarray
-    parts: np.ndarray
+    batch_sums: np.ndarray
 
 
 def materials_of(medium: GranularMedium, wavelengths: np.ndarray) -> Constants:
     """Return what a medium's materials are to light at wavelengths (nm), without a ground."""
-    index = medium.indices(wavelengths)
+    index = medium.compute_refractive_indices(wavelengths)
     return Constants(index, absorption_of(medium, index, wavelengths))
 
 
 def optics_of(
-    medium: GranularMedium, scene: Scene, constants: Constants, plan: Plan, nodes: Nodes
+    medium: GranularMedium, scene: Scene, constants: Constants, request: Plan, nodes: Nodes
 ) -> dict[str, np.ndarray]:
     """Return what a scene's grains do to light, by the names of `single_scattering`.
 
@@ -90,12 +90,12 @@ def optics_of(
         Of the medium at these wavelengths.
     """
     index, absorption = constants
-    wet = _wet_share(medium.wet_share, index, plan.wet_pores)
-    at_nodes = _wet_share(medium.wet_share, nodes.index, plan.wet_pores)
-    traced = _trace(scene, nodes, at_nodes, absorption, plan)
-    values = _estimate(traced, nodes.bias, plan.moments + 1, plan.rays)
+    wet = _wet_share(medium.wet_fraction, index, request.wet_pores)
+    at_nodes = _wet_share(medium.wet_fraction, nodes.index, request.wet_pores)
+    traced = _trace(scene, nodes, at_nodes, absorption, request)
+    values = _estimate(traced, nodes.interpolation_bound, request.max_moment + 1, request.n_rays)
     pore = (1.0 - wet) * absorption[:, DRY_PORE] + wet * absorption[:, WET_PORE]
-    grains = medium.grains().attenuation
+    grains = medium.make_grain_population().attenuation
     values["extinction"] = grains + pore
     for name in list(values):
         if name.startswith("single_scattering_albedo"):
@@ -103,23 +103,23 @@ def optics_of(
     return values
 
 
-def roughly(medium: GranularMedium, constants: Constants, plan: Plan) -> xr.Dataset:
+def roughly(medium: GranularMedium, constants: Constants, request: Plan) -> xr.Dataset:
     """Return about what `pooled_by_type` does, for a part of its time.
 
     All grains together, and everything but absorption as at one row: that of the least, at which
     light gets farthest.
     """
     clearest = int(constants.absorption.max(axis=1).argmin())
-    nodes = nodes_at(constants.indices, medium.interfaces(), [clearest])
+    nodes = nodes_at(constants.indices, medium.list_interfaces(), [clearest])
     scene = granular_scene(medium, 0.0, False)
-    values = optics_of(medium, scene, constants, plan, nodes)
+    values = optics_of(medium, scene, constants, request, nodes)
     names = ("single_scattering_albedo", "asymmetry_parameter", "extinction", *RATIOS)
     rows = len(constants.indices)
     found = {name: ("row", np.broadcast_to(values[name], rows)) for name in names}
     return xr.Dataset(found)
 
 
-def pooled_by_type(medium: GranularMedium, constants: Constants, plan: Plan) -> xr.Dataset:
+def pooled_by_type(medium: GranularMedium, constants: Constants, request: Plan) -> xr.Dataset:
     """Return means over grains of which each type was met by so many rays, however rare it is.
 
     A few rays among all types would miss rare ones, and all that these absorb.
@@ -138,16 +138,16 @@ def pooled_by_type(medium: GranularMedium, constants: Constants, plan: Plan) -> 
         `RATIOS`, ``extinction``.
     """
     scene = granular_scene(medium, 0.0, False)
-    shares = np.diff(scene.layers.share[0], prepend=0.0)
+    shares = np.diff(scene.layers.type_cdf[0], prepend=0.0)
     names = ("asymmetry_parameter", *RATIOS)
     rows = len(constants.indices)
-    nodes = choose_nodes(constants.indices, medium.interfaces(), INTERPOLATION)
+    nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION)
     scattered, lost, extinction = np.zeros((3, rows))
     sums = {name: np.zeros(rows) for name in names}
     for kind in np.flatnonzero(shares > 0.0):
         only = (np.arange(shares.size) >= kind).astype(float)[np.newaxis]
-        alone = scene._replace(layers=scene.layers._replace(share=only))
-        values = optics_of(medium, alone, constants, plan, nodes)
+        alone = scene._replace(layers=scene.layers._replace(type_cdf=only))
+        values = optics_of(medium, alone, constants, request, nodes)
         weight = shares[kind] * values["single_scattering_albedo"]
         scattered, extinction = scattered + weight, values["extinction"]
         # Nothing lost is exactly that, whatever shares add up to.
@@ -171,15 +171,15 @@ def _wet_share(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarr
 
 
 def _trace(
-    scene: Scene, nodes: Nodes, wet: np.ndarray, absorption: np.ndarray, plan: Plan
+    scene: Scene, nodes: Nodes, wet_fractions: np.ndarray, absorption: np.ndarray, request: Plan
 ) -> list[_Node]:
     """Trace so many rays at every node."""
-    orders, rays, seed = plan.moments + 1, plan.rays, plan.seed
+    orders, rays, seed = request.max_moment + 1, request.n_rays, request.seed
 
     def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         node, first, optics, part = job
         work = np.array([streams.SINGLE_SCATTERING + node, first, min(rays - first, BATCH)])
-        return scatter(seed, work, orders, Solitary(wet[node], scene, optics), part)
+        return scatter(seed, work, orders, Solitary(wet_fractions[node], scene, optics), part)
 
     served = nodes.weights > 0.0
     rows = [absorption[some] for some in served]
@@ -187,7 +187,7 @@ def _trace(
     firsts = range(0, rays, BATCH)
     jobs = [(i, first, optics[i], part) for i, part in enumerate(rows) for first in firsts]
     traced = []
-    with Threads(plan.threads) as pool:
+    with Threads(request.threads) as pool:
         found = pool.map(run, jobs)
         for some, weight, part in zip(served, nodes.weights, rows, strict=True):
             sums = np.zeros((3, orders + len(RATIOS), len(part)))
@@ -202,45 +202,45 @@ def _trace(
 
 
 def _estimate(
-    traced: list[_Node], bias: np.ndarray, orders: int, rays: int
+    node_tallies: list[_Node], interpolation_bound: np.ndarray, n_orders: int, n_rays: int
 ) -> dict[str, np.ndarray]:
     """Return means over grains and their standard errors, by name.
 
     All but the albedo are ratios of means, <w x>/<w>; the error is that of w (x − <w x>/<w>), to
     first order.
     """
-    mean = np.zeros((orders + len(RATIOS), len(bias)))
+    mean = np.zeros((n_orders + len(RATIOS), len(interpolation_bound)))
     parts = np.zeros((PARTS, *mean.shape))
-    for node in traced:
-        mean[:, node.served] += node.weight * node.sums[0]
-        parts[:, :, node.served] += node.weight * node.parts
+    for node in node_tallies:
+        mean[:, node.wavelength_mask] += node.weight * node.sums[0]
+        parts[:, :, node.wavelength_mask] += node.weight * node.batch_sums
     albedo = mean[0]
     # Where nothing at all is scattered, the phase function has no meaning: 0, and no NaN.
     share = np.maximum(albedo, np.finfo(float).tiny)
     ratio = mean / share
-    variance = np.zeros(len(bias))
+    variance = np.zeros(len(interpolation_bound))
     spread = np.zeros(mean.shape)
-    for node in traced:
+    for node in node_tallies:
         first, mixed, square = node.sums
-        chi = ratio[:, node.served]
-        variance[node.served] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
+        chi = ratio[:, node.wavelength_mask]
+        variance[node.wavelength_mask] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
         residual = square - 2.0 * chi * mixed + chi**2 * square[0]
         residual -= (first - chi * first[0]) ** 2
-        spread[:, node.served] += node.weight**2 * np.maximum(residual, 0.0)
-    missed = MOMENT_SLOPE * bias * np.abs(ratio)
-    missed[:orders] = MOMENT_SLOPE * bias * np.clip(8.0 * np.abs(_apart(ratio[:orders])), 0.0, 1.0)
-    error = np.sqrt(spread / (rays * share**2) + missed**2)
+        spread[:, node.wavelength_mask] += node.weight**2 * np.maximum(residual, 0.0)
+    missed = MOMENT_SLOPE * interpolation_bound * np.abs(ratio)
+    missed[:n_orders] = MOMENT_SLOPE * interpolation_bound * np.clip(8.0 * np.abs(_apart(ratio[:n_orders])), 0.0, 1.0)
+    error = np.sqrt(spread / (n_rays * share**2) + missed**2)
     left_out = without_one(parts)
     ratios = left_out / np.maximum(left_out[:, :1], np.finfo(float).tiny)
-    albedo_missed = bias * np.clip(8.0 * _apart(albedo), 0.0, 1.0)
+    albedo_missed = interpolation_bound * np.clip(8.0 * _apart(albedo), 0.0, 1.0)
     found = {
         "single_scattering_albedo": albedo,
-        "single_scattering_albedo_stderr": np.sqrt(variance / rays + albedo_missed**2),
+        "single_scattering_albedo_stderr": np.sqrt(variance / n_rays + albedo_missed**2),
         "single_scattering_albedo_left_out": left_out[:, 0],
         "single_scattering_albedo_missed": albedo_missed,
     }
-    rows = {"legendre_moment": slice(orders), "asymmetry_parameter": 1}
-    rows |= {name: orders + row for row, name in enumerate(RATIOS)}
+    rows = {"legendre_moment": slice(n_orders), "asymmetry_parameter": 1}
+    rows |= {name: n_orders + row for row, name in enumerate(RATIOS)}
     for name, row in rows.items():
         for end, table in (("", ratio), ("_stderr", error), ("_missed", missed)):
             found[f"{name}{end}"] = table[row].T
@@ -248,6 +248,6 @@ def _estimate(
     return found
 
 
-def _apart(value: np.ndarray) -> np.ndarray:
+def _apart(probability: np.ndarray) -> np.ndarray:
     """Return x (1 − x), which is 0 where a share cannot depend on the refractive index."""
-    return value * (1.0 - value)
+    return probability * (1.0 - probability)

@@ -34,12 +34,12 @@ class Found(NamedTuple):
         Metres; of an interval without end, down to where tracing ends.
     """
 
-    light: np.ndarray
-    absorbed: np.ndarray
-    by_material: np.ndarray
-    way: np.ndarray
+    irradiance: np.ndarray
+    absorptance: np.ndarray
+    material_absorptance: np.ndarray
+    path_length: np.ndarray
 
-    def part(self, wavelengths: slice) -> Found:
+    def select_wavelengths(self, wavelengths: slice) -> Found:
         """Return what was found at some wavelengths."""
         return Found(*(each[..., wavelengths] for each in self))
 
@@ -58,29 +58,29 @@ class Outcome(NamedTuple):
         The error was reached, or so many rays, or what remains is a bound that rays do not lower.
     """
 
-    found: Found
-    doubt: Doubt
-    moved: Found | None
-    reached: float
-    stopped_by: str
+    estimate: Found
+    systematic_error: Doubt
+    perturbed_estimate: Found | None
+    max_stderr_reached: float
+    stop_reason: str
 
 
-def _at_planes(ensemble: Planes, weight: np.ndarray, at: np.ndarray, endless: bool) -> Found:
+def _at_planes(tally: Planes, weight: np.ndarray, boundary_rows: np.ndarray, semi_infinite: bool) -> Found:
     """Return what an ensemble tells at faces `at`, as its wavelengths weigh it.
 
     In a medium without end, the last face is where tracing ends, and the last interval goes on.
     """
-    told = ensemble.told()
-    light = weight * told.light[:, :, at]
+    told = tally.compute_batch_means()
+    light = weight * told.irradiance[:, :, boundary_rows]
     net = light[:, DOWN] - light[:, UP]
-    first = at[:-1]
+    first = boundary_rows[:-1]
     absorbed = net[:, :-1] - net[:, 1:]
-    by_material = weight * np.add.reduceat(told.absorbed[:, : at[-1]], first, axis=1)
-    way = weight * np.add.reduceat(told.way[:, : at[-1]], first, axis=1)
-    if endless:
+    by_material = weight * np.add.reduceat(told.absorptance[:, : boundary_rows[-1]], first, axis=1)
+    way = weight * np.add.reduceat(told.path_length[:, : boundary_rows[-1]], first, axis=1)
+    if semi_infinite:
         light, absorbed[:, -1] = light[:, :, :-1], net[:, -2]
         # What enters below is absorbed by the materials of the lowest layer, as just above.
-        last = told.absorbed[:, at[-1] - 1].mean(axis=0)
+        last = told.absorptance[:, boundary_rows[-1] - 1].mean(axis=0)
         whole = last.sum(axis=0)
         share = np.divide(last, whole, out=np.zeros_like(last), where=whole > 0.0)
         by_material[:, -1] += share * net[:, -1, np.newaxis]
@@ -89,55 +89,55 @@ def _at_planes(ensemble: Planes, weight: np.ndarray, at: np.ndarray, endless: bo
 
 def found_by(
     runner: Runner,
-    ensembles: Sequence[Planes],
+    tallies: Sequence[Planes],
     nodes: Nodes,
-    traced: Traced,
-    goal: Goal,
+    traced_medium: Traced,
+    stopping_rule: Goal,
     max_rays: int,
 ) -> Outcome:
     """Trace until the error asked for is reached, or so many rays."""
-    levels = [(e, level) for e in ensembles for level in e.levels]
+    levels = [(e, level) for e in tallies for level in e.strata]
     # The face above a rough surface is above the depth 0.
-    at = np.append(0, np.searchsorted(runner.tracer.depths_m, traced.planes_m[1:]))
-    own = slice(traced.wavelengths)
-    runner.trace([(*who, ROUND) for who in levels], 1.0, goal.max_stderr)
+    at = np.append(0, np.searchsorted(runner.tracer.boundary_depths_m, traced_medium.planes_m[1:]))
+    own = slice(traced_medium.n_wavelengths)
+    runner.trace([(*who, ROUND) for who in levels], 1.0, stopping_rule.max_stderr)
     while True:
         every = [
-            _at_planes(e, weight, at, traced.endless)
-            for e, weight in zip(ensembles, nodes.weights, strict=True)
+            _at_planes(e, weight, at, traced_medium.semi_infinite)
+            for e, weight in zip(tallies, nodes.weights, strict=True)
         ]
         whole = Found(*(np.sum(part, axis=0) for part in zip(*every, strict=True)))
-        found, each = whole.part(own), [one.part(own) for one in every]
-        moved = whole.part(slice(traced.wavelengths, None)) if traced.cut else None
-        least = one_ray(ensembles, nodes.weights)[own]
-        doubt = doubt_of(found[:2], None if moved is None else moved[:2], nodes.bias[own], least)
-        scatter = stderr_of(goal.columns(goal.rows(found.light, found.absorbed)))
-        bias = goal.columns(goal.rows(*doubt.lasting))
-        stderr = np.hypot(scatter, goal.columns(goal.rows(doubt.light, doubt.absorbed)))
-        reached = float((stderr / goal.limit).max()) * goal.max_stderr
-        rays = np.array([level.rays for _, level in levels], dtype=float)
-        if reached <= goal.max_stderr:
+        found, each = whole.select_wavelengths(own), [one.select_wavelengths(own) for one in every]
+        moved = whole.select_wavelengths(slice(traced_medium.n_wavelengths, None)) if traced_medium.truncated else None
+        least = one_ray(tallies, nodes.weights)[own]
+        doubt = doubt_of(found[:2], None if moved is None else moved[:2], nodes.interpolation_bound[own], least)
+        scatter = stderr_of(stopping_rule.average_over_bands(stopping_rule.select_quantities(found.irradiance, found.absorptance)))
+        bias = stopping_rule.average_over_bands(stopping_rule.select_quantities(*doubt.irreducible))
+        stderr = np.hypot(scatter, stopping_rule.average_over_bands(stopping_rule.select_quantities(doubt.irradiance, doubt.absorptance)))
+        reached = float((stderr / stopping_rule.stderr_limits).max()) * stopping_rule.max_stderr
+        rays = np.array([level.n_rays for _, level in levels], dtype=float)
+        if reached <= stopping_rule.max_stderr:
             return Outcome(found, doubt, moved, reached, "error")
-        if (bias > goal.limit).any() and (stderr**2 - bias**2 < LEAST_SHARE * goal.limit**2).all():
+        if (bias > stopping_rule.stderr_limits).any() and (stderr**2 - bias**2 < LEAST_SHARE * stopping_rule.stderr_limits**2).all():
             return Outcome(found, doubt, moved, reached, "bound")
         if rays.sum() >= max_rays:
             return Outcome(found, doubt, moved, reached, "rays")
-        more = wanted(goal, ensembles, [goal.rows(one.light, one.absorbed) for one in each], bias)
+        more = wanted(stopping_rule, tallies, [stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in each], bias)
         step = np.minimum(more - rays, (_GROWTH - 1.0) * rays)
         step = np.ceil(step * min(1.0, (max_rays - rays.sum()) / step.sum()) / ROUND)
         left = float((more - rays - step * ROUND).clip(0).sum())
         work = [(*who, int(s) * ROUND) for who, s in zip(levels, step, strict=True) if s > 0]
-        runner.trace(work, reached, goal.max_stderr, left)
+        runner.trace(work, reached, stopping_rule.max_stderr, left)
 
 
-def shares_of(found: Found) -> np.ndarray:
+def shares_of(estimate: Found) -> np.ndarray:
     """Return absorbed shares by material, whose sums are those of `Found.absorbed`.
 
     Shape (GROUPS, intervals, materials, wavelengths); the materials' parts vary by group to first
     order.  Where no path tells of an interval, its shares are those of the whole sample, and the
     same for all materials where none tells of that; errors say so (`share_missed`).
     """
-    parts = found.by_material
+    parts = estimate.material_absorptance
     whole = parts.sum(axis=2, keepdims=True)
     mean = whole.mean(axis=0)
     of_all = parts.mean(axis=0).sum(axis=0, keepdims=True)
@@ -147,7 +147,7 @@ def shares_of(found: Found) -> np.ndarray:
         np.divide(of_all, every, out=even, where=every > 0.0), mean.shape[:1] + of_all.shape[1:]
     ).copy()
     np.divide(parts.mean(axis=0), mean, out=share, where=mean > 0.0)
-    absorbed = found.absorbed[:, :, np.newaxis]
+    absorbed = estimate.absorptance[:, :, np.newaxis]
     total = absorbed.mean(axis=0)
     scale = np.divide(total, mean, out=np.zeros_like(total), where=mean > 0.0)
     result: np.ndarray = absorbed * share + scale * (parts - share * whole)

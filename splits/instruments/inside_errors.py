@@ -39,18 +39,18 @@ class Doubt(NamedTuple):
         See `unseen_light`.
     """
 
-    light: np.ndarray
-    absorbed: np.ndarray
-    lasting: list[np.ndarray]
-    bias: np.ndarray
-    unseen: np.ndarray
+    irradiance: np.ndarray
+    absorptance: np.ndarray
+    irreducible: list[np.ndarray]
+    interpolation_bound: np.ndarray
+    unsampled_light: np.ndarray
 
 
 def doubt_of(
-    found: Sequence[np.ndarray],
-    moved: Sequence[np.ndarray] | None,
-    bias: np.ndarray,
-    least: np.ndarray,
+    estimates: Sequence[np.ndarray],
+    perturbed_estimates: Sequence[np.ndarray] | None,
+    interpolation_bound: np.ndarray,
+    single_ray_error: np.ndarray,
 ) -> Doubt:
     """Return what the errors of irradiances and absorptances hold besides scatter.
 
@@ -64,20 +64,20 @@ def doubt_of(
     least : float, shape (wavelengths,)
         What one ray more would add to a mean.
     """
-    unseen = unseen_light(found[0][:, DOWN], least)
-    below = unseen[1 : found[1].shape[1] + 1]
-    lasting = [missed(bias, groups.mean(axis=0)) for groups in found]
-    if moved is not None:
+    unseen = unseen_light(estimates[0][:, DOWN], single_ray_error)
+    below = unseen[1 : estimates[1].shape[1] + 1]
+    lasting = [missed(interpolation_bound, groups.mean(axis=0)) for groups in estimates]
+    if perturbed_estimates is not None:
         lasting = [
             np.hypot(one, (groups - other).mean(axis=0))
-            for one, groups, other in zip(lasting, found, moved, strict=True)
+            for one, groups, other in zip(lasting, estimates, perturbed_estimates, strict=True)
         ]
-    rare = [rare_of(*each) for each in zip(found, (unseen[:-1], below), strict=True)]
+    rare = [rare_of(*each) for each in zip(estimates, (unseen[:-1], below), strict=True)]
     light, absorbed = (np.hypot(one, more) for one, more in zip(lasting, rare, strict=True))
-    return Doubt(light, absorbed, lasting, bias, below)
+    return Doubt(light, absorbed, lasting, interpolation_bound, below)
 
 
-def rare_of(groups: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+def rare_of(batch_means: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
     """Return what errors hold of means that few groups decide.
 
     Nothing seen is not certainty: what fewer than `FEW` groups have seen may be off by one ray.
@@ -89,20 +89,20 @@ def rare_of(groups: np.ndarray, unseen: np.ndarray) -> np.ndarray:
     unseen : float, shape (..., wavelengths)
         What rays that were not seen may add, see `unseen_light`.
     """
-    total, square = np.abs(groups).sum(axis=0), (groups**2).sum(axis=0)
-    largest = np.abs(groups).max(axis=0) / len(groups)
+    total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
+    largest = np.abs(batch_means).max(axis=0) / len(batch_means)
     more = np.where(total**2 < FEW * square, largest, 0.0)
-    found: np.ndarray = np.hypot(np.where(few_of(groups), unseen, 0.0), more)
+    found: np.ndarray = np.hypot(np.where(few_of(batch_means), unsampled_light, 0.0), more)
     return found
 
 
-def few_of(groups: np.ndarray) -> np.ndarray:
+def few_of(batch_means: np.ndarray) -> np.ndarray:
     """Tell where only few groups have seen anything."""
-    seen: np.ndarray = (groups != 0.0).sum(axis=0) < FEW
+    seen: np.ndarray = (batch_means != 0.0).sum(axis=0) < FEW
     return seen
 
 
-def unseen_light(down: np.ndarray, least: np.ndarray) -> np.ndarray:
+def unseen_light(downward_irradiance: np.ndarray, single_ray_error: np.ndarray) -> np.ndarray:
     """Return the most that rays which few groups have seen may add at each depth and below it.
 
     One ray more, and never much more than the light that reaches the plane above: what is
@@ -119,12 +119,12 @@ def unseen_light(down: np.ndarray, least: np.ndarray) -> np.ndarray:
     float, shape (depths + 1, wavelengths)
         The last below the last depth.
     """
-    few = few_of(down)
-    reaching = down.mean(axis=0)
-    unseen, ceiling = [least], least
+    few = few_of(downward_irradiance)
+    reaching = downward_irradiance.mean(axis=0)
+    unseen, ceiling = [single_ray_error], single_ray_error
     for rare, mean in zip(few, reaching, strict=True):
-        ceiling = mean + np.where(rare, np.minimum(ceiling, least), 0.0)
-        unseen.append(np.minimum(least, BRIGHTER * ceiling))
+        ceiling = mean + np.where(rare, np.minimum(ceiling, single_ray_error), 0.0)
+        unseen.append(np.minimum(single_ray_error, BRIGHTER * ceiling))
     return np.stack(unseen)
 
 
@@ -142,13 +142,13 @@ class Steps(NamedTuple):
         Light that steps keep, as a part of it and per metre of path.
     """
 
-    depth: np.ndarray
-    reach: np.ndarray
-    rate: np.ndarray
+    optical_depth: np.ndarray
+    unscored_path_m: np.ndarray
+    absorption_rate: np.ndarray
 
 
 def steps_of(
-    medium: GranularMedium | LayeredMedium, absorption: np.ndarray, planes: np.ndarray
+    medium: GranularMedium | LayeredMedium, absorption: np.ndarray, planes_m: np.ndarray
 ) -> Steps:
     """Return the steps in which weights fall inside a medium.
 
@@ -161,18 +161,18 @@ def steps_of(
         Depths between which intervals lie (m).
     """
     first, top = 0, 0.0
-    found: list[list[Steps]] = [[] for _ in planes[1:]]
-    for part in medium.parts if isinstance(medium, LayeredMedium) else (medium,):
-        last, bottom = first + len(part.materials()), top + float(part.depth_m)
+    found: list[list[Steps]] = [[] for _ in planes_m[1:]]
+    for part in medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,):
+        last, bottom = first + len(part.list_materials()), top + float(part.depth_m)
         here = _steps_of(part, absorption[:, first:last])
-        for inside, begin, end in zip(found, planes[:-1], planes[1:], strict=True):
+        for inside, begin, end in zip(found, planes_m[:-1], planes_m[1:], strict=True):
             if begin < bottom and end > top:
                 inside.append(here)
         first, top = last, bottom
     return Steps(
-        np.array([np.max([s.depth for s in inside], axis=0) for inside in found]),
-        np.array([np.max([s.reach for s in inside], axis=0) for inside in found]),
-        np.array([np.min([s.rate for s in inside], axis=0) for inside in found]),
+        np.array([np.max([s.optical_depth for s in inside], axis=0) for inside in found]),
+        np.array([np.max([s.unscored_path_m for s in inside], axis=0) for inside in found]),
+        np.array([np.min([s.absorption_rate for s in inside], axis=0) for inside in found]),
     )
 
 
@@ -186,20 +186,20 @@ def _steps_of(medium: GranularMedium | ParticleLayer, absorption: np.ndarray) ->
     if isinstance(medium, ParticleLayer):
         none = np.zeros(len(absorption))
         return Steps(none, none, absorption[:, WET_PORE])
-    grains, types = medium.grains(), medium.grains().types
+    grains, types = medium.make_grain_population(), medium.make_grain_population().types
     leg = 1.0 / grains.attenuation
     pore = leg * pore_fraction(medium)
-    packed = getattr(medium.readings, "attenuation", "solid") == "solid"
+    packed = getattr(medium.interpretation, "attenuation", "solid") == "solid"
     chord = medium.mean_grain_distance_m * (1.0 - medium.porosity if packed else 1.0)
-    shares = np.diff(grains.share, prepend=0.0)
+    shares = np.diff(grains.type_cdf, prepend=0.0)
     depths, of_all = [], []
     for kind in np.flatnonzero(shares > 0.0):
-        coats = types.shells[kind] - 1
-        film = absorption[:, types.material[kind, :coats]] @ types.thickness[kind, :coats]
+        coats = types.n_shells[kind] - 1
+        film = absorption[:, types.material[kind, :coats]] @ types.coating_thickness[kind, :coats]
         core = absorption[:, types.material[kind, coats]]
         depths.append(chord * (core + 4.5 * film))
         of_all.append(shares[kind])
-    filled = [1.0 - medium.wet_share - sum(medium.pores.values()), medium.wet_share]
+    filled = [1.0 - medium.wet_fraction - sum(medium.pores.values()), medium.wet_fraction]
     for pore, share in enumerate([*filled, *medium.pores.values()]):
         if share > 0.0:
             depths.append(leg * absorption[:, pore])
@@ -208,15 +208,15 @@ def _steps_of(medium: GranularMedium | ParticleLayer, absorption: np.ndarray) ->
     return Steps(np.max(depths, axis=0), pore * np.minimum(kept, 1.0), kept / pore)
 
 
-def _stretched(depth: np.ndarray) -> np.ndarray:
+def _stretched(optical_depth: np.ndarray) -> np.ndarray:
     """Return by which part of itself a path may be longer than if weights fell evenly along it."""
-    d = np.maximum(depth, 1e-9)
+    d = np.maximum(optical_depth, 1e-9)
     more: np.ndarray = d / -np.expm1(-d) - 1.0
     return more
 
 
 def flux_missed(
-    steps: Steps, flux: np.ndarray, absorbed: np.ndarray, arriving: np.ndarray
+    steps: Steps, actinic_flux: np.ndarray, absorption: np.ndarray, incident: np.ndarray
 ) -> np.ndarray:
     """Return what the mean path over thickness may miss, shape (intervals, wavelengths).
 
@@ -234,15 +234,15 @@ def flux_missed(
         Light absorbed in an interval, and light that comes to it through its planes, over its
         thickness (1/m).
     """
-    most = _stretched(steps.depth) * flux + steps.reach * arriving
-    kept = np.maximum(absorbed, 0.0)
-    path = np.divide(kept, steps.rate, out=np.full_like(flux, np.inf), where=steps.rate > 0.0)
-    missed: np.ndarray = np.minimum(most, 2.0 * np.abs(path - flux) + 0.1 * flux)
+    most = _stretched(steps.optical_depth) * actinic_flux + steps.unscored_path_m * incident
+    kept = np.maximum(absorption, 0.0)
+    path = np.divide(kept, steps.absorption_rate, out=np.full_like(actinic_flux, np.inf), where=steps.absorption_rate > 0.0)
+    missed: np.ndarray = np.minimum(most, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
     return missed
 
 
 def share_missed(
-    steps: Steps, share: np.ndarray, whole: np.ndarray, unheard: np.ndarray
+    steps: Steps, absorptance: np.ndarray, total_absorptance: np.ndarray, unscored_absorptance: np.ndarray
 ) -> np.ndarray:
     """Return how far a material's absorbed share of an interval's may be off.
 
@@ -257,14 +257,14 @@ def share_missed(
     whole, unheard : float, shape (intervals, wavelengths)
         What all of them absorb, and how much of that no path tells of.
     """
-    whole, unheard = whole[:, np.newaxis], unheard[:, np.newaxis]
-    moved = np.minimum(share, np.maximum(whole - share, 0.0))
-    off = _stretched(steps.depth)[:, np.newaxis] * moved + unheard
-    missed: np.ndarray = np.minimum(off, np.maximum(whole, 0.0))
+    total_absorptance, unscored_absorptance = total_absorptance[:, np.newaxis], unscored_absorptance[:, np.newaxis]
+    moved = np.minimum(absorptance, np.maximum(total_absorptance - absorptance, 0.0))
+    off = _stretched(steps.optical_depth)[:, np.newaxis] * moved + unscored_absorptance
+    missed: np.ndarray = np.minimum(off, np.maximum(total_absorptance, 0.0))
     return missed
 
 
-def besides(groups: np.ndarray, bias: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+def besides(batch_means: np.ndarray, interpolation_bound: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
     """Return what standard errors of means of groups hold besides their scatter.
 
     Parameters
@@ -275,11 +275,11 @@ def besides(groups: np.ndarray, bias: np.ndarray, unseen: np.ndarray) -> np.ndar
     unseen : float, shape (..., wavelengths)
         See `rare_of`.
     """
-    found: np.ndarray = np.hypot(missed(bias, groups.mean(axis=0)), rare_of(groups, unseen))
+    found: np.ndarray = np.hypot(missed(interpolation_bound, batch_means.mean(axis=0)), rare_of(batch_means, unsampled_light))
     return found
 
 
-def missed(bias: np.ndarray, value: np.ndarray) -> np.ndarray:
+def missed(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return what interpolation between refractive indices may miss of irradiances and the like.
 
     As of a reflectance (`splits.instruments.nodes`), with the elasticity |ln f| of what decays
@@ -293,12 +293,12 @@ def missed(bias: np.ndarray, value: np.ndarray) -> np.ndarray:
     """
     size = np.clip(np.abs(value), np.finfo(float).tiny, None)
     elastic = size * np.maximum(8.0, np.abs(np.log(size)) / SLOPE)
-    bound: np.ndarray = bias * np.minimum(np.maximum(1.0, size), elastic)
+    bound: np.ndarray = interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)
     return bound
 
 
-def one_ray(ensembles: Sequence[Planes], weights: np.ndarray) -> np.ndarray:
+def one_ray(tallies: Sequence[Planes], weights: np.ndarray) -> np.ndarray:
     """Return what one ray more would add to the mean at every wavelength, shape (wavelengths,)."""
-    counts = np.stack([np.maximum(one.count, 1.0) for one in ensembles])
+    counts = np.stack([np.maximum(one.n_rays, 1.0) for one in tallies])
     added: np.ndarray = (weights / counts).max(axis=0)
     return added

@@ -36,17 +36,17 @@ class Goal(NamedTuple):
     """
 
     max_stderr: float
-    irradiance: bool = True
-    weights: np.ndarray | None = None
-    share: np.ndarray | None = None
+    limit_irradiance: bool = True
+    band_weights: np.ndarray | None = None
+    variance_fractions: np.ndarray | None = None
 
     @property
-    def limit(self) -> np.ndarray:
+    def stderr_limits(self) -> np.ndarray:
         """Largest standard error of each column of `rows`, shape (bands,) or (1,)."""
-        share = np.ones(1) if self.share is None else self.share
+        share = np.ones(1) if self.variance_fractions is None else self.variance_fractions
         return self.max_stderr * np.sqrt(share)
 
-    def rows(self, light: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
+    def select_quantities(self, irradiance: np.ndarray, absorptance: np.ndarray) -> np.ndarray:
         """Return the quantities that errors are asked of, by wavelength.
 
         Parameters
@@ -58,13 +58,13 @@ class Goal(NamedTuple):
         -------
         float, shape (..., quantities, wavelengths)
         """
-        down, up = light[..., DOWN, :, :], light[..., UP, :, :]
-        parts = [down, up, absorbed] if self.irradiance else [up[..., :1, :], absorbed]
+        down, up = irradiance[..., DOWN, :, :], irradiance[..., UP, :, :]
+        parts = [down, up, absorptance] if self.limit_irradiance else [up[..., :1, :], absorptance]
         return np.concatenate(parts, axis=-2)
 
-    def columns(self, rows: np.ndarray) -> np.ndarray:
+    def average_over_bands(self, quantities: np.ndarray) -> np.ndarray:
         """Return quantities by band, or by wavelength where there are no bands."""
-        return rows if self.weights is None else rows @ self.weights.T
+        return quantities if self.band_weights is None else quantities @ self.band_weights.T
 
 
 class Members(NamedTuple):
@@ -80,11 +80,11 @@ class Members(NamedTuple):
     """
 
     values: np.ndarray
-    owner: np.ndarray
-    served: np.ndarray
+    membership: np.ndarray
+    column_mask: np.ndarray
 
 
-def members_of(goal: Goal, ensembles: Sequence[Planes], rows: Sequence[np.ndarray]) -> Members:
+def members_of(stopping_rule: Goal, tallies: Sequence[Planes], quantities: Sequence[np.ndarray]) -> Members:
     """Return the members of quantities by wavelength, or by band.
 
     The wavelengths of a band that the same levels of an ensemble serve make one member.
@@ -96,28 +96,28 @@ def members_of(goal: Goal, ensembles: Sequence[Planes], rows: Sequence[np.ndarra
     rows : sequence of float, shape (GROUPS, quantities, wavelengths)
         Of each ensemble, see `Goal.rows`.
     """
-    counts = [len(e.levels) for e in ensembles]
-    every = slice(rows[0].shape[-1])
-    served = np.stack([level.served[every] for e in ensembles for level in e.levels])
-    if goal.weights is None:
-        owner = np.repeat(np.eye(len(ensembles)), counts, axis=1)
-        return Members(np.stack(rows), owner, served)
+    counts = [len(e.strata) for e in tallies]
+    every = slice(quantities[0].shape[-1])
+    served = np.stack([level.wavelength_mask[every] for e in tallies for level in e.strata])
+    if stopping_rule.band_weights is None:
+        owner = np.repeat(np.eye(len(tallies)), counts, axis=1)
+        return Members(np.stack(quantities), owner, served)
     values, owners = [], []
     first = 0
-    for row, count in zip(rows, counts, strict=True):
+    for row, count in zip(quantities, counts, strict=True):
         depth = served[first : first + count].sum(axis=0)
         for number in np.unique(depth[depth > 0]):
             alike = depth == number
-            values.append(row[..., alike] @ goal.weights[:, alike].T)
+            values.append(row[..., alike] @ stopping_rule.band_weights[:, alike].T)
             owners.append(np.zeros(len(served)))
             owners[-1][first : first + number] = 1.0
         first += count
-    everywhere = np.ones((len(served), len(goal.weights)), dtype=bool)
+    everywhere = np.ones((len(served), len(stopping_rule.band_weights)), dtype=bool)
     return Members(np.stack(values), np.stack(owners), everywhere)
 
 
 def wanted(
-    goal: Goal, ensembles: Sequence[Planes], rows: Sequence[np.ndarray], bias: np.ndarray
+    stopping_rule: Goal, tallies: Sequence[Planes], quantities: Sequence[np.ndarray], irreducible_error: np.ndarray
 ) -> np.ndarray:
     """Return the rays per level that reach a goal at the least cost.
 
@@ -128,21 +128,21 @@ def wanted(
     bias : float, shape (quantities, columns)
         What rays do not lower.
     """
-    levels = [level for e in ensembles for level in e.levels]
-    rays = np.array([level.rays for level in levels], dtype=float)
-    members = members_of(goal, ensembles, rows)
+    levels = [level for e in tallies for level in e.strata]
+    rays = np.array([level.n_rays for level in levels], dtype=float)
+    members = members_of(stopping_rule, tallies, quantities)
     each = members.values.var(axis=1, ddof=1) / GROUPS
-    target = np.maximum(goal.limit**2 - bias**2, LEAST_SHARE * goal.limit**2)
-    if goal.weights is not None:
+    target = np.maximum(stopping_rule.stderr_limits**2 - irreducible_error**2, LEAST_SHARE * stopping_rule.stderr_limits**2)
+    if stopping_rule.band_weights is not None:
         # Members of one ensemble share rays and scatter together.
-        whole = stderr_of(goal.columns(np.sum(rows, axis=0))) ** 2
+        whole = stderr_of(stopping_rule.average_over_bands(np.sum(quantities, axis=0))) ** 2
         parts = each.sum(axis=0)
         target *= np.divide(parts, whole, out=np.ones_like(parts), where=(parts > 0) & (whole > 0))
-    count = (members.owner * rays) @ members.served
+    count = (members.membership * rays) @ members.column_mask
     # Rows without scatter want hardly anything, members that no ray counts for nothing at all.
     least = np.where(count > 0.0, _TINY, 0.0)[:, np.newaxis]
     shares = np.maximum(each * count[:, np.newaxis] / target, least)
-    found = allocate_rays(shares, members.owner, members.served, levels)
+    found = allocate_rays(shares, members.membership, members.column_mask, levels)
     more = found > rays + BATCH
     if not more.any():
         # What no ray has reached does not scatter.

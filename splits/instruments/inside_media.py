@@ -55,22 +55,22 @@ class Traced(NamedTuple):
 
     medium: GranularMedium | LayeredMedium
     constants: Constants
-    wavelengths: int
+    n_wavelengths: int
     planes_m: np.ndarray
-    endless: bool
-    cut: bool
-    materials: dict[str, int]
+    semi_infinite: bool
+    truncated: bool
+    material_columns: dict[str, int]
 
     @property
     def edges_m(self) -> np.ndarray:
         """Depths between which intervals lie (m)."""
-        return np.append(self.planes_m[:-1], np.inf) if self.endless else self.planes_m
+        return np.append(self.planes_m[:-1], np.inf) if self.semi_infinite else self.planes_m
 
-    def absorbing(self) -> np.ndarray:
+    def is_absorbing(self) -> np.ndarray:
         """Tell at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
-        absorption = self.constants.absorption[: self.wavelengths]
+        absorption = self.constants.absorption[: self.n_wavelengths]
         lowest = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
-        absorbing: np.ndarray = steps_of(self.medium, absorption, lowest).rate[0] > 0.0
+        absorbing: np.ndarray = steps_of(self.medium, absorption, lowest).absorption_rate[0] > 0.0
         return absorbing
 
 
@@ -79,10 +79,10 @@ class _AbsorbingStack(Stack):
     """A stack whose particles absorb along the path."""
 
     @cached_property
-    def parts(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Any, ...]:
         """The layers as scenes take them."""
         return tuple(
-            AbsorbingMatrix.of(part) if isinstance(part, ParticleLayer) else part
+            AbsorbingMatrix.from_particle_layer(part) if isinstance(part, ParticleLayer) else part
             for part in super().parts
         )
 
@@ -92,7 +92,7 @@ class _Slab(_AbsorbingStack):
     """A layer of particles alone, whose bottom touches the matrix."""
 
     @cached_property
-    def parts(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Any, ...]:
         """The layer, and below it what has the matrix' index outside, where it has a bottom."""
         (part,) = super().parts
         if self.ground is None:
@@ -111,7 +111,7 @@ def thickness_of(medium: Any) -> float:
 def traced_as(
     medium: Any,
     wavelengths: np.ndarray,
-    depths: Sequence[float],
+    depths_m: Sequence[float],
     max_stderr: float,
     seed: int,
     threads: int,
@@ -128,43 +128,43 @@ def traced_as(
     max_stderr, seed, threads
         As for the spectrophotometer.
     """
-    rough = medium.fields() if isinstance(medium, Layer) else fields_of(medium)
+    rough = medium.make_height_fields() if isinstance(medium, Layer) else fields_of(medium)
     if rough is not None:
         least = CLEARANCE * float(np.linalg.norm(rough.rms_height))
-        if depths[0] < least:
+        if depths_m[0] < least:
             hint = f"{CLEARANCE:g} standard deviations of the surface's height"
-            raise refuse("depth_m", float(depths[0]), f"at least {least:g} m", hint)
+            raise refuse("depth_m", float(depths_m[0]), f"at least {least:g} m", hint)
     if isinstance(medium, Layer):
-        return _of_layer(medium, wavelengths, depths)
+        return _of_layer(medium, wavelengths, depths_m)
     endless = math.isinf(thickness_of(medium))
     whole = medium
     if endless:
         above = float(sum(part.depth_m for part in getattr(medium, "parts", ())[:-1]))
-        family, within = Family.of_one_size([medium]), max(0.0, depths[-1] - above)
+        family, within = Family.from_media([medium]), max(0.0, depths_m[-1] - above)
         cut: Any = cut_of(family, wavelengths, max_stderr, seed, threads, within)
         whole = cut.media[0]
     if any(isinstance(part, ParticleLayer) for part in getattr(whole, "parts", ())):
         whole = _AbsorbingStack(whole.layers, whole.ground)
-    names = {name: column for column, name in enumerate(medium.materials())}
-    return _traced(whole, wavelengths, depths, float(whole.depth_m), endless, names)
+    names = {name: column for column, name in enumerate(medium.list_materials())}
+    return _traced(whole, wavelengths, depths_m, float(whole.depth_m), endless, names)
 
 
 def _traced(
     medium: Any,
     wavelengths: np.ndarray,
-    depths: Sequence[float],
-    end: float,
-    endless: bool,
-    names: dict[str, int],
+    depths_m: Sequence[float],
+    end_m: float,
+    semi_infinite: bool,
+    material_columns: dict[str, int],
 ) -> Traced:
     """Return a medium that ends as it is traced."""
     constants = constants_of(medium, wavelengths)
     # A ground below what has no end is one that stands for the rest.
-    cut = endless and not isinstance(medium, _Slab) and ground_of(medium) is not None
+    cut = semi_infinite and not isinstance(medium, _Slab) and ground_of(medium) is not None
     if cut:
         constants = _with_more_kept(constants)
-    planes = np.array([0.0, *depths, end])
-    return Traced(medium, constants, wavelengths.size, planes, endless, cut, names)
+    planes = np.array([0.0, *depths_m, end_m])
+    return Traced(medium, constants, wavelengths.size, planes, semi_infinite, cut, material_columns)
 
 
 def _with_more_kept(constants: Constants) -> Constants:
@@ -179,28 +179,28 @@ def _with_more_kept(constants: Constants) -> Constants:
     )
 
 
-def _of_layer(layer: Layer, wavelengths: np.ndarray, depths: Sequence[float]) -> Traced:
+def _of_layer(layer: Layer, wavelengths: np.ndarray, depths_m: Sequence[float]) -> Traced:
     """Return a layer of particles alone as it is traced."""
     for name in ("polarized", "opaque"):
         if getattr(layer, name):
             hint = "profiles know no polarization" if name == "polarized" else LEFT_OUT[name][1]
             raise refuse(name, True, "false", hint)
     endless = math.isinf(layer.optical_thickness)
-    ground: Ground | None = Ground.of(layer.bottom_albedo)
+    ground: Ground | None = Ground.from_input(layer.bottom_albedo)
     bare = replace(layer, bottom_albedo=None)
     if endless:
-        end = depths[-1] + _reach(layer)
+        end = depths_m[-1] + _reach(layer)
         thickness = layer.extinction_per_m * end
         bare = replace(bare, optical_thickness=thickness, depth_m=end)
-        ground = Ground.of(1.0)
+        ground = Ground.from_input(1.0)
     slab = _Slab((bare,), ground)
     names = {"matrix": WET_PORE}
-    return _traced(slab, wavelengths, depths, float(bare.depth_m), endless, names)
+    return _traced(slab, wavelengths, depths_m, float(bare.depth_m), endless, names)
 
 
 def _reach(layer: Layer) -> float:
     """Return below which distance from light (m) the end of a layer does not show."""
-    albedo, g = layer.single_scattering_albedo, layer.phase.g
+    albedo, g = layer.single_scattering_albedo, layer.kernel_phase_function.g
     rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
     # Over a white bottom: at its distance z from light it shows by exp(-2 rate z) and no more.
     far = DEEP * max(1.0, 1.0 / (1.0 - g))

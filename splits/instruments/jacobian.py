@@ -48,11 +48,11 @@ class Moves(NamedTuple):
 
     parameters: tuple[str, ...]
     media: tuple[Medium, ...]
-    scales: np.ndarray
+    size_ratios: np.ndarray
     steps: np.ndarray
 
     @classmethod
-    def of(cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray) -> Moves:
+    def select_exact(cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray) -> Moves:
         """Return the moves of those parameters that leave the paths as they are."""
         own, found = likeness(medium) if _grains(medium) else (b"", 1.0), []
         for name in names:
@@ -112,7 +112,7 @@ def _step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
             return step
         return 0.0
     base, more = (
-        Family.of_one_size([one]).constants(wavelengths)[0].absorption
+        Family.from_media([one]).compute_constants(wavelengths)[0].absorption
         for one in (medium, moved(medium, name, 1.0))
     )
     steps = [1.0]
@@ -129,21 +129,21 @@ def _step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
 
 
 def together(
-    names: Sequence[str], own: Slopes, moves: Moves, others: Sequence[Differences]
+    names: Sequence[str], exact: Slopes, perturbations: Moves, finite_differences: Sequence[Differences]
 ) -> Slopes:
     """Return derivatives in the order asked for, of paths and of differences."""
-    found = {name: own.of(slice(i, i + 1)) for i, name in enumerate(moves.parameters)}
-    found |= {one.parameter: one.slopes for one in others}
+    found = {name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)}
+    found |= {one.parameter: one.derivatives for one in finite_differences}
     rows = [found[name] for name in names]
     return Slopes(
         np.concatenate([row.mean for row in rows], axis=1),
-        np.concatenate([row.groups for row in rows], axis=2),
-        np.concatenate([row.missed for row in rows], axis=1),
+        np.concatenate([row.batch_deviations for row in rows], axis=2),
+        np.concatenate([row.bias_bound for row in rows], axis=1),
     )
 
 
 def slope_variables(
-    slopes: Slopes, parameters: Sequence[str], names: Sequence[str]
+    derivatives: Slopes, parameters: Sequence[str], names: Sequence[str]
 ) -> dict[str, Variable]:
     """Return derivatives of reflectance and transmittance over parameter and wavelength."""
     found: dict[str, Variable] = {}
@@ -153,17 +153,17 @@ def slope_variables(
     for side, name in enumerate(names):
         label = f"derivative of {name} to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
-        found |= quantity(key, dims, slopes.mean[side], slopes.stderr[side], label)
-        found |= deviations(key, dims, slopes.groups[:, side], label)
+        found |= quantity(key, dims, derivatives.mean[side], derivatives.stderr[side], label)
+        found |= deviations(key, dims, derivatives.batch_deviations[:, side], label)
     return found
 
 
-def parameter_axis(parameters: Sequence[str], moves: Moves) -> dict[str, object]:
+def parameter_axis(parameters: Sequence[str], perturbations: Moves) -> dict[str, object]:
     """Return the coordinates of parameters, none without any."""
     if not parameters:
         return {}
     units = [unit_of(parameter) for parameter in parameters]
-    how = ["paths" if name in moves.parameters else "differences" for name in parameters]
+    how = ["paths" if name in perturbations.parameters else "differences" for name in parameters]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),

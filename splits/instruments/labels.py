@@ -17,7 +17,7 @@ def run_facts(
     title: str,
     instrument: str,
     medium: Medium,
-    begun: float,
+    start_time: float,
     seed: int,
     threads: int | None = None,
 ) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def run_facts(
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
         "seed": seed,
         **({} if threads is None else {"threads": threads}),
-        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
         "physics_sources_sha256": physics_digest(),
     }
     return attributes(facts | provenance(instrument))

@@ -118,7 +118,7 @@ def lens(
         caught[number] = seen.mean(axis=1)
         contraction[number] = _spread(place, seen) / radius
         if number == 0:
-            start = landed.point - (x0, y0, z0)
+            start = landed.position - (x0, y0, z0)
             shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
             reached = seen
     enough = caught >= LEAST_CAUGHT
@@ -149,30 +149,30 @@ class _First(NamedTuple):
         Whether they did.
     """
 
-    start: np.ndarray
-    place: np.ndarray
-    reached: np.ndarray
+    surface_point: np.ndarray
+    screen_point: np.ndarray
+    reaches_screen: np.ndarray
 
 
 def _dataset(
     contraction: np.ndarray,
-    caught: np.ndarray,
-    first: _First,
+    detected_fraction: np.ndarray,
+    first_realization: _First,
     depths: np.ndarray,
-    facts: dict[str, Any],
+    attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Return what surfaces did to the ring as a labelled dataset."""
-    enough = caught >= LEAST_CAUGHT
+    enough = detected_fraction >= LEAST_CAUGHT
     size = _mean(contraction, enough)
     density = _inverse(*_mean(contraction**2, enough))
     at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
-    seen = first.reached.astype(float)
+    seen = first_realization.reaches_screen.astype(float)
     variables = {
         **quantity("contraction", at, *size, "size of the image over the ring's"),
         **quantity("concentration", at, *density, "inverse mean square size of the image"),
-        **quantity("caught", ("realisation", at), caught, None, "share of rays on the screen"),
-        **quantity("path", ("ray", "point"), first.start, None, "point of the surface", "m"),
-        **quantity("place", by_ray, first.place, None, "place on the screen", "m"),
+        **quantity("caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"),
+        **quantity("path", ("ray", "point"), first_realization.surface_point, None, "point of the surface", "m"),
+        **quantity("place", by_ray, first_realization.screen_point, None, "place on the screen", "m"),
         **quantity("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
     }
     coordinates = {
@@ -180,7 +180,7 @@ def _dataset(
         "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
         "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
     }
-    return xr.Dataset(variables, coordinates, facts)
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 def plane_waves(waves: Any) -> np.ndarray:
@@ -202,40 +202,40 @@ def plane_waves(waves: Any) -> np.ndarray:
     return found
 
 
-def centre_of(waves: np.ndarray, over: str, half_width: float) -> tuple[float, float, float]:
+def centre_of(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[float, float, float]:
     """Return where the ring stands: a point of the surface."""
-    line = np.linspace(-half_width, half_width, 1 if over == "origin" else SEARCH_POINTS)
-    x, y = (0.0 * line[:1],) * 2 if over == "origin" else np.meshgrid(line, line)
+    line = np.linspace(-half_width, half_width, 1 if centre_on == "origin" else SEARCH_POINTS)
+    x, y = (0.0 * line[:1],) * 2 if centre_on == "origin" else np.meshgrid(line, line)
     x, y = np.ravel(x), np.ravel(y)
     height = reliefs_at(waves, x, y).height
-    best = int(height.argmin() if over == "trough" else height.argmax())
+    best = int(height.argmin() if centre_on == "trough" else height.argmax())
     return float(x[best]), float(y[best]), float(height[best])
 
 
-def _on_screens(landed: Landed, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _on_screens(hits: Landed, screen_heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places, shape (screens, rays, 2), and which rays reach them."""
-    point, direction, again = landed
-    way = (heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
+    point, direction, again = hits
+    way = (screen_heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
     place = point[:, :2] + way[..., np.newaxis] * direction[:, :2]
     return place, (way >= 0.0) & (way < again)
 
 
-def _spread(place: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _spread(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
     """Return the root mean square distance from the centre of the rays that are seen."""
-    count = np.maximum(seen.sum(axis=1), 1)
-    weight = seen[..., np.newaxis]
-    middle = (place * weight).sum(axis=1) / count[:, np.newaxis]
-    square = (((place - middle[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
+    count = np.maximum(detected.sum(axis=1), 1)
+    weight = detected[..., np.newaxis]
+    middle = (points * weight).sum(axis=1) / count[:, np.newaxis]
+    square = (((points - middle[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
     return np.sqrt(square)
 
 
-def _mean(values: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _mean(values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean over realisations that count with its standard error, of one without."""
-    count = counted.sum(axis=0)
-    mean = np.where(counted, values, 0.0).sum(axis=0) / count
+    count = valid.sum(axis=0)
+    mean = np.where(valid, values, 0.0).sum(axis=0) / count
     if len(values) == 1:
         return mean, None
-    square = np.where(counted, (values - mean) ** 2, 0.0).sum(axis=0)
+    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
     # A single one says nothing of its scatter: as far off as it is large.
     stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
     return mean, np.where(count > 1, stderr, mean)
@@ -258,7 +258,7 @@ def check_radius(radius_m: Any) -> float:
     return in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
 
 
-def check_ring(rays: Any, realisations: Any, screens: int) -> tuple[int, int]:
+def check_ring(rays: Any, realisations: Any, n_screens: int) -> tuple[int, int]:
     """Return numbers of rays and of surfaces whose results fit into memory, or refuse them."""
-    most = MOST_PLACES // screens
+    most = MOST_PLACES // n_screens
     return check_whole("rays", rays, 3, most), check_whole("realisations", realisations, 1, most)

@@ -45,7 +45,7 @@ class Goal:
 
     side: int
     relative_stderr: float
-    rays: int | None
+    n_rays: int | None
     max_rays: int
 
 
@@ -72,38 +72,38 @@ class Listened:
 
     mean: np.ndarray
     stderr: np.ndarray
-    steering: np.ndarray
-    totals: np.ndarray
-    totals_stderr: np.ndarray
-    rays: int
-    reached: str
+    stopping_error: np.ndarray
+    hemispherical: np.ndarray
+    hemispherical_stderr: np.ndarray
+    n_rays: int
+    stop_reason: str
     polarized: bool
-    below: bool
+    has_lower_side: bool
 
-    def error(self, side: int) -> float:
+    def compute_max_error(self, side: int) -> float:
         """Return the largest error that steers, of one side, relative to `angular.reference`."""
-        return largest_error(self.estimate(1), side, steering=True)
+        return largest_error(self.to_angular_estimate(1), side, use_stopping_error=True)
 
-    def estimate(self, wavelengths: int) -> Estimate:
+    def to_angular_estimate(self, n_wavelengths: int) -> Estimate:
         """Return BRDF and BTDF, the same at so many wavelengths."""
-        sums = np.empty((4, 2, wavelengths))
-        sums[0::2] = self.totals.T[:, :, np.newaxis]
-        sums[1::2] = self.totals_stderr.T[:, :, np.newaxis]
+        sums = np.empty((4, 2, n_wavelengths))
+        sums[0::2] = self.hemispherical.T[:, :, np.newaxis]
+        sums[1::2] = self.hemispherical_stderr.T[:, :, np.newaxis]
         mean, stderr, steering = (
-            np.repeat(x[:, np.newaxis], wavelengths, axis=1)
-            for x in (self.mean[..., 0], self.stderr[..., 0], self.steering)
+            np.repeat(x[:, np.newaxis], n_wavelengths, axis=1)
+            for x in (self.mean[..., 0], self.stderr[..., 0], self.stopping_error)
         )
-        degree = np.zeros((2, wavelengths), dtype=int)
+        degree = np.zeros((2, n_wavelengths), dtype=int)
         return Estimate(mean, stderr, steering, sums, degree, np.zeros_like(mean))
 
-    def stokes(self, wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def to_stokes(self, n_wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
         return {
             f"{function}_{name}": (
-                np.repeat(self.mean[np.newaxis, side, :, place], wavelengths, axis=0),
-                np.repeat(self.stderr[np.newaxis, side, :, place], wavelengths, axis=0),
+                np.repeat(self.mean[np.newaxis, side, :, place], n_wavelengths, axis=0),
+                np.repeat(self.stderr[np.newaxis, side, :, place], n_wavelengths, axis=0),
             )
-            for side, function in enumerate(("brdf", "btdf")[: 1 + self.below])
+            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
             for place, name in ((1, "q"), (2, "u"), (3, "v"))
         }
 
@@ -117,32 +117,32 @@ def detectors_at(medium: TurbidMedium, polar: np.ndarray, azimuth: np.ndarray) -
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    layer = medium.turbid(False)
+    layer = medium.make_scattering_layer(False)
     outer, turn = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer) / layer.n
+    sine = np.sin(outer) / layer.refractive_index
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     toward = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-    faces = [fresnel_amplitudes(layer.n, 1.0, c) for c in cosine]
+    faces = [fresnel_amplitudes(layer.refractive_index, 1.0, c) for c in cosine]
     returning = np.array([face.reflection for face in faces])
     passing = np.array([face.transmission for face in faces])
     if not medium.polarized:
         returning = returning * [1.0, 0.0, 0.0, 0.0]
         passing = passing * [1.0, 0.0, 0.0]
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    passing = passing / (layer.n**2 * cosine[:, np.newaxis])
-    below = layer.bottom == OPEN and np.isfinite(layer.depth)
+    passing = passing / (layer.refractive_index**2 * cosine[:, np.newaxis])
+    below = layer.bottom_albedo == OPEN and np.isfinite(layer.depth)
     sums = np.zeros((2, len(toward), 4))
     plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     peak = _peak_of(medium)
-    orders = 0 if peak is None else math.ceil(math.log(NEGLIGIBLE) / math.log(peak.share))
+    orders = 0 if peak is None else math.ceil(math.log(NEGLIGIBLE) / math.log(peak.fraction))
     room = np.zeros((1 + orders, 3))
     return Detectors(toward, plane, passing, returning, bool(below), sums, peak, room)
 
 
 def _peak_of(medium: TurbidMedium) -> Peak | None:
     """Return the narrow peak of the phase function, or refuse one that holds nearly all light."""
-    peak = separate_peak(medium.phase)
-    if peak is not None and peak.share > LARGEST_SHARE:
+    peak = separate_peak(medium.kernel_phase_function)
+    if peak is not None and peak.fraction > LARGEST_SHARE:
         raise refuse(
             "estimator", "local", "expansion or cells for this phase_function",
             f"more than {LARGEST_SHARE:.0%} of the scattered light goes into a narrow peak",
@@ -155,7 +155,7 @@ def listen(
     incidence_deg: float,
     polar: np.ndarray,
     azimuth: np.ndarray,
-    goal: Goal,
+    stopping_rule: Goal,
     runner: Runner,
 ) -> Listened:
     """Trace rays until every direction has the relative error asked for, or so many.
@@ -177,17 +177,17 @@ def listen(
     """
     if not isinstance(medium, TurbidMedium):
         raise refuse("estimator", "local", "expansion or cells for grains and stacks")
-    if medium.fields() is not None:
+    if medium.make_height_fields() is not None:
         raise refuse(
             "estimator", "local", "expansion or cells under a rough surface",
             "no single path leads through it to a given direction; cells have Stokes parameters",
         )  # fmt: skip
     light = Light(float(np.cos(np.radians(incidence_deg))), 0.0)
-    layer = medium.turbid(False)
+    layer = medium.make_scattering_layer(False)
     stokes = NATURAL if medium.polarized else None
-    scene = Scene(light, layer, medium.phase, None, stokes)
+    scene = Scene(light, layer, medium.kernel_phase_function, None, stokes)
     detectors = detectors_at(medium, polar, azimuth)
-    if goal.side == 1 and not detectors.below:
+    if stopping_rule.side == 1 and not detectors.has_lower_side:
         raise refuse(
             "target", "btdf", "brdf with estimator = local", "the layer has no open lower face"
         )
@@ -196,37 +196,37 @@ def listen(
 
     def hear(batch: int) -> np.ndarray:
         heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
-        own = detectors._replace(sums=heard, directions=np.zeros_like(detectors.directions))
+        own = detectors._replace(sums=heard, peak_directions=np.zeros_like(detectors.peak_directions))
         work = np.array([streams.LOCAL, batch * BATCH, BATCH, UNLIMITED])
         kernels.hear(runner.seed, work, scene, own, totals)
         return np.concatenate([heard.ravel(), totals.ravel()]) / BATCH
 
     # Peaked phase functions speak rarely, and loudly.
-    g = abs(medium.phase.g)
+    g = abs(medium.kernel_phase_function.g)
     pilot = int(PILOT * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
-    wanted = pilot if goal.rays is None else max(2, -(-goal.rays // BATCH))
-    most = max(2, goal.max_rays // BATCH) if goal.rays is None else wanted
-    silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom <= 0.0
+    wanted = pilot if stopping_rule.n_rays is None else max(2, -(-stopping_rule.n_rays // BATCH))
+    most = max(2, stopping_rule.max_rays // BATCH) if stopping_rule.n_rays is None else wanted
+    silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
     with Threads(runner.threads) as pool:
         while True:
-            while sums.batches < wanted:
-                for one in pool.map(hear, range(sums.batches, min(wanted, sums.batches + CHUNK))):
-                    sums.add(one)
-            certain = not runner.tracer.manner.fading and layer.bottom == 1.0
-            result = sums.result(detectors.below, medium.polarized, silent, certain)
-            error = result.error(goal.side)
-            nothing = not silent and not result.mean[goal.side].any()
-            done = goal.rays is None and error <= goal.relative_stderr and not nothing
-            if done or sums.batches >= most or (nothing and sums.batches >= 64 * pilot):
-                return replace(result, reached="error" if done else "rays")
-            factor = _GROWTH if nothing else 1.05 * (error / goal.relative_stderr) ** 2
-            more = sums.batches * factor
-            wanted = int(min(max(more, sums.batches + 1), _GROWTH * sums.batches, most))
-            if runner.report:
+            while sums.n_batches < wanted:
+                for one in pool.map(hear, range(sums.n_batches, min(wanted, sums.n_batches + CHUNK))):
+                    sums.add_batch(one)
+            certain = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
+            result = sums.compute_result(detectors.has_lower_side, medium.polarized, silent, certain)
+            error = result.compute_max_error(stopping_rule.side)
+            nothing = not silent and not result.mean[stopping_rule.side].any()
+            done = stopping_rule.n_rays is None and error <= stopping_rule.relative_stderr and not nothing
+            if done or sums.n_batches >= most or (nothing and sums.n_batches >= 64 * pilot):
+                return replace(result, stop_reason="error" if done else "rays")
+            factor = _GROWTH if nothing else 1.05 * (error / stopping_rule.relative_stderr) ** 2
+            more = sums.n_batches * factor
+            wanted = int(min(max(more, sums.n_batches + 1), _GROWTH * sums.n_batches, most))
+            if runner.progress_callback:
                 spent = time.perf_counter() - begun
-                left = spent * (more / sums.batches - 1.0)
-                progress = Progress(wanted * BATCH, error, goal.relative_stderr, spent, left)
-                runner.report(progress)
+                left = spent * (more / sums.n_batches - 1.0)
+                progress = Progress(wanted * BATCH, error, stopping_rule.relative_stderr, spent, left)
+                runner.progress_callback(progress)
 
 
 class _Sums:
@@ -241,38 +241,38 @@ class _Sums:
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape = shape
-        self.batches = 0
-        self.total, self.square, self.loudest = np.zeros((3, int(np.prod(shape)) + 4))
+        self.n_batches = 0
+        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, int(np.prod(shape)) + 4))
 
-    def add(self, one: np.ndarray) -> None:
+    def add_batch(self, score: np.ndarray) -> None:
         """Add what one batch heard."""
-        self.batches += 1
-        self.total += one
-        self.square += one**2
-        self.loudest = np.where(np.abs(one) > np.abs(self.loudest), one, self.loudest)
+        self.n_batches += 1
+        self.sums += score
+        self.sums_of_squares += score**2
+        self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
-    def result(self, below: bool, polarized: bool, silent: bool, certain: bool) -> Listened:
+    def compute_result(self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool) -> Listened:
         """Return means and standard errors.
 
         As if one more batch had come that heard as much as the loudest so far; and where nothing
         was heard, one ray, unless there is nothing to hear (`silent`), or nothing to go astray
         (`certain`).
         """
-        n, rays = self.batches, self.batches * BATCH
-        mean = self.total / n
-        square = (self.square + self.loudest**2) / (n + 1)
+        n, rays = self.n_batches, self.n_batches * BATCH
+        mean = self.sums / n
+        square = (self.sums_of_squares + self.max_scores**2) / (n + 1)
         # The batch that is added belongs to the mean that scatter is about, but not to the answer.
-        about = (self.total + self.loudest) / (n + 1)
+        about = (self.sums + self.max_scores) / (n + 1)
         count = int(np.prod(self.shape))
         (heard, totals), (stderr, of_totals), (steering, _) = (
             (x[:count].reshape(self.shape), x[count:].reshape(2, 2))
             for x in (mean, *(np.sqrt(np.maximum(square - m**2, 0.0) / n) for m in (about, mean)))
         )
-        for side in range(1 + below) if not silent else ():
+        for side in range(1 + has_lower_side) if not no_signal else ():
             unheard = heard[side, :, 0] == 0.0
             stderr[side, unheard, 0] = steering[side, unheard, 0] = 1.0 / (np.pi * rays)
-        if not certain:
+        if not lossless:
             of_totals = np.maximum(of_totals, 1.0 / rays)
         return Listened(
-            heard, stderr, steering[..., 0], totals, of_totals, rays, "", polarized, below
+            heard, stderr, steering[..., 0], totals, of_totals, rays, "", polarized, has_lower_side
         )

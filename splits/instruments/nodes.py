@@ -77,7 +77,7 @@ class Nodes:
 
     index: np.ndarray
     weights: np.ndarray
-    bias: np.ndarray
+    interpolation_bound: np.ndarray
 
 
 def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
@@ -87,14 +87,14 @@ def contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
 
 def of_grains(interfaces: Sequence[Interface]) -> list[Interface]:
     """Return the interfaces that are no faces of layers."""
-    return [i for i in interfaces if i.place != "face"]
+    return [i for i in interfaces if i.location != "face"]
 
 
-def _contrasts(near: np.ndarray, far: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _contrasts(near: np.ndarray, far: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     # 2√F/(1 − √F) without the difference, which has no digits left for perfect conductors.
     away, along = np.abs(far - near), np.abs(far + near)
     magnitude = away * (along + away) / (2.0 * (far * near.conj()).real)
-    return share * np.sign(far.real - near.real) * magnitude
+    return fraction * np.sign(far.real - near.real) * magnitude
 
 
 def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
@@ -104,7 +104,7 @@ def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """
     interfaces = of_grains(interfaces)
     near, far, share = _sides(index, interfaces)
-    outer = np.array([i.place == "outer" for i in interfaces])
+    outer = np.array([i.location == "outer" for i in interfaces])
     k = far.imag.max(axis=0)
     return outer * share * k / (k + DARK) * (1.0 - np.abs((far - near) / (far + near)) ** 2)
 
@@ -112,9 +112,9 @@ def entering(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
 def _sides(
     index: np.ndarray, interfaces: Sequence[Interface]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    near = index[:, [i.near for i in interfaces]]
-    far = index[:, [i.far for i in interfaces]]
-    return near, far, np.array([i.share for i in interfaces])
+    near = index[:, [i.outer_material for i in interfaces]]
+    far = index[:, [i.inner_material for i in interfaces]]
+    return near, far, np.array([i.fraction for i in interfaces])
 
 
 def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: float) -> Nodes:
@@ -137,22 +137,22 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     start = int(np.abs(u).sum(axis=1).argmax())
     draws = _Draws(distinct, interfaces, start)
     chosen = [int(draws.first[0])]
-    while draws.bias.max() > tolerance:
-        new = int(draws.bias.argmax())
-        draws.offer(new, chosen)
+    while draws.interpolation_bound.max() > tolerance:
+        new = int(draws.interpolation_bound.argmax())
+        draws.try_node(new, chosen)
         chosen.append(new)
         if len(chosen) > MAX_NODES:
             _check_apart(len(distinct), tolerance)
-            draws.keep_apart()
-    rows = draws.drawn_on()
-    return Nodes(distinct[rows], draws.weights(rows)[:, which], draws.bias[which])
+            draws.assign_separate_nodes()
+    rows = draws.get_used_nodes()
+    return Nodes(distinct[rows], draws.compute_weights(rows)[:, which], draws.interpolation_bound[which])
 
 
-def _check_apart(count: int, tolerance: float) -> None:
+def _check_apart(n_wavelengths: int, tolerance: float) -> None:
     """Refuse more wavelengths than can have an ensemble of paths each."""
-    if count > MOST_APART:
+    if n_wavelengths > MOST_APART:
         raise refuse(
-            "wavelength_nm", f"{count} wavelengths", f"at most {MOST_APART} at so small an error",
+            "wavelength_nm", f"{n_wavelengths} wavelengths", f"at most {MOST_APART} at so small an error",
             f"with interpolation errors up to {tolerance:.1g} each takes paths of its own; "
             "ask for a larger error or fewer wavelengths",
         )  # fmt: skip
@@ -174,8 +174,8 @@ def nodes_at(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[
     """
     draws = _Draws(index, interfaces, rows[0])
     for i, row in enumerate(rows):
-        draws.offer(row, rows[:i])
-    return Nodes(index[list(rows)], draws.weights(rows), draws.bias)
+        draws.try_node(row, rows[:i])
+    return Nodes(index[list(rows)], draws.compute_weights(rows), draws.interpolation_bound)
 
 
 class _Draws:
@@ -192,51 +192,51 @@ class _Draws:
     """
 
     def __init__(self, index: np.ndarray, interfaces: Sequence[Interface], start: int) -> None:
-        self.grains = contrasts(index, interfaces)
-        self.layers = [
+        self.grain_contrasts = contrasts(index, interfaces)
+        self.layer_criteria = [
             _parts(index, [i for i in interfaces if i.layer == layer])
             for layer in sorted({i.layer for i in interfaces})
         ]
         count = len(index)
         self.first, self.second = np.full((2, count), start)
-        self.share = np.ones(count)
-        self.bias = self._bias(start, start, self.share)
+        self.first_weight = np.ones(count)
+        self.interpolation_bound = self._compute_bound(start, start, self.first_weight)
 
-    def offer(self, new: int, partners: Sequence[int]) -> None:
+    def try_node(self, new: int, partners: Sequence[int]) -> None:
         """Let every wavelength use a new node, alone or with one of the others, if that helps."""
         for partner in [new, *partners]:
-            u = self.grains
+            u = self.grain_contrasts
             t = _position(u, u[new], u[partner])
-            trial = self._bias(new, partner, t)
-            better = trial < self.bias
+            trial = self._compute_bound(new, partner, t)
+            better = trial < self.interpolation_bound
             self.first[better], self.second[better] = new, partner
-            self.share[better], self.bias[better] = t[better], trial[better]
+            self.first_weight[better], self.interpolation_bound[better] = t[better], trial[better]
 
-    def _bias(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
+    def _compute_bound(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
         # What all layers miss together is at most what the worst would, alone in its place.
         worst = np.zeros(len(t))
-        for parts in self.layers:
+        for parts in self.layer_criteria:
             missed = (part.weight * _bias(part, a, b, t) + _bend(part, a, b, t) for part in parts)
             worst = np.maximum(worst, sum(missed, np.zeros(len(t))))
         return worst
 
-    def keep_apart(self) -> None:
+    def assign_separate_nodes(self) -> None:
         """Make every wavelength a node of its own."""
-        count = len(self.share)
+        count = len(self.first_weight)
         self.first = self.second = np.arange(count)
-        self.share, self.bias = np.ones(count), np.zeros(count)
+        self.first_weight, self.interpolation_bound = np.ones(count), np.zeros(count)
 
-    def drawn_on(self) -> np.ndarray:
+    def get_used_nodes(self) -> np.ndarray:
         """Return the rows of the nodes that some wavelength draws on, in order."""
-        return np.unique(np.concatenate([self.first[self.share > 0], self.second[self.share < 1]]))
+        return np.unique(np.concatenate([self.first[self.first_weight > 0], self.second[self.first_weight < 1]]))
 
-    def weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
+    def compute_weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return convex weights, shape (rows, wavelengths), of nodes that hold all drawn on."""
-        place = np.full(len(self.share), -1)
+        place = np.full(len(self.first_weight), -1)
         place[np.asarray(rows)] = np.arange(len(rows))
-        every = np.arange(len(self.share))
+        every = np.arange(len(self.first_weight))
         weights = np.zeros((len(rows), len(every)))
-        for node, share in ((self.first, self.share), (self.second, 1.0 - self.share)):
+        for node, share in ((self.first, self.first_weight), (self.second, 1.0 - self.first_weight)):
             used = share > 0.0
             weights[place[node[used]], every[used]] += share[used]
         return weights
@@ -258,7 +258,7 @@ class _Part(NamedTuple):
 
     weight: float
     values: np.ndarray
-    least: float = 0.0
+    min_scale: float = 0.0
     kink: float = 0.0
 
 
@@ -268,11 +268,11 @@ def _parts(index: np.ndarray, interfaces: Sequence[Interface]) -> list[_Part]:
         _Part(1.0, contrasts(index, interfaces)),
         _Part(1.0, entering(index, interfaces)),
     ]
-    for face in (i for i in interfaces if i.place == "face"):
+    for face in (i for i in interfaces if i.location == "face"):
         near, far, share = _sides(index, [face])
         values = _contrasts(near, far, np.ones_like(share))
-        weight = FACE * face.share * (INWARD if (values < 0.0).any() else 1.0)
-        parts.append(_Part(weight, values, FAINT, KINK * face.share))
+        weight = FACE * face.fraction * (INWARD if (values < 0.0).any() else 1.0)
+        parts.append(_Part(weight, values, FAINT, KINK * face.fraction))
     return parts
 
 
@@ -285,18 +285,18 @@ def _position(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.clip((u - b) @ along / square, 0.0, 1.0)
 
 
-def _bias(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
+def _bias(criterion: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
     """Bound what t·f(a) + (1 − t)·f(b) misses of f(u), for every row u, of two rows a and b.
 
     The first order is SLOPE times the relative distance of u from the chord; the second, the gap
     of Jensen's inequality, CURVATURE/2 times the mean square of the relative distances from both
     ends.
     """
-    u, a, b = part.values, part.values[first], part.values[second]
+    u, a, b = criterion.values, criterion.values[first], criterion.values[second]
     strength = np.abs(u).sum(axis=1)
 
     def relative(distance: np.ndarray, other: np.ndarray | float) -> np.ndarray:
-        least = np.maximum(np.minimum(strength, other), part.least)
+        least = np.maximum(np.minimum(strength, other), criterion.min_scale)
         away = distance > 0.0
         return np.divide(
             distance, least, out=np.where(away, np.inf, 0.0), where=away & (least > 0.0)
@@ -312,13 +312,13 @@ def _bias(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
     return total
 
 
-def _bend(part: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
+def _bend(criterion: _Part, first: int, second: int, t: np.ndarray) -> np.ndarray:
     """Bound what a kink at 0 adds to `_bias`: nothing, if all values have one sign."""
-    if part.kink == 0.0:
+    if criterion.kink == 0.0:
         return np.zeros(len(t))
-    a, b = part.values[first], part.values[second]
+    a, b = criterion.values[first], criterion.values[second]
     chord = t[:, np.newaxis] * a + (1.0 - t)[:, np.newaxis] * b
     apart = t * np.abs(a).sum() + (1.0 - t) * np.abs(b).sum() - np.abs(chord).sum(axis=1)
-    crossed = np.sign(chord) * np.sign(part.values) < 0.0
-    beyond = np.where(crossed, np.minimum(np.abs(chord), np.abs(part.values)), 0.0).sum(axis=1)
-    return part.kink * (np.maximum(apart, 0.0) + 2.0 * beyond)
+    crossed = np.sign(chord) * np.sign(criterion.values) < 0.0
+    beyond = np.where(crossed, np.minimum(np.abs(chord), np.abs(criterion.values)), 0.0).sum(axis=1)
+    return criterion.kink * (np.maximum(apart, 0.0) + 2.0 * beyond)

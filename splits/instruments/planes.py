@@ -34,9 +34,9 @@ class Told(NamedTuple):
         Metres.
     """
 
-    light: np.ndarray
-    absorbed: np.ndarray
-    way: np.ndarray
+    irradiance: np.ndarray
+    absorptance: np.ndarray
+    path_length: np.ndarray
 
 
 class Planes:
@@ -57,52 +57,52 @@ class Planes:
 
     def __init__(
         self,
-        number: int,
+        stream_index: int,
         index: np.ndarray,
         absorption: np.ndarray,
-        served: np.ndarray,
-        manner: Manner,
-        layers: int,
-        fractions: np.ndarray,
+        wavelength_mask: np.ndarray,
+        traits: Manner,
+        n_layers: int,
+        path_fractions: np.ndarray,
     ) -> None:
         self.absorption = absorption
-        self.fractions = fractions
-        self.manner = manner
-        self.layers = layers
-        self.count = np.zeros(len(absorption))
+        self.path_fractions = path_fractions
+        self.traits = traits
+        self.n_layers = n_layers
+        self.n_rays = np.zeros(len(absorption))
         wavelengths, materials = absorption.shape
-        self.light = np.zeros((GROUPS, 2, layers + 1, wavelengths))
-        self.absorbed = np.zeros((GROUPS, layers, materials, wavelengths))
-        self.way = np.zeros((GROUPS, layers, wavelengths))
-        first = streams.PLANES + number * len(LEVELS)
-        self.levels = levels_of(first, index, absorption, served, manner, LEVELS)
+        self.irradiance_sums = np.zeros((GROUPS, 2, n_layers + 1, wavelengths))
+        self.absorptance_sums = np.zeros((GROUPS, n_layers, materials, wavelengths))
+        self.path_length_sums = np.zeros((GROUPS, n_layers, wavelengths))
+        first = streams.PLANES + stream_index * len(LEVELS)
+        self.strata = levels_of(first, index, absorption, wavelength_mask, traits, LEVELS)
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally and the notes of a batch hold."""
         wavelengths, materials = self.absorption.shape
-        notes = BATCH * NOTES_A_FACE * self.layers * (materials + 3)
-        return notes + self.layers * (3 + materials) * wavelengths
+        notes = BATCH * NOTES_A_FACE * self.n_layers * (materials + 3)
+        return notes + self.n_layers * (3 + materials) * wavelengths
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Sums:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Sums:
         """Return the sums of a batch of `BATCH` rays of a level."""
-        absorption = self.absorption[level.served]
-        ground = self.manner.ground
-        sums = passages(exits, notes, absorption, self.fractions, self.layers, ground)
-        return (first // BATCH) % GROUPS, sums
+        absorption = self.absorption[stratum.wavelength_mask]
+        ground = self.traits.ground_column
+        sums = passages(exits, crossings, absorption, self.path_fractions, self.n_layers, ground)
+        return (first_ray // BATCH) % GROUPS, sums
 
-    def add(self, level: Level, tallies: Sequence[Sums]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Sums]) -> None:
         """Add the sums of batches one by one: they do not depend on who added them."""
-        served = level.served
-        level.rays += BATCH * len(tallies)
-        self.count[served] += BATCH * len(tallies)
-        for group, sums in tallies:
-            self.light[group][..., served] += sums.light
-            self.absorbed[group][..., served] += sums.absorbed
-            self.way[group][..., served] += sums.way
+        served = stratum.wavelength_mask
+        stratum.n_rays += BATCH * len(scores)
+        self.n_rays[served] += BATCH * len(scores)
+        for group, sums in scores:
+            self.irradiance_sums[group][..., served] += sums.boundary_weight
+            self.absorptance_sums[group][..., served] += sums.absorbed
+            self.path_length_sums[group][..., served] += sums.path_length
 
-    def told(self) -> Told:
+    def compute_batch_means(self) -> Told:
         """Return the means of every group, zero where no ray was traced."""
-        each = np.maximum(self.count, 1.0) / GROUPS
-        light = self.light / each
-        light[:, 0, 0] = self.count > 0.0
-        return Told(light, self.absorbed / each, self.way / each)
+        each = np.maximum(self.n_rays, 1.0) / GROUPS
+        light = self.irradiance_sums / each
+        light[:, 0, 0] = self.n_rays > 0.0
+        return Told(light, self.absorptance_sums / each, self.path_length_sums / each)

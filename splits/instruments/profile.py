@@ -120,7 +120,7 @@ def profile(
     """
     asked = Inquiry(
         medium, wavelength_nm, depth_m, incidence_deg, seed, max_rays, threads, kernel, progress
-    ).checked()
+    ).validate()
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     whole = one_of("error_of", error_of, ERROR_OF) == ERROR_OF[0]
     return measure(asked, Goal(max_stderr, whole))
@@ -139,9 +139,9 @@ class Inquiry(NamedTuple):
     kernel: str
     progress: Report
 
-    def checked(self) -> Inquiry:
+    def validate(self) -> Inquiry:
         """Return it, or refuse a value outside its range."""
-        check_medium(self.medium, GranularMedium, LayeredMedium, TurbidMedium, endless=True)
+        check_medium(self.medium, GranularMedium, LayeredMedium, TurbidMedium, allow_semi_infinite=True)
         return self._replace(
             wavelengths=check_wavelengths(self.wavelengths),
             depths=_check_depths(self.depths, thickness_of(self.medium)),
@@ -153,53 +153,53 @@ class Inquiry(NamedTuple):
         )
 
 
-def measure(asked: Inquiry, goal: Goal) -> xr.Dataset:
+def measure(request: Inquiry, stopping_rule: Goal) -> xr.Dataset:
     """Return the dataset of `profile`, for quantities known as well as a goal asks for."""
     begun = time.perf_counter()
-    medium, seed, threads = asked.medium, asked.seed, asked.threads
-    traced = traced_as(medium, asked.wavelengths, asked.depths, goal.max_stderr, seed, threads)
+    medium, seed, threads = request.medium, request.seed, request.threads
+    traced = traced_as(medium, request.wavelengths, request.depths, stopping_rule.max_stderr, seed, threads)
     runner = Runner(
-        traced.medium, asked.incidence, seed, threads, False, asked.kernel, asked.progress,
-        planes_m=asked.depths.tolist(),
+        traced.medium, request.incidence, seed, threads, False, request.kernel, request.progress,
+        planes_m=request.depths.tolist(),
     )  # fmt: skip
-    runner.batch = BATCH
+    runner.rays_per_chunk = BATCH
     index, absorption = traced.constants
-    nodes = _nodes(index, traced.medium, goal)
-    layers = len(runner.tracer.depths_m) - 1
+    nodes = _nodes(index, traced.medium, stopping_rule)
+    layers = len(runner.tracer.boundary_depths_m) - 1
     _check_memory(traced, layers, len(nodes.index))
     fractions = np.ones(absorption.shape[1])
     own = path_fractions(traced.medium)
     fractions[: own.size] = own
     ensembles = [
-        Planes(number, m, absorption, w > 0.0, runner.tracer.manner, layers, fractions)
+        Planes(number, m, absorption, w > 0.0, runner.tracer.traits, layers, fractions)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
-    runner.prepare(ensembles)
-    outcome = found_by(runner, ensembles, nodes, traced, goal, asked.max_rays)
+    runner.share_kernel(ensembles)
+    outcome = found_by(runner, ensembles, nodes, traced, stopping_rule, request.max_rays)
     facts = {
         **run_facts("Light inside", "profile", medium, begun, seed, threads),
-        "incidence_deg": asked.incidence,
-        "max_stderr": goal.max_stderr,
-        "error_of": ERROR_OF[0] if goal.irradiance else ERROR_OF[1],
-        "stopped_by": outcome.stopped_by,
-        "max_stderr_reached": outcome.reached,
-        "interpolation_error_bound": float(nodes.bias.max()),
-        "max_rays": asked.max_rays,
-        "rays": sum(level.rays for e in ensembles for level in e.levels),
+        "incidence_deg": request.incidence,
+        "max_stderr": stopping_rule.max_stderr,
+        "error_of": ERROR_OF[0] if stopping_rule.limit_irradiance else ERROR_OF[1],
+        "stopped_by": outcome.stop_reason,
+        "max_stderr_reached": outcome.max_stderr_reached,
+        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
+        "max_rays": request.max_rays,
+        "rays": sum(level.n_rays for e in ensembles for level in e.strata),
         "ensembles": len(ensembles),
-        "kernel": runner.kernels(ensembles),
+        "kernel": runner.list_kernels(ensembles),
     }
-    if traced.endless:
+    if traced.semi_infinite:
         facts["traced_to_m"] = float(traced.planes_m[-1])
-    return labelled(outcome, traced, asked.wavelengths, facts)
+    return labelled(outcome, traced, request.wavelengths, facts)
 
 
-def _nodes(index: np.ndarray, medium: Medium, goal: Goal) -> Nodes:
+def _nodes(index: np.ndarray, medium: Medium, stopping_rule: Goal) -> Nodes:
     """Return refractive indices to trace with: more of them where many share the rays of a band."""
-    found = choose_nodes(index, medium.interfaces(), BIAS_SHARE * goal.max_stderr)
-    if goal.weights is None:
+    found = choose_nodes(index, medium.list_interfaces(), BIAS_SHARE * stopping_rule.max_stderr)
+    if stopping_rule.band_weights is None:
         return found
-    finer = choose_nodes(index, medium.interfaces(), BAND_BIAS_SHARE * goal.max_stderr)
+    finer = choose_nodes(index, medium.list_interfaces(), BAND_BIAS_SHARE * stopping_rule.max_stderr)
     return finer if len(finer.index) <= MAX_NODES else found
 
 
@@ -217,10 +217,10 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     )
 
 
-def _check_memory(traced: Traced, layers: int, nodes: int) -> None:
+def _check_memory(traced_medium: Traced, n_layers: int, n_nodes: int) -> None:
     """Refuse what would not fit into memory."""
-    rows, columns = traced.constants.absorption.shape
-    wavelengths, sums = traced.wavelengths, GROUPS * layers * (columns + 3) * rows * nodes
+    rows, columns = traced_medium.constants.absorption.shape
+    wavelengths, sums = traced_medium.n_wavelengths, GROUPS * n_layers * (columns + 3) * rows * n_nodes
     if sums > MOST_SUMS:
         raise refuse(
             "wavelength_nm", f"{wavelengths} wavelengths",

@@ -41,7 +41,7 @@ class Progress:
     seconds_left: float
 
     @property
-    def share(self) -> float:
+    def fraction_done(self) -> float:
         """Part of the whole time that is over, 0 to 1."""
         whole = self.seconds + self.seconds_left
         return self.seconds / whole if whole > 0.0 else 0.0
@@ -82,26 +82,26 @@ class ProgressBar:
         where = {} if _in_notebook() else {"file": _Stream(sys.stderr), "disable": not sys.stderr}
         form = f"{_FORMAT} starting"
         self._bar: tqdm = _kind()(total=1.0, desc=before, bar_format=form, **where)
-        listeners.append(self._tell)
+        listeners.append(self._show_notice)
 
     def __call__(self, progress: Progress) -> None:
         """Show what has been reached."""
-        self._show(progress.share, str(progress))
+        self._show(progress.fraction_done, str(progress))
 
     def close(self, *, done: bool = True) -> None:
         """Leave the bar as it is, full if the simulation is done."""
-        if self._tell in listeners:
-            listeners.remove(self._tell)
+        if self._show_notice in listeners:
+            listeners.remove(self._show_notice)
         if done and not self._bar.disable:
             self._show(1.0, "done")
         self._bar.close()
 
-    def _tell(self, notice: str) -> None:
+    def _show_notice(self, notice: str) -> None:
         """Show what keeps the simulation from starting."""
         self._show(self._bar.n, notice)
 
-    def _show(self, share: float, text: str) -> None:
-        self._bar.n = share
+    def _show(self, fraction: float, text: str) -> None:
+        self._bar.n = fraction
         self._bar.bar_format = f"{_FORMAT} {text}"
         self._bar.refresh()
 
@@ -185,11 +185,11 @@ def shows_progress(instrument: Callable[Given, Result]) -> Callable[Given, Resul
     return measured
 
 
-def _unfailing(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+def _unfailing(callback: Callable[[Progress], None]) -> Callable[[Progress], None]:
     """Return a function that does what another does, and passes over what that cannot write."""
 
     def told(progress: Progress) -> None:
         with suppress(OSError, UnicodeError):
-            report(progress)
+            callback(progress)
 
     return told

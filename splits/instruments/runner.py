@@ -58,24 +58,24 @@ class Runner:
         threads: int | None,
         analog: bool,
         kernel: str = "auto",
-        report: Report = None,
+        progress_callback: Report = None,
         *,
         planes_m: Sequence[float] = (),
     ) -> None:
         self.seed = seed
         self.tracer = tracer_of(medium, incidence_deg, seed, analog, kernel, planes_m)
         self.threads = threads or cpus()
-        self.batch = BATCH
-        self.report = report if callable(report) else None
-        self.started = time.perf_counter()
-        self._reported = 0.0
+        self.rays_per_chunk = BATCH
+        self.progress_callback = progress_callback if callable(progress_callback) else None
+        self.start_time = time.perf_counter()
+        self._last_report_time = 0.0
 
     def trace(
         self,
         work: Sequence[tuple[Paths, Level, int]],
         stderr: float,
         target: float,
-        left: float = 0.0,
+        remaining_rays: float = 0.0,
     ) -> None:
         """Trace so many more rays of each level and add them up in a fixed order.
 
@@ -91,92 +91,92 @@ class Runner:
         RuntimeError
             If a ray was lost.
         """
-        jobs = self.jobs(work)
+        jobs = self.make_jobs(work)
         begun = time.perf_counter()
-        costs = [sum(self.cost(level) * count for _, level, _, count in job) for job in jobs]
-        rays = self.batch * sum(count for job in jobs for *_, count in job)
-        total = sum(costs) * (1.0 + left / rays)
+        costs = [sum(self.estimate_cost(level) * count for _, level, _, count in job) for job in jobs]
+        rays = self.rays_per_chunk * sum(count for job in jobs for *_, count in job)
+        total = sum(costs) * (1.0 + remaining_rays / rays)
         done = 0.0
         with Threads(self.threads) as pool:
-            found = pool.map(self.tallies, jobs)
+            found = pool.map(self.trace_job, jobs)
             for job, cost, tallied in zip(jobs, costs, found, strict=True):
                 for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
-                    ensemble.add(level, tallies)
-                    level.legs += legs
+                    ensemble.add_scores(level, tallies)
+                    level.n_segments += legs
                 done += cost
                 pace = (time.perf_counter() - begun) / done
-                self._tell(rays, stderr, target, pace * (total - done))
+                self._report_progress(rays, stderr, target, pace * (total - done))
 
-    def jobs(self, work: Sequence[tuple[Paths, Level, int]]) -> list[list[Piece]]:
+    def make_jobs(self, work: Sequence[tuple[Paths, Level, int]]) -> list[list[Piece]]:
         """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
         kinds: dict[Features | None, list[Piece]] = {}
         for ensemble, level, rays in work:
-            piece = ensemble, level, level.rays, -(-rays // self.batch)
-            kinds.setdefault(self.tracer.features(level), []).append(piece)
+            piece = ensemble, level, level.n_rays, -(-rays // self.rays_per_chunk)
+            kinds.setdefault(self.tracer.get_features(level), []).append(piece)
         jobs = []
         for features, pieces in kinds.items():
             # Short paths last, so that few lanes wait for the last long one.
-            pieces.sort(key=lambda piece: -piece[1].guess)
+            pieces.sort(key=lambda piece: -piece[1].expected_segments)
             batches = sum(count for *_, count in pieces)
-            cost = sum(self.cost(level) * count for _, level, _, count in pieces)
+            cost = sum(self.estimate_cost(level) * count for _, level, _, count in pieces)
             most = LEGS if features else LEGS / 8
-            held = min(self.held(ensemble) for ensemble, *_ in pieces)
+            held = min(self.compute_job_capacity(ensemble) for ensemble, *_ in pieces)
             # A multiple of the threads, so that all have as much to do.
             number = int(np.ceil(max(cost / most, batches / held) / self.threads)) * self.threads
             number = min(number, batches)
-            jobs += self.cut(pieces, number, cost / number, held)
+            jobs += self.split_jobs(pieces, number, cost / number, held)
         return jobs
 
-    def held(self, ensemble: Paths) -> int:
+    def compute_job_capacity(self, tally: Paths) -> int:
         """Return how many batches a job may hold: exits of their rays, and tallies."""
-        numbers = self.batch * self.tracer.rows(1).shape[1] + ensemble.size()
+        numbers = self.rays_per_chunk * self.tracer.allocate_exits(1).shape[1] + tally.count_score_values()
         return max(1, MEMORY // (8 * numbers))
 
-    def cut(
-        self, pieces: Sequence[Piece], number: int, share: float, most: int
+    def split_jobs(
+        self, items: Sequence[Piece], n_jobs: int, cost_per_job: float, max_chunks: int
     ) -> list[list[Piece]]:
         """Return pieces in a number of jobs that cost about a share each, in order.
 
         There are more of them where one would hold more than `most` batches.
         """
         jobs: list[list[Piece]] = [[]]
-        room, held = share, 0
-        for ensemble, level, first, count in pieces:
-            cost = self.cost(level)
+        room, held = cost_per_job, 0
+        for ensemble, level, first, count in items:
+            cost = self.estimate_cost(level)
             while count > 0:
-                if held == most or (jobs[-1] and room < 0.5 * cost and len(jobs) < number):
+                if held == max_chunks or (jobs[-1] and room < 0.5 * cost and len(jobs) < n_jobs):
                     jobs.append([])
-                    room, held = share + min(room, 0.5 * cost), 0
-                now = min(count, most - held)
-                if len(jobs) < number:
+                    room, held = cost_per_job + min(room, 0.5 * cost), 0
+                now = min(count, max_chunks - held)
+                if len(jobs) < n_jobs:
                     now = min(now, max(1, round(room / cost)))
                 jobs[-1].append((ensemble, level, first, now))
-                first += now * self.batch
+                first += now * self.rays_per_chunk
                 count -= now
                 room -= now * cost
                 held += now
         return jobs
 
-    def cost(self, level: Level) -> float:
+    def estimate_cost(self, stratum: Level) -> float:
         """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
-        if level.rays == 0:
-            return self.batch * (1.0 + level.guess)
-        return self.batch * (1.0 + level.legs / level.rays)
+        if stratum.n_rays == 0:
+            return self.rays_per_chunk * (1.0 + stratum.expected_segments)
+        return self.rays_per_chunk * (1.0 + stratum.n_segments / stratum.n_rays)
 
-    def prepare(self, ensembles: Sequence[Paths]) -> None:
+    def share_kernel(self, tallies: Sequence[Paths]) -> None:
         """Let all levels of these ensembles share a kernel, if they can."""
-        self.tracer.prepare([level for ensemble in ensembles for level in ensemble.levels])
+        self.tracer.share_kernel([level for ensemble in tallies for level in ensemble.strata])
 
-    def kernels(self, ensembles: Sequence[Paths]) -> str:
+    def list_kernels(self, tallies: Sequence[Paths]) -> str:
         """Return which kernels trace these ensembles, joined by a comma."""
         used = {
-            "scalar" if self.tracer.features(level) is None else "lanes"
-            for ensemble in ensembles
-            for level in ensemble.levels
+            "scalar" if self.tracer.get_features(level) is None else "lanes"
+            for ensemble in tallies
+            for level in ensemble.strata
         }
         return ", ".join(sorted(used))
 
-    def tallies(self, job: Sequence[Piece]) -> list[tuple[list[Any], int]]:
+    def trace_job(self, job: Sequence[Piece]) -> list[tuple[list[Any], int]]:
         """Trace pieces that share a kernel; the same numbers whoever does, and in whatever job.
 
         Returns
@@ -191,37 +191,37 @@ class Runner:
         """
         work = np.array(
             [
-                (level.number, first, count * self.batch, level.most)
+                (level.stream, first, count * self.rays_per_chunk, level.max_order)
                 for _, level, first, count in job
             ]
         )
-        exits = self.tracer.rows(int(work[:, 2].sum()))
+        exits = self.tracer.allocate_exits(int(work[:, 2].sum()))
         followed = self.tracer.trace(work, [level for _, level, *_ in job], exits)
         if followed.lost:
             raise RuntimeError(followed.lost)
         parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
         return [
-            (self._tallied(piece, part, notes), int(cost))
+            (self._score_item(piece, part, notes), int(cost))
             for piece, part, notes, cost in zip(
-                job, parts, followed.notes, followed.legs, strict=True
+                job, parts, followed.crossings, followed.n_segments, strict=True
             )
         ]
 
-    def _tallied(self, piece: Piece, exits: np.ndarray, notes: np.ndarray) -> list[Any]:
+    def _score_item(self, item: Piece, exits: np.ndarray, crossings: np.ndarray) -> list[Any]:
         """Return what a piece's ensemble makes of each of its batches, in order."""
-        ensemble, level, first, count = piece
-        starts = np.arange(count) * self.batch
-        parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], starts[1:]))
+        ensemble, level, first, count = item
+        starts = np.arange(count) * self.rays_per_chunk
+        parts = np.split(crossings, np.searchsorted(crossings[:, NOTE_RAY], starts[1:]))
         sums = []
         for start, batch, part in zip(
-            starts, exits.reshape(count, self.batch, -1), parts, strict=True
+            starts, exits.reshape(count, self.rays_per_chunk, -1), parts, strict=True
         ):
             part[:, NOTE_RAY] -= start
-            sums.append(ensemble.tally(level, first + int(start), batch, part))
+            sums.append(ensemble.score_chunk(level, first + int(start), batch, part))
         return sums
 
-    def _tell(self, rays: int, stderr: float, target: float, left: float) -> None:
+    def _report_progress(self, n_rays: int, stderr: float, target: float, seconds_left: float) -> None:
         now = time.perf_counter()
-        if self.report and now - self._reported > 0.5:
-            self._reported = now
-            self.report(Progress(rays, stderr, target, now - self.started, left))
+        if self.progress_callback and now - self._last_report_time > 0.5:
+            self._last_report_time = now
+            self.progress_callback(Progress(n_rays, stderr, target, now - self.start_time, seconds_left))

@@ -47,30 +47,30 @@ def light_of(incidence_deg: float | str) -> Light:
 def ground_of(medium: Medium) -> Ground | None:
     """Return the ground below a medium, None where nothing comes back from there."""
     ground = getattr(medium, "ground", None)
-    return ground if ground is not None and ground.reflecting else None
+    return ground if ground is not None and ground.is_reflecting else None
 
 
 def fields_of(medium: Medium) -> Fields | None:
     """Return the rough surface on top of layers as kernels take it, None where it is smooth."""
-    top = medium.parts[0] if isinstance(medium, LayeredMedium) else medium
-    return top.fields() if isinstance(top, ParticleLayer) else None
+    top = medium.scene_layers[0] if isinstance(medium, LayeredMedium) else medium
+    return top.make_height_fields() if isinstance(top, ParticleLayer) else None
 
 
 def columns_of(medium: Medium) -> int:
     """Return how many lengths a path has: one in each material, and meetings with a ground."""
-    return len(medium.materials()) + (ground_of(medium) is not None)
+    return len(medium.list_materials()) + (ground_of(medium) is not None)
 
 
 def constants_of(medium: Medium, wavelength_nm: np.ndarray) -> Constants:
     """Return what a medium and its ground are to light at wavelengths (nm)."""
-    index = medium.indices(wavelength_nm)
+    index = medium.compute_refractive_indices(wavelength_nm)
     absorption = absorption_of(medium, index, wavelength_nm)
     ground = ground_of(medium)
     if ground is None:
         return Constants(index, absorption)
     return Constants(
         np.pad(index, ((0, 0), (0, 1)), constant_values=1.0),
-        np.column_stack([absorption, ground.depth(wavelength_nm)]),
+        np.column_stack([absorption, ground.optical_depth(wavelength_nm)]),
     )
 
 
@@ -78,9 +78,9 @@ def granular_scene(
     medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
 ) -> Scene:
     """Return granular media under a light; `analog` is absorption by coin toss."""
-    media = medium.parts if isinstance(medium, LayeredMedium) else (medium,)
+    media = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
     granular = [one for one in media if not isinstance(one, ParticleLayer)]
-    tables = [one.grains() for one in granular]
+    tables = [one.make_grain_population() for one in granular]
     points = tables[0].types.curvature.shape[1] if tables else 2
     given = iter(tables)
     grains = [
@@ -89,25 +89,25 @@ def granular_scene(
         else next(given)
         for one in media
     ]
-    materials = np.cumsum([0, *(len(one.materials()) for one in media)])
-    types = np.cumsum([0, *(len(one.share) for one in grains)])
-    most = max(len(one.share) for one in grains)
+    materials = np.cumsum([0, *(len(one.list_materials()) for one in media)])
+    types = np.cumsum([0, *(len(one.type_cdf) for one in grains)])
+    most = max(len(one.type_cdf) for one in grains)
     face = -np.cumsum([0.0, *(float(one.depth_m) for one in media)])
     fields = fields_of(medium)
     if fields is not None:
         # Above the surface: nothing of a realisation may reach there.
         face[0] = TALLEST * np.linalg.norm(fields.rms_height)
     layers = Layers(
-        face=face,
+        boundaries=face,
         attenuation=np.array([one.attenuation for one in grains]),
-        saturation=np.array([float(one.wet_share) for one in media]),
-        share=np.array([np.pad(one.share, (0, most - len(one.share)), "edge") for one in grains]),
-        first=types[:-1],
+        saturation=np.array([float(one.wet_fraction) for one in media]),
+        type_cdf=np.array([np.pad(one.type_cdf, (0, most - len(one.type_cdf)), "edge") for one in grains]),
+        first_type=types[:-1],
         pore=materials[:-1],
-        others=_others_of(media),
-        particles=_rows_of_particles(media),
+        pore_cdf=_others_of(media),
+        particle_row=_rows_of_particles(media),
     )
-    rules = (granular[0].readings if granular else Readings()).rules(analog)
+    rules = (granular[0].interpretation if granular else Readings()).to_sampling_rules(analog)
     particles = particles_of([one for one in media if isinstance(one, ParticleLayer)])
     column = NO_GROUND if ground_of(medium) is None else int(materials[-1])
     table = _together(grains, materials)
@@ -120,7 +120,7 @@ def _others_of(media: Sequence[Part]) -> np.ndarray:
     most = max(len(row) for row in shares)
     return np.array(
         [
-            float(one.wet_share) + np.cumsum([*row, *[0.0] * (most - len(row))])
+            float(one.wet_fraction) + np.cumsum([*row, *[0.0] * (most - len(row))])
             for one, row in zip(media, shares, strict=True)
         ]
     ).reshape(len(media), most)
@@ -133,20 +133,20 @@ def listening(scene: Scene, depths_m: Sequence[float]) -> Scene:
     """
     layers = scene.layers
     cut = -np.asarray(depths_m, dtype=float)
-    face = -np.unique(-np.concatenate([layers.face, cut]))
+    face = -np.unique(-np.concatenate([layers.boundaries, cut]))
     # The layer that each of the new ones is a piece of.
-    piece = np.searchsorted(-layers.face, -face[:-1], side="right") - 1
+    piece = np.searchsorted(-layers.boundaries, -face[:-1], side="right") - 1
     rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "face"}
-    return scene._replace(layers=Layers(face=face, **rows), listens=True)
+    return scene._replace(layers=Layers(boundaries=face, **rows), record_crossings=True)
 
 
 def _nobody(attenuation: float, points: int) -> Grains:
     """Return for a layer of particles what stands in place of its grains, and is never met."""
     one = np.ones((1, points))
     types = Types(
-        shells=np.ones(1, dtype=np.int64),
+        n_shells=np.ones(1, dtype=np.int64),
         material=np.zeros((1, 1), dtype=np.int64),
-        thickness=np.zeros((1, 1)),
+        coating_thickness=np.zeros((1, 1)),
         curvature=one,
         sphericity=one,
         facetness=np.zeros((1, points)),
@@ -162,7 +162,7 @@ def _rows_of_particles(media: Sequence[Part]) -> np.ndarray:
 
 def particles_of(media: Sequence[ParticleLayer]) -> Particles:
     """Return the table of the particles of these layers."""
-    phases = [one.layer.phase for one in media]
+    phases = [one.layer.kernel_phase_function for one in media]
     longest = max((len(one.cosines) for one in phases), default=2)
 
     def table(name: str) -> np.ndarray:
@@ -173,36 +173,36 @@ def particles_of(media: Sequence[ParticleLayer]) -> Particles:
         albedo=np.array([one.layer.single_scattering_albedo for one in media], dtype=float),
         kind=np.array([one.kind for one in phases], dtype=np.int64),
         g=np.array([one.g for one in phases], dtype=float),
-        size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
+        table_size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
         cosines=table("cosines"),
         density=table("density"),
-        quantiles=table("quantiles"),
+        cdf=table("quantiles"),
     )
 
 
-def _together(grains: Sequence[Grains], materials: np.ndarray) -> Types:
+def _together(populations: Sequence[Grains], first_materials: np.ndarray) -> Types:
     """Return one table of the types of all layers, whose materials begin at given rows."""
-    if len(grains) == 1:
-        return grains[0].types
-    deepest = max(one.types.material.shape[1] for one in grains)
+    if len(populations) == 1:
+        return populations[0].types
+    deepest = max(one.types.material.shape[1] for one in populations)
 
     def wide(table: np.ndarray) -> np.ndarray:
         return np.pad(table, ((0, 0), (0, deepest - table.shape[1])))
 
     def every(name: str) -> np.ndarray:
         rows = [
-            np.broadcast_to(table, (len(one.share), table.shape[1]))
-            for one in grains
+            np.broadcast_to(table, (len(one.type_cdf), table.shape[1]))
+            for one in populations
             for table in [getattr(one.types, name)]
         ]
         # Kernels read tables row by row, and concatenation keeps the order of what is broadcast.
         return np.ascontiguousarray(np.concatenate(rows))
 
-    shift = zip(grains, materials, strict=False)
+    shift = zip(populations, first_materials, strict=False)
     return Types(
-        shells=np.concatenate([one.types.shells for one in grains]),
+        n_shells=np.concatenate([one.types.n_shells for one in populations]),
         material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
-        thickness=np.concatenate([wide(one.types.thickness) for one in grains]),
+        coating_thickness=np.concatenate([wide(one.types.coating_thickness) for one in populations]),
         curvature=every("curvature"),
         sphericity=every("sphericity"),
         facetness=every("facetness"),

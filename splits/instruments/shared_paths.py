@@ -38,18 +38,18 @@ class Family(NamedTuple):
     """
 
     media: tuple[Medium, ...]
-    scales: np.ndarray
+    size_ratios: np.ndarray
 
     @classmethod
-    def of_one_size(cls, media: Sequence[Medium]) -> Family:
+    def from_media(cls, media: Sequence[Medium]) -> Family:
         """Return the family of media that are of one size."""
         return cls(tuple(media), np.ones(len(media)))
 
-    def part(self, some: slice) -> Family:
+    def select(self, selection: slice) -> Family:
         """Return some of it."""
-        return Family(self.media[some], self.scales[some])
+        return Family(self.media[selection], self.size_ratios[selection])
 
-    def constants(self, wavelength_nm: np.ndarray) -> list[Constants]:
+    def compute_constants(self, wavelength_nm: np.ndarray) -> list[Constants]:
         """Return what each is to light at wavelengths (nm), lengths in units of the first's size.
 
         Meetings with a ground are no lengths.
@@ -84,18 +84,18 @@ class Rows:
 
     index: np.ndarray
     absorption: np.ndarray
-    weakest: np.ndarray
-    changes: np.ndarray
+    min_absorption: np.ndarray
+    absorption_derivatives: np.ndarray
     interfaces: Sequence[Interface]
 
     @classmethod
-    def of(cls, family: Family, wavelength_nm: np.ndarray) -> Rows:
+    def from_media(cls, path_sharing: Family, wavelength_nm: np.ndarray) -> Rows:
         """Return the rows of media that share paths, medium after medium."""
-        found = family.constants(wavelength_nm)
+        found = path_sharing.compute_constants(wavelength_nm)
         absorption = np.stack([one.absorption for one in found])
         weakest = np.empty_like(absorption)
-        for scale in np.unique(family.scales):
-            alike = family.scales == scale
+        for scale in np.unique(path_sharing.size_ratios):
+            alike = path_sharing.size_ratios == scale
             weakest[alike] = absorption[alike].min(axis=0)
         columns = absorption.shape[-1]
         return cls(
@@ -103,11 +103,11 @@ class Rows:
             absorption.reshape(-1, columns),
             weakest.reshape(-1, columns),
             np.zeros((0, absorption[..., 0].size, columns)),
-            family.media[0].interfaces(),
+            path_sharing.media[0].list_interfaces(),
         )
 
-    def changing(
-        self, moved: Family, steps: np.ndarray, wavelength_nm: np.ndarray, column: int
+    def with_derivatives(
+        self, perturbed: Family, steps: np.ndarray, wavelength_nm: np.ndarray, ground_column: int
     ) -> Rows:
         """Return these rows, of one medium, with the derivatives that moved ones tell.
 
@@ -121,12 +121,12 @@ class Rows:
         column : int
             Column of a ground to whose own absorption the last derivative is, or `NO_GROUND`.
         """
-        others = [one.absorption for one in moved.constants(wavelength_nm)]
+        others = [one.absorption for one in perturbed.compute_constants(wavelength_nm)]
         changes = [(o - self.absorption) / s for o, s in zip(others, steps, strict=True)]
-        if column != NO_GROUND:
+        if ground_column != NO_GROUND:
             changes.append(np.zeros_like(self.absorption))
-            changes[-1][:, column] = 1.0
-        return replace(self, changes=np.stack(changes))
+            changes[-1][:, ground_column] = 1.0
+        return replace(self, absorption_derivatives=np.stack(changes))
 
 
 class Slopes(NamedTuple):
@@ -142,17 +142,17 @@ class Slopes(NamedTuple):
     """
 
     mean: np.ndarray
-    groups: np.ndarray
-    missed: np.ndarray
+    batch_deviations: np.ndarray
+    bias_bound: np.ndarray
 
-    def of(self, some: slice) -> Slopes:
+    def select(self, selection: slice) -> Slopes:
         """Return the derivatives to some of the parameters."""
-        return Slopes(self.mean[:, some], self.groups[:, :, some], self.missed[:, some])
+        return Slopes(self.mean[:, selection], self.batch_deviations[:, :, selection], self.bias_bound[:, selection])
 
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shaped like the means."""
-        return np.sqrt((self.groups**2).sum(axis=0) + self.missed**2)
+        return np.sqrt((self.batch_deviations**2).sum(axis=0) + self.bias_bound**2)
 
 
 class SharedPaths(Ensemble):
@@ -165,42 +165,42 @@ class SharedPaths(Ensemble):
     """
 
     def __init__(
-        self, number: int, index: np.ndarray, rows: Rows, served: np.ndarray, manner: Manner
+        self, stream_index: int, index: np.ndarray, rows: Rows, wavelength_mask: np.ndarray, traits: Manner
     ) -> None:
-        super().__init__(number, index, rows.weakest, served, manner)
-        self.absorption, self.changes = rows.absorption, rows.changes
-        self.slopes = np.zeros((GROUPS, 2, len(rows.changes), len(self.rows)))
-        for level in self.levels:
-            some = self.absorption[level.served].max(axis=0) > 0.0
-            some |= (self.changes[:, level.served] != 0.0).any(axis=(0, 1))
-            level.optics = level.optics._replace(absorbs=some)
+        super().__init__(stream_index, index, rows.min_absorption, wavelength_mask, traits)
+        self.absorption, self.absorption_derivatives = rows.absorption, rows.absorption_derivatives
+        self.derivative_sums = np.zeros((GROUPS, 2, len(rows.absorption_derivatives), len(self.rows)))
+        for level in self.strata:
+            some = self.absorption[level.wavelength_mask].max(axis=0) > 0.0
+            some |= (self.absorption_derivatives[:, level.wavelength_mask] != 0.0).any(axis=(0, 1))
+            level.optics = level.optics._replace(is_absorbing=some)
 
-    def size(self) -> int:
+    def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
-        return super().size() + len(self.changes) * len(self.rows) * (1 + BLOCK)
+        return super().size() + len(self.absorption_derivatives) * len(self.rows) * (1 + BLOCK)
 
-    def tally(self, level: Level, first: int, exits: np.ndarray, notes: np.ndarray) -> Any:
+    def score_chunk(self, stratum: Level, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
         """Return the sums of a batch of a level, and their derivatives by block."""
-        sums = super().tally(level, first, exits, notes)
-        if not len(self.changes):
+        sums = super().tally(stratum, first_ray, exits, crossings)
+        if not len(self.absorption_derivatives):
             return sums, None
-        served = self.rows[self.part(level)]
-        absorption, changes = self.absorption[served], self.changes[:, served]
-        return sums, slopes(exits, notes, absorption, changes, self.manner.ground)
+        served = self.rows[self.select_rows(stratum)]
+        absorption, changes = self.absorption[served], self.absorption_derivatives[:, served]
+        return sums, slopes(exits, crossings, absorption, changes, self.traits.ground_column)
 
-    def add(self, level: Level, tallies: Sequence[Any]) -> None:
+    def add_scores(self, stratum: Level, scores: Sequence[Any]) -> None:
         """Add the tallies of batches one by one."""
-        for sums, blocks in tallies:
-            first = level.rays // BLOCK % GROUPS
-            super().add(level, [sums])
+        for sums, blocks in scores:
+            first = stratum.n_rays // BLOCK % GROUPS
+            super().add(stratum, [sums])
             if blocks is not None:
-                self.slopes[first : first + len(blocks), :, :, self.part(level)] += blocks
+                self.derivative_sums[first : first + len(blocks), :, :, self.select_rows(stratum)] += blocks
 
-    def slope_deviations(self) -> tuple[np.ndarray, np.ndarray]:
+    def compute_derivatives(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mean derivatives, and how far groups take them off, as `deviations` does."""
-        count = np.maximum(self.count, 1.0)
-        mean = self.slopes.sum(axis=0) / count
-        off = self.slopes - self.rays_of_groups()[:, np.newaxis, np.newaxis] * mean
+        count = np.maximum(self.n_rays, 1.0)
+        mean = self.derivative_sums.sum(axis=0) / count
+        off = self.derivative_sums - self.count_rays_per_batch()[:, np.newaxis, np.newaxis] * mean
         return mean, off / count
 
 
@@ -219,7 +219,7 @@ def check_shared(media: Mapping[str, Medium]) -> None:
     for name, medium in others:
         alike = (
             type(medium) is type(base)
-            and medium.materials() == base.materials()
+            and medium.list_materials() == base.list_materials()
             and (ground_of(medium) is None) == (ground_of(base) is None)
             and same(scene, granular_scene(medium, 0.0, False))
         )
@@ -231,8 +231,8 @@ def check_shared(media: Mapping[str, Medium]) -> None:
             )  # fmt: skip
 
 
-def same(one: Any, other: Any) -> bool:
+def same(first: Any, second: Any) -> bool:
     """Tell whether tables of a scene hold the same numbers."""
-    if isinstance(one, tuple) and hasattr(one, "_fields"):
-        return all(same(a, b) for a, b in zip(one, other, strict=True))
-    return np.array_equal(one, other)
+    if isinstance(first, tuple) and hasattr(first, "_fields"):
+        return all(same(a, b) for a, b in zip(first, second, strict=True))
+    return np.array_equal(first, second)

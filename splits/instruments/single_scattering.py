@@ -112,7 +112,7 @@ def single_scattering(
     Paths are traced with the refractive indices of a few nodes, as by the spectral estimator;
     standard errors contain the bound on what that misses.
     """
-    check_medium(medium, GranularMedium, endless=True)
+    check_medium(medium, GranularMedium, allow_semi_infinite=True)
     if medium.pores:
         raise refuse("pores", dict(medium.pores), "empty: pores are dry or wet here")
     wavelengths = check_wavelengths(wavelength_nm)
@@ -125,7 +125,7 @@ def single_scattering(
     scene = granular_scene(medium, 0.0, False)
     plan = Plan(moments, rays, seed, threads, wet_pores)
     constants = materials_of(medium, wavelengths)
-    nodes = choose_nodes(constants.indices, medium.interfaces(), INTERPOLATION)
+    nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION)
     values = optics_of(medium, scene, constants, plan, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
     facts = {
@@ -133,8 +133,8 @@ def single_scattering(
             "Single-scattering properties", "single_scattering", medium, begun, seed, threads
         ),
         "diffraction": "none",
-        "extinction_by_grains_per_m": float(medium.grains().attenuation),
-        "interpolation_error_bound": float(nodes.bias.max()),
+        "extinction_by_grains_per_m": float(medium.make_grain_population().attenuation),
+        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(nodes.index),
         "ensembles": len(nodes.index),

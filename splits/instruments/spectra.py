@@ -76,11 +76,11 @@ def spectra(
         raise refuse("media", media, "a mapping of names to media, at least one")
     named = name_as_texts("media", media)
     for medium in named.values():
-        check_medium(medium, endless=True)
+        check_medium(medium, allow_semi_infinite=True)
     check_shared(named)
-    run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    run = Run.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
     begun = time.perf_counter()
-    found = run.estimated(Family.of_one_size(list(named.values())), progress=progress)
+    found = run.estimate(Family.from_media(list(named.values())), progress=progress)
     differing = _differing(list(named.values()))
     one = next(iter(named.values()))
     about = run_facts(TITLE, "spectrophotometer", one, begun, run.seed, run.threads)
@@ -90,8 +90,8 @@ def spectra(
         "wavelength": wavelength_axis(run.wavelengths),
         **differing,
     }
-    variables = run.variables(found.result, ("medium", "wavelength"))
-    return xr.Dataset(variables, axes, about | {"estimator": "spectral"} | run.facts(found))
+    variables = run.make_variables(found.estimate, ("medium", "wavelength"))
+    return xr.Dataset(variables, axes, about | {"estimator": "spectral"} | run.make_attributes(found))
 
 
 def _differing(media: Sequence[Medium]) -> dict[str, Any]:

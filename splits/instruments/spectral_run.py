@@ -36,8 +36,8 @@ QUANTITIES = {
 class Found(NamedTuple):
     """Estimates, and where packs were cut for them."""
 
-    result: Estimate
-    cut: Cut | None
+    estimate: Estimate
+    truncation: Cut | None
 
 
 class Run(NamedTuple):
@@ -52,7 +52,7 @@ class Run(NamedTuple):
     kernel: str
 
     @classmethod
-    def checked(
+    def from_arguments(
         cls,
         wavelength_nm: Any,
         incidence_deg: Any,
@@ -73,84 +73,84 @@ class Run(NamedTuple):
             one_of("kernel", kernel, KERNELS),
         )
 
-    def cut(self, family: Family) -> Cut | None:
+    def truncate(self, path_sharing: Family) -> Cut | None:
         """Return where packs are cut, which does not depend on the incidence."""
-        return cut_of(family, self.wavelengths, self.max_stderr, self.seed, self.threads)
+        return cut_of(path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads)
 
-    def estimated(
+    def estimate(
         self,
-        family: Family,
-        moves: Moves = NO_MOVES,
+        path_sharing: Family,
+        perturbations: Moves = NO_MOVES,
         estimator: str = "spectral",
         progress: Report = None,
     ) -> Found:
         """Return estimates for media that share paths, or for one, and its derivatives."""
-        if moves.media:
-            scales = np.concatenate([family.scales, moves.scales])
-            family = Family((*family.media, *moves.media), scales)
-        cut = None if estimator == "analog" else self.cut(family)
-        return self.estimated_above(cut, family, moves, estimator, progress)
+        if perturbations.media:
+            scales = np.concatenate([path_sharing.size_ratios, perturbations.size_ratios])
+            path_sharing = Family((*path_sharing.media, *perturbations.media), scales)
+        cut = None if estimator == "analog" else self.truncate(path_sharing)
+        return self.estimate_truncated(cut, path_sharing, perturbations, estimator, progress)
 
-    def estimated_above(
+    def estimate_truncated(
         self,
-        cut: Cut | None,
-        family: Family,
-        moves: Moves = NO_MOVES,
+        truncation: Cut | None,
+        path_sharing: Family,
+        perturbations: Moves = NO_MOVES,
         estimator: str = "spectral",
         progress: Report = None,
     ) -> Found:
         """Return what `estimated` does, where it is known where packs are cut."""
         analog = estimator == "analog"
-        w, count = self.wavelengths, len(family.media) - len(moves.media)
-        traced = family if cut is None else family._replace(media=cut.media)
-        rows = Rows.of(traced.part(slice(count)), w)
-        if moves.media:
-            white = [] if cut is None else w[cut.below[0] == 0.0]
+        w, count = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
+        traced = path_sharing if truncation is None else path_sharing._replace(media=truncation.media)
+        rows = Rows.from_media(traced.select(slice(count)), w)
+        if perturbations.media:
+            white = [] if truncation is None else w[truncation.ground_absorption[0] == 0.0]
             if len(white):
                 allowed = "left out for deep packs at wavelengths where nothing absorbs"
                 hint = f"as at {white[0]:g} nm"
-                raise refuse("jacobian", list(moves.parameters), allowed, hint)
-            ground = NO_GROUND if cut is None else rows.absorption.shape[1] - 1
-            rows = rows.changing(traced.part(slice(count, None)), moves.steps, w, ground)
+                raise refuse("jacobian", list(perturbations.parameters), allowed, hint)
+            ground = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
+            rows = rows.with_derivatives(traced.select(slice(count, None)), perturbations.steps, w, ground)
 
         def estimate(goal: float) -> Estimate:
             how = (self.seed, self.threads, analog, self.kernel, progress)
             runner = Runner(traced.media[0], self.incidence, *how)
             return ESTIMATORS[estimator](runner, rows, goal, self.max_rays)
 
-        if cut is None:
+        if truncation is None:
             return Found(estimate(self.max_stderr), None)
-        return Found(cut.reached(estimate, self.max_stderr, moves.steps), cut)
+        return Found(truncation.estimate_to_error(estimate, self.max_stderr, perturbations.steps), truncation)
 
-    def variables(self, result: Estimate, dims: tuple[str, ...]) -> dict[str, Variable]:
+    def make_variables(self, estimate: Estimate, dims: tuple[str, ...]) -> dict[str, Variable]:
         """Return what was estimated, with errors and groups, over the media and wavelengths."""
         illumination = "hemispherical" if self.incidence == "diffuse" else "directional"
         shape = (self.wavelengths.size,) if len(dims) == 1 else (-1, self.wavelengths.size)
         found: dict[str, Variable] = {}
         for row, (name, label) in enumerate(QUANTITIES.items()):
             long_name = label if name == "absorptance" else f"{illumination}-{label}"
-            mean, stderr = result.mean[row].reshape(shape), result.stderr[row].reshape(shape)
+            mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
             found |= quantity(name, dims, mean, stderr, long_name)
             if name in SIDES:
-                groups = result.groups[:, row]
+                groups = estimate.batch_deviations[:, row]
                 groups = groups.reshape(len(groups), *shape)
                 found |= deviations(name, dims, groups, long_name)
         return found
 
-    def facts(self, found: Found) -> dict[str, Any]:
+    def make_attributes(self, spectral_result: Found) -> dict[str, Any]:
         """Return how it went, for a dataset's attributes."""
-        result, cut = found
+        result, cut = spectral_result
         facts = {
             "incidence_deg": self.incidence,
             "max_stderr": self.max_stderr,
             "stopped_by": "error" if result.converged else "rays",
             "max_stderr_reached": float(result.stderr.max()),
-            "interpolation_error_bound": float(result.bias.max()),
+            "interpolation_error_bound": float(result.interpolation_error.max()),
             "max_rays": self.max_rays,
-            "rays": result.rays,
-            "ensembles": result.ensembles,
+            "rays": result.n_rays,
+            "ensembles": result.n_ensembles,
             "kernel": result.kernel,
         }
         if cut is not None:
-            facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.enough_m}
+            facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.semi_infinite_depth_m}
         return facts

@@ -95,29 +95,29 @@ def spectrophotometer(
     SPLITSnow section 4.1, Eq 8: reflectance is the share of rays that leave upwards, n/N (the
     printed 1/π belongs to a radiance, not to a share of rays).
     """
-    check_medium(medium, endless=estimator == "spectral")
+    check_medium(medium, allow_semi_infinite=estimator == "spectral")
     one_of("estimator", estimator, ESTIMATORS)
-    run = Run.checked(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    run = Run.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
     names = checked(medium, run.incidence, jacobian)
     if names and estimator != "spectral":
         raise refuse("jacobian", list(names), "left out for this estimator")
-    moves = Moves.of(medium, names, run.wavelengths)
+    moves = Moves.select_exact(medium, names, run.wavelengths)
     begun = time.perf_counter()
-    found = run.estimated(Family.of_one_size([medium]), moves, estimator, progress)
+    found = run.estimate(Family.from_media([medium]), moves, estimator, progress)
 
     def nearby(other: Medium, incidence: float | str) -> Estimate:
         one = run._replace(incidence=incidence)
-        return one.estimated(Family.of_one_size([other]), progress=progress).result
+        return one.estimate(Family.from_media([other]), progress=progress).estimate
 
     others = [
         difference(nearby, medium, run.incidence, n) for n in names if n not in moves.parameters
     ]
-    variables = run.variables(found.result, ("wavelength",))
+    variables = run.make_variables(found.estimate, ("wavelength",))
     if names:
-        slopes = together(names, found.result.slopes, moves, others)
+        slopes = together(names, found.estimate.derivatives, moves, others)
         variables |= slope_variables(slopes, names, SIDES)
     facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
     if others:
-        facts["rays_of_differences"] = sum(one.rays for one in others)
+        facts["rays_of_differences"] = sum(one.n_rays for one in others)
     axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(names, moves)}
-    return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.facts(found))
+    return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.make_attributes(found))

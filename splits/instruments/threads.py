@@ -62,12 +62,12 @@ class Threads(Executor):
     [1, 2]
     """
 
-    def __init__(self, number: int) -> None:
-        self.number = number
+    def __init__(self, n_threads: int) -> None:
+        self.n_threads = n_threads
         self.closed = False
-        self._within: Threads | None = getattr(_of_thread, "threads", None)
+        self._parent_pool: Threads | None = getattr(_of_thread, "threads", None)
         self._jobs: SimpleQueue = SimpleQueue()
-        self._started = 0
+        self._n_started = 0
 
     def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
         """Hand out a job.
@@ -81,12 +81,12 @@ class Threads(Executor):
         while within is not None:
             if within.closed:
                 raise CancelledError("broken off")
-            within = within._within
+            within = within._parent_pool
         future: Future = Future()
         self._jobs.put((future, fn, args, kwargs))
-        if self._started < self.number:
-            self._started += 1
-            threading.Thread(target=self._work, daemon=True).start()
+        if self._n_started < self.n_threads:
+            self._n_started += 1
+            threading.Thread(target=self._run_jobs, daemon=True).start()
         return future
 
     def shutdown(self, wait: bool = False, *, cancel_futures: bool = True) -> None:
@@ -97,10 +97,10 @@ class Threads(Executor):
                 self._jobs.get_nowait()[0].cancel()
             except Empty:
                 break
-        for _ in range(self._started):
+        for _ in range(self._n_started):
             self._jobs.put(None)
 
-    def _work(self) -> None:
+    def _run_jobs(self) -> None:
         _of_thread.threads = self
         while (job := self._jobs.get()) is not None:
             future, fn, args, kwargs = job

@@ -45,8 +45,8 @@ class Followed(NamedTuple):
         Why a ray was lost, or nothing.
     """
 
-    legs: np.ndarray
-    notes: list[np.ndarray]
+    n_segments: np.ndarray
+    crossings: list[np.ndarray]
     lost: str
 
 
@@ -66,25 +66,25 @@ class Tracer(Protocol):
         Columns of exits that hold Q, U, V over I, or nothing.
     """
 
-    manner: Manner
-    upright: bool
+    traits: Manner
+    normal_incidence: bool
     diffuse: bool
-    depths_m: np.ndarray
-    stokes: tuple[int, ...]
+    boundary_depths_m: np.ndarray
+    stokes_columns: tuple[int, ...]
 
-    def features(self, level: Level) -> Features | None:
+    def get_features(self, stratum: Level) -> Features | None:
         """Return the lane kernel's features for a level, or None for a scalar kernel."""
         ...
 
-    def prepare(self, levels: Sequence[Level]) -> None:
+    def share_kernel(self, strata: Sequence[Level]) -> None:
         """Let levels share a kernel, if they can."""
         ...
 
-    def rows(self, rays: int) -> np.ndarray:
+    def allocate_exits(self, n_rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
         ...
 
-    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+    def trace(self, work: np.ndarray, strata: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels that share features.
 
         Parameters
@@ -119,7 +119,7 @@ class GrainTracer:
         listens at these.
     """
 
-    LOST = (
+    LOST_MESSAGE = (
         "a ray found no grain that fits between the boundaries, or its way at a rough surface: the "
         "sample is barely thicker than its grains, or the incidence too close to 90 degrees"
     )
@@ -136,32 +136,32 @@ class GrainTracer:
         self.scene = granular_scene(medium, incidence_deg, analog)
         if planes_m:
             self.scene = listening(self.scene, planes_m)
-        self.fields = fields_of(medium)
-        self.depths_m = -self.scene.layers.face
+        self.height_fields = fields_of(medium)
+        self.boundary_depths_m = -self.scene.layers.boundaries
         densest = float(self.scene.layers.attenuation.max())
         fading = bool((self.scene.particles.albedo < 1.0).any())
-        self.manner = Manner(densest, self.scene.ground, fading, analog)
-        self.upright = self.scene.light == (1.0, 0.0)
-        self.diffuse = self.scene.light.diffuse > 0.0
-        self.stokes: tuple[int, ...] = ()
-        self.columns = columns_of(medium)
+        self.traits = Manner(densest, self.scene.ground_column, fading, analog)
+        self.normal_incidence = self.scene.source == (1.0, 0.0)
+        self.diffuse = self.scene.source.diffuse_fraction > 0.0
+        self.stokes_columns: tuple[int, ...] = ()
+        self.n_columns = columns_of(medium)
         self.seed = seed
         self.kernel = kernel
         self._features: dict[Level, Features | None] = {}
 
-    def prepare(self, levels: Sequence[Level]) -> None:
+    def share_kernel(self, strata: Sequence[Level]) -> None:
         """Let levels share a kernel, if that is all that parts them.
 
         Reflection with extinction also serves where extinction does not show, and rays of all
         levels then share the lanes.
         """
-        found = [self.features(level) for level in levels]
+        found = [self.get_features(level) for level in strata]
         if any(one is not None and one.absorbing for one in found):
-            for level, one in zip(levels, found, strict=True):
+            for level, one in zip(strata, found, strict=True):
                 if one is not None and not one.mixed:
                     self._features[level] = one._replace(absorbing=True)
 
-    def features(self, level: Level) -> Features | None:
+    def get_features(self, stratum: Level) -> Features | None:
         """Return the lane kernel's features for a level, or None for the scalar kernel.
 
         Raises
@@ -171,9 +171,9 @@ class GrainTracer:
         """
         if self.kernel == "scalar":
             return None
-        if level not in self._features:
-            self._features[level] = features_for(self.scene, level.optics)
-        features = self._features[level]
+        if stratum not in self._features:
+            self._features[stratum] = features_for(self.scene, stratum.optics)
+        features = self._features[stratum]
         if features is None and self.kernel == "lanes":
             raise refuse(
                 "kernel",
@@ -183,35 +183,35 @@ class GrainTracer:
             )
         return features
 
-    def rows(self, rays: int) -> np.ndarray:
+    def allocate_exits(self, n_rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
-        return exit_rows(rays, self.columns)
+        return exit_rows(n_rays, self.n_columns)
 
-    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+    def trace(self, work: np.ndarray, strata: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels that share features, see `Tracer`."""
-        features = self.features(levels[0])
+        features = self.get_features(strata[0])
         if features is None:
             parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
-            fields = self.fields
+            fields = self.height_fields
             room = None if fields is None else room_for(fields)
             told = [
                 granular.batch(self.seed, item, self.scene, level.optics, part, fields, room)
-                for item, part, level in zip(work, parts, levels, strict=True)
+                for item, part, level in zip(work, parts, strata, strict=True)
             ]
             return Followed(
-                np.array([one.legs for one in told]),
-                [one.notes for one in told],
-                self.LOST if any(one.lost for one in told) else "",
+                np.array([one.n_segments for one in told]),
+                [one.crossings for one in told],
+                self.LOST_MESSAGE if any(one.lost for one in told) else "",
             )
-        optics = Optics(*map(np.stack, zip(*(level.optics for level in levels), strict=True)))
+        optics = Optics(*map(np.stack, zip(*(level.optics for level in strata), strict=True)))
         told = lanes.batch(self.seed, work, self.scene, optics, exits, features)
         # Of each ray in the order of time, as they were taken.
-        notes = told.notes[np.argsort(told.notes[:, NOTE_RAY], kind="stable")]
+        notes = told.crossings[np.argsort(told.crossings[:, NOTE_RAY], kind="stable")]
         last = np.cumsum(work[:, 2])
         parts = np.split(notes, np.searchsorted(notes[:, NOTE_RAY], last[:-1]))
         for part, first in zip(parts[1:], last[:-1], strict=True):
             part[:, NOTE_RAY] -= first
-        return Followed(told.legs, parts, self.LOST if told.lost else "")
+        return Followed(told.n_segments, parts, self.LOST_MESSAGE if told.lost else "")
 
 
 class LayerTracer:
@@ -225,12 +225,12 @@ class LayerTracer:
         As in `GrainTracer`.
     """
 
-    LOST = "a ray lost its way at the rough surface: please report this with the configuration"
+    LOST_MESSAGE = "a ray lost its way at the rough surface: please report this with the configuration"
 
     def __init__(
         self,
         medium: TurbidMedium,
-        light: Light,
+        source: Light,
         seed: int,
         analog: bool,
         kernel: str,
@@ -238,44 +238,44 @@ class LayerTracer:
         if kernel == "lanes":
             raise refuse("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         stokes = NATURAL if medium.polarized else None
-        self.scene = Scene(light, medium.turbid(analog), medium.phase, medium.fields(), stokes)
-        self.depths_m = np.array([0.0, self.scene.layer.depth])
+        self.scene = Scene(source, medium.make_scattering_layer(analog), medium.kernel_phase_function, medium.make_height_fields(), stokes)
+        self.boundary_depths_m = np.array([0.0, self.scene.layer.depth])
         extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         fading = self.scene.layer.albedo < 1.0
-        self.manner = Manner(extinction, fading=fading, analog=analog)
-        self.upright = light.diffuse == 0.0 and light.cos == 1.0
-        self.diffuse = light.diffuse > 0.0
-        self.materials = len(medium.materials())
+        self.traits = Manner(extinction, extra_absorption=fading, analog=analog)
+        self.normal_incidence = source.diffuse_fraction == 0.0 and source.cos_incidence == 1.0
+        self.diffuse = source.diffuse_fraction > 0.0
+        self.n_materials = len(medium.list_materials())
         # After the path lengths in all materials.
-        self.first_stokes = EXIT_LENGTH + self.materials
-        self.stokes: tuple[int, ...] = ()
+        self.first_stokes_column = EXIT_LENGTH + self.n_materials
+        self.stokes_columns: tuple[int, ...] = ()
         if medium.polarized:
-            self.stokes = tuple(range(self.first_stokes, self.first_stokes + 3))
+            self.stokes_columns = tuple(range(self.first_stokes_column, self.first_stokes_column + 3))
         self.seed = seed
 
-    def prepare(self, levels: Sequence[Level]) -> None:
+    def share_kernel(self, strata: Sequence[Level]) -> None:
         """Do nothing: there is one kernel."""
 
-    def features(self, level: Level) -> None:
+    def get_features(self, stratum: Level) -> None:
         """Return None: the kernel is scalar."""
         return None
 
-    def rows(self, rays: int) -> np.ndarray:
+    def allocate_exits(self, n_rays: int) -> np.ndarray:
         """Return room for the exits of so many rays."""
-        return exit_rows(rays, self.materials, len(self.stokes))
+        return exit_rows(n_rays, self.n_materials, len(self.stokes_columns))
 
-    def trace(self, work: np.ndarray, levels: Sequence[Level], exits: np.ndarray) -> Followed:
+    def trace(self, work: np.ndarray, strata: Sequence[Level], exits: np.ndarray) -> Followed:
         """Trace pieces of levels, see `Tracer`."""
         room = None if self.scene.fields is None else room_for(self.scene.fields)
         parts = np.split(exits, np.cumsum(work[:, layer.RAYS])[:-1])
         results = [
-            layer.batch(self.seed, item, self.scene, room, self.first_stokes, part)
+            layer.batch(self.seed, item, self.scene, room, self.first_stokes_column, part)
             for item, part in zip(work, parts, strict=True)
         ]
         return Followed(
-            np.array([one.legs for one in results]),
-            [exit_rows(0, self.materials)] * len(results),
-            self.LOST if any(one.lost for one in results) else "",
+            np.array([one.n_segments for one in results]),
+            [exit_rows(0, self.n_materials)] * len(results),
+            self.LOST_MESSAGE if any(one.lost for one in results) else "",
         )
 
 

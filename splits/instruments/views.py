@@ -23,53 +23,53 @@ class Found(NamedTuple):
     `unseen` are variables of which it tells nothing.
     """
 
-    result: Estimate
-    reached: str
-    rays: int
-    paths: Sequence[Paths] = ()
+    estimate: Estimate
+    stop_reason: str
+    n_rays: int
+    tallies: Sequence[Paths] = ()
     stokes: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({})
-    unseen: tuple[str, ...] = ()
+    undefined_variables: tuple[str, ...] = ()
 
 
-def facts_of(found: Found, goal: Goal, nodes: Nodes, runner: Runner) -> dict[str, Any]:
+def facts_of(result: Found, stopping_rule: Goal, nodes: Nodes, runner: Runner) -> dict[str, Any]:
     """Return what was asked of an estimator, what stopped it, and what it spent."""
     return {
-        "relative_stderr": goal.relative_stderr,
-        "max_rays": goal.max_rays,
-        "degree": found.result.degree[goal.side],
-        "stopped_by": found.reached,
-        "interpolation_error_bound": float(nodes.bias.max()),
-        "rays": found.rays,
+        "relative_stderr": stopping_rule.relative_stderr,
+        "max_rays": stopping_rule.max_rays,
+        "degree": result.estimate.degree[stopping_rule.side],
+        "stopped_by": result.stop_reason,
+        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
+        "rays": result.n_rays,
         "ensembles": len(nodes.index),
-        "kernel": runner.kernels(found.paths) or "scalar",
+        "kernel": runner.list_kernels(result.tallies) or "scalar",
     }
 
 
-def traced(paths: Sequence[Paths]) -> int:
+def traced(tallies: Sequence[Paths]) -> int:
     """Return how many rays were traced."""
-    return sum(level.rays for one in paths for level in one.levels)
+    return sum(level.n_rays for one in tallies for level in one.strata)
 
 
-def heard_by(local: Listened, wavelengths: np.ndarray) -> Found:
+def heard_by(detector_result: Listened, wavelengths: np.ndarray) -> Found:
     """Return what local estimation found."""
-    stokes = local.stokes(len(wavelengths)) if local.polarized else {}
+    stokes = detector_result.to_stokes(len(wavelengths)) if detector_result.polarized else {}
     # A bottom hears light at other angles than detectors outside would.
-    unseen = () if local.below else ("btdf",)
-    result = local.estimate(len(wavelengths))
-    return Found(result, local.reached, local.rays, (), stokes, unseen)
+    unseen = () if detector_result.has_lower_side else ("btdf",)
+    result = detector_result.to_angular_estimate(len(wavelengths))
+    return Found(result, detector_result.stop_reason, detector_result.n_rays, (), stokes, unseen)
 
 
 def collected(
-    runner: Runner, nodes: Nodes, absorption: np.ndarray, cells: tuple[int, int], rays: int
+    runner: Runner, nodes: Nodes, absorption: np.ndarray, n_bins: tuple[int, int], n_rays: int
 ) -> Found:
     """Trace so many rays and count them in cells."""
     paths = [
-        Cells(number, m, absorption, w, cells, runner.tracer.stokes)
+        Cells(number, m, absorption, w, n_bins, runner.tracer.stokes_columns)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
-    each = -(-rays // len(paths))
-    runner.trace([(e, level, each) for e in paths for level in e.levels], 1.0, 0.0)
-    result = estimate_cells(paths, nodes.bias)
+    each = -(-n_rays // len(paths))
+    runner.trace([(e, level, each) for e in paths for level in e.strata], 1.0, 0.0)
+    result = estimate_cells(paths, nodes.interpolation_bound)
     return Found(result, "rays", traced(paths), paths, stokes_of_cells(paths))
 
 

@@ -18,41 +18,41 @@ from splits.lookup.plan import Plan
 from splits.sources import physics_digest
 
 
-def arrays_of(plan: Plan, order: Order) -> dict[str, tuple[int, ...]]:
+def arrays_of(plan: Plan, request: Order) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays of a table by variable, its points in a row."""
-    shape = (plan.axes.size, plan.wavelengths.size)
+    shape = (plan.grid.size, plan.wavelengths.size)
     found: dict[str, tuple[int, ...]] = {}
-    for side in order.quantities:
+    for side in request.quantities:
         found |= {side: shape, f"{side}_stderr": shape}
-        if order.covariance:
+        if request.covariance:
             found[f"{side}_groups"] = (GROUPS, *shape)
     return found
 
 
-def blank(plan: Plan, order: Order) -> dict[str, np.ndarray]:
+def blank(plan: Plan, request: Order) -> dict[str, np.ndarray]:
     """Return the arrays of a table, by variable, that `fill` fills."""
-    shapes = arrays_of(plan, order)
+    shapes = arrays_of(plan, request)
     return {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
 
 
-def fill(found: dict[str, np.ndarray], block: xr.Dataset) -> None:
+def fill(arrays: dict[str, np.ndarray], block: xr.Dataset) -> None:
     """Put a block into the arrays of a table."""
-    for name, values in found.items():
+    for name, values in arrays.items():
         values[..., block.point.values, :] = block[name].values
 
 
 def finished(
-    found: dict[str, np.ndarray],
+    arrays: dict[str, np.ndarray],
     plan: Plan,
-    order: Order,
-    facts: Sequence[Mapping[str, Any]],
-    seconds: float,
+    request: Order,
+    block_attrs: Sequence[Mapping[str, Any]],
+    wall_time_s: float,
 ) -> xr.Dataset:
     """Return a table as a dataset, from its arrays and what blocks say of themselves."""
-    dims = (*plan.axes.names, "wavelength")
-    shape = (*plan.axes.shape, plan.wavelengths.size)
+    dims = (*plan.grid.names, "wavelength")
+    shape = (*plan.grid.shape, plan.wavelengths.size)
     variables = {}
-    for name, values in found.items():
+    for name, values in arrays.items():
         side = name.partition("_")[0]
         about = {"long_name": QUANTITIES[side], "units": "1"}
         if name == side:
@@ -66,19 +66,19 @@ def finished(
             values.reshape(*values.shape[: len(lead)], *shape),
             about,
         )
-    coordinates = {**plan.axes.coordinates(), "wavelength": wavelength_axis(plan.wavelengths)}
-    run = order.run
+    coordinates = {**plan.grid.to_coordinates(), "wavelength": wavelength_axis(plan.wavelengths)}
+    run = request.spectral_request
     facts_of_all: dict[str, Any] = {
-        "title": f"Table of {plan.axes.size} spectra",
-        "axes_that_share_paths": ", ".join(plan.shared) or "none",
+        "title": f"Table of {plan.grid.size} spectra",
+        "axes_that_share_paths": ", ".join(plan.path_sharing_axes) or "none",
         "max_stderr": run.max_stderr,
-        "max_stderr_reached": max(float(one["max_stderr_reached"]) for one in facts),
-        "interpolation_error_bound": max(float(one["interpolation_error_bound"]) for one in facts),
-        "stopped_by": "error" if all(o["stopped_by"] == "error" for o in facts) else "rays",
+        "max_stderr_reached": max(float(one["max_stderr_reached"]) for one in block_attrs),
+        "interpolation_error_bound": max(float(one["interpolation_error_bound"]) for one in block_attrs),
+        "stopped_by": "error" if all(o["stopped_by"] == "error" for o in block_attrs) else "rays",
         "seed": run.seed,
-        "rays": int(sum(int(one["rays"]) for one in facts)),
-        "ensembles": len(plan.ensembles),
-        "wall_time_s": round(seconds, 3),
+        "rays": int(sum(int(one["rays"]) for one in block_attrs)),
+        "ensembles": len(plan.path_groups),
+        "wall_time_s": round(wall_time_s, 3),
         "physics_sources_sha256": physics_digest(),
         **_fixed(plan),
         **provenance("table"),
@@ -88,13 +88,13 @@ def finished(
 
 def _fixed(plan: Plan) -> dict[str, Any]:
     """Return what all media of a table have in common, as attributes."""
-    media = [medium for one in plan.ensembles for medium in one.family.media]
+    media = [medium for one in plan.path_groups for medium in one.path_sharing.media]
     first = media[0]
     facts = {f"{first.kind}_{key}": value for key, value in first.describe().items()}
     for medium in media[1:]:
         other = {f"{medium.kind}_{key}": value for key, value in medium.describe().items()}
         facts = {k: v for k, v in facts.items() if k in other and np.array_equal(other[k], v)}
-    incidences = {one.incidence for one in plan.ensembles}
-    if INCIDENCE not in plan.axes.names:
+    incidences = {one.incidence for one in plan.path_groups}
+    if INCIDENCE not in plan.grid.names:
         facts["incidence_deg"] = incidences.pop()
     return {"medium": first.kind, **facts}

@@ -33,7 +33,7 @@ class Axes(NamedTuple):
     values: tuple[tuple[Any, ...], ...]
 
     @classmethod
-    def of(cls, grid: Any) -> Axes:
+    def from_mapping(cls, grid: Any) -> Axes:
         """Return the axes of a user's grid, or refuse it.
 
         Parameters
@@ -64,27 +64,27 @@ class Axes(NamedTuple):
         """How many spectra the table has."""
         return math.prod(self.shape)
 
-    def without(self, name: str) -> Axes:
+    def drop(self, name: str) -> Axes:
         """Return all axes but one, which need not be there."""
         kept = [(n, row) for n, row in zip(*self, strict=True) if n != name]
         return Axes(tuple(n for n, _ in kept), tuple(row for _, row in kept))
 
-    def row(self, name: str, otherwise: Any) -> tuple[Any, ...]:
+    def get_values(self, name: str, default: Any) -> tuple[Any, ...]:
         """Return the values of an axis, or one value where there is no such axis."""
-        return self.values[self.names.index(name)] if name in self.names else (otherwise,)
+        return self.values[self.names.index(name)] if name in self.names else (default,)
 
-    def points(self) -> Iterator[dict[str, Any]]:
+    def iterate_points(self) -> Iterator[dict[str, Any]]:
         """Yield the parameters of every point, the last axis running fastest."""
         for values in itertools.product(*self.values):
             yield dict(zip(self.names, values, strict=True))
 
-    def coordinates(self) -> dict[str, Any]:
+    def to_coordinates(self) -> dict[str, Any]:
         """Return the axes as coordinates of a dataset, numbers with their units."""
         return {name: (name, *_coordinate(name, row)) for name, row in zip(*self, strict=True)}
 
 
 def check_places(
-    at: Any, axes: Iterable[str], place: str = "", *, free: Iterable[str] = ()
+    at: Any, axes: Iterable[str], prefix: str = "", *, free_axes: Iterable[str] = ()
 ) -> dict[str, Any]:
     """Return values of axes under the axes' own names, or refuse them.
 
@@ -100,17 +100,17 @@ def check_places(
         Axes that have no value.
     """
     if not isinstance(at, Mapping | None):
-        raise refuse(place.rstrip("."), at, "a mapping from axes to values")
+        raise refuse(prefix.rstrip("."), at, "a mapping from axes to values")
     known, found = list(axes), {}
     for name, value in (at or {}).items():
         own = name if name in known else SHORT.get(name, name)
         if own not in known:
-            raise unknown_key(f"{place}{name}", known)
+            raise unknown_key(f"{prefix}{name}", known)
         if own in found:
             other = own if name != own else next(short for short in SHORT if SHORT[short] == own)
-            raise refuse(f"{place}{name}", value, f"left out beside {place}{other}, the same")
-        if own in free:
-            raise refuse(f"{place}{name}", value, "left out, as it is free")
+            raise refuse(f"{prefix}{name}", value, f"left out beside {prefix}{other}, the same")
+        if own in free_axes:
+            raise refuse(f"{prefix}{name}", value, "left out, as it is free")
         found[own] = value
     return found
 
@@ -120,13 +120,13 @@ def numeric(dataset: Any, names: Iterable[str]) -> list[str]:
     return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
 
 
-def _row(name: str, given: Any) -> tuple[Any, ...]:
+def _row(name: str, values_given: Any) -> tuple[Any, ...]:
     """Return the values of an axis, or refuse them."""
     key = f"grid.{named(name)}"
     allowed = "a row of different values, numbers or texts"
-    if isinstance(given, str | Mapping | Set) or not isinstance(given, Iterable):
-        raise refuse(key, given, allowed)
-    values = [scalar(value) for value in given]
+    if isinstance(values_given, str | Mapping | Set) or not isinstance(values_given, Iterable):
+        raise refuse(key, values_given, allowed)
+    values = [scalar(value) for value in values_given]
     if not values:
         raise refuse(key, values, allowed)
     if any(isinstance(value, str) for value in values):
@@ -143,10 +143,10 @@ def _row(name: str, given: Any) -> tuple[Any, ...]:
     return tuple(numbers)
 
 
-def _coordinate(name: str, row: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
+def _coordinate(name: str, axis_values: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
     """Return the values of an axis and what they are."""
     long_name, units = parameter_about(name)
-    values = np.array(row)
+    values = np.array(axis_values)
     if values.dtype.kind != "f":
         return values, {"long_name": long_name + (f" ({units})" if units != "1" else "")}
     return values, {"long_name": long_name, "units": units}

@@ -33,7 +33,7 @@ class Order(NamedTuple):
         Whether deviations by group of rays are kept.
     """
 
-    run: Run
+    spectral_request: Run
     quantities: tuple[str, ...]
     covariance: bool
 
@@ -42,18 +42,18 @@ class Cuts:
     """Cuts of deep packs, which do not depend on the incidence: each family's is kept."""
 
     def __init__(self) -> None:
-        self._family: Family | None = None
-        self._cut: Cut | None = None
+        self._path_sharing: Family | None = None
+        self._truncation: Cut | None = None
 
-    def of(self, run: Run, family: Family) -> Cut | None:
+    def get(self, spectral_request: Run, path_sharing: Family) -> Cut | None:
         """Return the cut of a family; that of the last one asked for is at hand."""
-        if family is not self._family:
-            self._family, self._cut = family, run.cut(family)
-        return self._cut
+        if path_sharing is not self._path_sharing:
+            self._path_sharing, self._truncation = path_sharing, spectral_request.truncate(path_sharing)
+        return self._truncation
 
 
 def measure(
-    ensemble: Ensemble, order: Order, cuts: Cuts, digest: str, progress: Report = None
+    path_group: Ensemble, request: Order, truncations: Cuts, digest: str, progress: Report = None
 ) -> xr.Dataset:
     """Return a block: values and errors over ``point`` and ``wavelength``.
 
@@ -67,33 +67,33 @@ def measure(
     progress : callable, optional
     """
     begun = time.perf_counter()
-    run = order.run._replace(incidence=ensemble.incidence)
-    cut = cuts.of(run, ensemble.family)
-    found = run.estimated_above(cut, ensemble.family, progress=progress).result
-    shape = (len(ensemble.family.media), run.wavelengths.size)
+    run = request.spectral_request._replace(incidence=path_group.incidence)
+    cut = truncations.get(run, path_group.path_sharing)
+    found = run.estimate_truncated(cut, path_group.path_sharing, progress=progress).estimate
+    shape = (len(path_group.path_sharing.media), run.wavelengths.size)
     variables: dict[str, Any] = {}
-    for side in order.quantities:
+    for side in request.quantities:
         row = SIDES.index(side)
         for name, table in ((side, found.mean), (f"{side}_stderr", found.stderr)):
-            values = table[row].reshape(shape)[ensemble.which]
+            values = table[row].reshape(shape)[path_group.media_indices]
             variables[name] = (("point", "wavelength"), values.astype(np.float32))
-        if order.covariance:
-            groups = found.groups[:, row].reshape(GROUPS, *shape)[:, ensemble.which]
+        if request.covariance:
+            groups = found.batch_deviations[:, row].reshape(GROUPS, *shape)[:, path_group.media_indices]
             variables[f"{side}_groups"] = (
                 ("group", "point", "wavelength"), groups.astype(np.float32),
             )  # fmt: skip
     facts = {
         **provenance("block of a table"),
         DIGEST: digest,
-        "ensemble": ensemble.number,
-        "rays": found.rays,
+        "ensemble": path_group.number,
+        "rays": found.n_rays,
         "max_stderr_reached": float(found.stderr.max()),
-        "interpolation_error_bound": float(found.bias.max()),
+        "interpolation_error_bound": float(found.interpolation_error.max()),
         "kernel": found.kernel,
         "stopped_by": "error" if found.converged else "rays",
         "wall_time_s": round(time.perf_counter() - begun, 3),
     }
-    places = ("point", ensemble.places, {"long_name": "place in the table"})
+    places = ("point", path_group.positions, {"long_name": "place in the table"})
     return xr.Dataset(variables, {"point": places, "wavelength": run.wavelengths}, facts)
 
 

@@ -21,8 +21,8 @@ _TINY = 1e-300
 class Slope(NamedTuple):
     """Weights of the nodes of an axis in a derivative, those of one node fewer beside."""
 
-    share: np.ndarray
-    fewer: np.ndarray
+    weights: np.ndarray
+    lower_order_weights: np.ndarray
 
 
 class Read(NamedTuple):
@@ -30,10 +30,10 @@ class Read(NamedTuple):
 
     value: np.ndarray
     stderr: np.ndarray
-    missed: np.ndarray
+    interpolation_error: np.ndarray
 
 
-def slope_at(name: str, nodes: np.ndarray, drawn: np.ndarray, value: float) -> Slope:
+def slope_at(name: str, nodes: np.ndarray, stencil: np.ndarray, value: float) -> Slope:
     """Return how the derivative to a parameter is drawn from some nodes of its axis.
 
     Parameters
@@ -50,7 +50,7 @@ def slope_at(name: str, nodes: np.ndarray, drawn: np.ndarray, value: float) -> S
     ValueError
         For an axis of one node, or where light goes as a root from this value on.
     """
-    if len(drawn) < 2:
+    if len(stencil) < 2:
         raise refuse(f"derivatives ({name})", len(nodes), "an axis of two nodes or more")
     kind, at = spaced(name, nodes)
     x = float(law(kind, np.array(value)))
@@ -61,18 +61,18 @@ def slope_at(name: str, nodes: np.ndarray, drawn: np.ndarray, value: float) -> S
         "logarithm": lambda: 1.0 / value, "root": lambda: 0.5 / x, "itself": lambda: 1.0,
         "cosine": lambda: float(np.radians(1.0) * np.sin(np.radians(value))),
     }[kind]()  # fmt: skip
-    share = rate * _slopes(at[drawn], x)
+    share = rate * _slopes(at[stencil], x)
     fewer = share.copy()
-    if len(drawn) > 2:
-        far = int(np.argmax(np.abs(at[drawn] - x)))
-        kept = np.delete(np.arange(len(drawn)), far)
+    if len(stencil) > 2:
+        far = int(np.argmax(np.abs(at[stencil] - x)))
+        kept = np.delete(np.arange(len(stencil)), far)
         fewer = np.zeros_like(share)
-        fewer[kept] = rate * _slopes(at[drawn][kept], x)
+        fewer[kept] = rate * _slopes(at[stencil][kept], x)
     return Slope(share, fewer)
 
 
 def read_slope(
-    part: xr.Dataset, quantity: str, weights: Sequence[Weights], which: int, slope: Slope
+    part: xr.Dataset, quantity: str, weights: Sequence[Weights], axis: int, derivative_weights: Slope
 ) -> Read:
     """Return the derivative along one axis at a place.
 
@@ -89,15 +89,15 @@ def read_slope(
         Of its nodes.
     """
     values = part[quantity].values.astype(float)
-    shares = [w.share for w in weights]
-    along = [*shares[:which], slope.share, *shares[which + 1 :]]
-    plain = [*shares[:which], slope.fewer, *shares[which + 1 :]]
+    shares = [w.weights for w in weights]
+    along = [*shares[:axis], derivative_weights.weights, *shares[axis + 1 :]]
+    plain = [*shares[:axis], derivative_weights.lower_order_weights, *shares[axis + 1 :]]
     value = _drawn(values, weights, along)
     missed = (value - _drawn(values, weights, plain)) ** 2
     for i, w in enumerate(weights):
-        if i != which and len(w.others):
+        if i != axis and len(w.error_weights):
             missed = missed + max(
-                (_across(values, weights, along, i, row) ** 2 for row in w.others),
+                (_across(values, weights, along, i, row) ** 2 for row in w.error_weights),
                 key=lambda off: float(off.sum()),
             )
     groups = f"{quantity}_groups"
@@ -111,14 +111,14 @@ def read_slope(
 
 
 def dataset_of(
-    found: dict[str, list[Read]], names: Sequence[str], wavelength: Any, facts: dict[str, Any]
+    estimates: dict[str, list[Read]], names: Sequence[str], wavelength: Any, attrs: dict[str, Any]
 ) -> xr.Dataset:
     """Return derivatives by quantity as a dataset, over ``parameter`` and ``wavelength``."""
     dims = ("parameter", "wavelength")
     variables = {}
-    for quantity, rows in found.items():
+    for quantity, rows in estimates.items():
         label = f"derivative of {quantity} to the parameter, in the inverse of its unit"
-        error = [np.hypot(one.stderr, one.missed) for one in rows]
+        error = [np.hypot(one.stderr, one.interpolation_error) for one in rows]
         for end, values, about in (
             ("", [one.value for one in rows], label),
             ("_stderr", error, f"standard error of the {label}"),
@@ -131,7 +131,7 @@ def dataset_of(
         "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),
         "wavelength": wavelength,
     }
-    return xr.Dataset(variables, axes, facts)
+    return xr.Dataset(variables, axes, attrs)
 
 
 def checked(names: Any, axes: Sequence[str]) -> list[str]:
@@ -147,34 +147,34 @@ def checked(names: Any, axes: Sequence[str]) -> list[str]:
 
 
 def _drawn(
-    values: np.ndarray, weights: Sequence[Weights], shares: Sequence[np.ndarray]
+    values: np.ndarray, weights: Sequence[Weights], axis_weights: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return the sum over all axes, by shares of the nodes that each is drawn from."""
-    for w, share in zip(weights, shares, strict=True):
+    for w, share in zip(weights, axis_weights, strict=True):
         values = np.tensordot(share, values[w.nodes], 1)
     return values
 
 
 def _across(
-    values: np.ndarray, weights: Sequence[Weights], shares: Sequence[np.ndarray], which: int,
-    row: np.ndarray,
+    values: np.ndarray, weights: Sequence[Weights], axis_weights: Sequence[np.ndarray], axis: int,
+    full_weights: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Return that sum with other shares of all nodes along one axis."""
-    for i, (w, share) in enumerate(zip(weights, shares, strict=True)):
-        values = np.tensordot(row if i == which else share,
-                              values if i == which else values[w.nodes], 1)  # fmt: skip
+    for i, (w, share) in enumerate(zip(weights, axis_weights, strict=True)):
+        values = np.tensordot(full_weights if i == axis else share,
+                              values if i == axis else values[w.nodes], 1)  # fmt: skip
     return values
 
 
-def _slopes(at: np.ndarray, x: float) -> np.ndarray:
+def _slopes(nodes: np.ndarray, x: float) -> np.ndarray:
     """Return the weights of the slope of Lagrange's polynomial."""
-    found = np.zeros(len(at))
-    for i, one in enumerate(at):
-        for left in range(len(at)):
+    found = np.zeros(len(nodes))
+    for i, one in enumerate(nodes):
+        for left in range(len(nodes)):
             if left == i:
                 continue
-            term = 1.0 / (one - at[left])
-            for j, other in enumerate(at):
+            term = 1.0 / (one - nodes[left])
+            for j, other in enumerate(nodes):
                 if j not in (i, left):
                     term *= (x - other) / (one - other)
             found[i] += term

@@ -107,36 +107,36 @@ def _ordered(part: xr.DataArray, impurity: str) -> np.ndarray:
     return values.astype(float)
 
 
-def band_weights(name: str, band: Band, w: np.ndarray) -> np.ndarray:
+def band_weights(name: str, band: Band, wavelengths: np.ndarray) -> np.ndarray:
     """Return the weights of wavelengths in the mean over a band."""
-    nodes = snap_to_ends(band.wavelength_nm, w[0], w[-1])
+    nodes = snap_to_ends(band.wavelength_nm, wavelengths[0], wavelengths[-1])
     low, high = nodes[[0, -1]].tolist()
-    if low < w[0] or high > w[-1]:
-        allowed = f"within the table's {w[0]:g} to {w[-1]:g} nm"
+    if low < wavelengths[0] or high > wavelengths[-1]:
+        allowed = f"within the table's {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
         raise refuse(f"bands[{name!r}]", [low, high], allowed)
-    inside = w[(w > low) & (w < high)]
+    inside = wavelengths[(wavelengths > low) & (wavelengths < high)]
     ends = np.unique(np.concatenate([nodes, inside]))
     # Spectrum and response are linear between these: Simpson's rule is exact.
     grid = np.stack([ends[:-1], 0.5 * (ends[:-1] + ends[1:]), ends[1:]])
     simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(ends) / 6.0
     response = np.interp(grid, nodes, band.response) * simpson
-    weights = np.array([(np.interp(grid, w, unit) * response).sum() for unit in np.eye(w.size)])
+    weights = np.array([(np.interp(grid, wavelengths, unit) * response).sum() for unit in np.eye(wavelengths.size)])
     total: float = weights.sum()
     return weights / total
 
 
 def held(
-    dataset: xr.Dataset, quantities: tuple[str, ...], free: list[str], at: Mapping[str, Any]
+    dataset: xr.Dataset, quantities: tuple[str, ...], free_axes: list[str], at: Mapping[str, Any]
 ) -> xr.Dataset:
     """Return the part of a table over some axes, others held at a node."""
     axes = [str(d) for d in dataset[quantities[0]].dims if d != "wavelength"]
-    for name in free:
+    for name in free_axes:
         one_of("axis", name, axes)
-    at = check_places(at, axes, free=free)
+    at = check_places(at, axes, free_axes=free_axes)
     part = dataset[list(quantities)]
     for name in axes:
         values = dataset[name].values
-        if name in free:
+        if name in free_axes:
             continue
         if name not in at and values.size > 1:
             raise refuse(name, None, "given", "one of " + ", ".join(map(str, values)))

@@ -34,14 +34,14 @@ class Weights(NamedTuple):
     """
 
     nodes: np.ndarray
-    share: np.ndarray
-    left_out: np.ndarray
-    others: np.ndarray
+    weights: np.ndarray
+    validation_nodes: np.ndarray
+    error_weights: np.ndarray
 
-    def among(self, some: np.ndarray) -> Weights:
+    def restrict_to(self, kept_nodes: np.ndarray) -> Weights:
         """Return the same of an axis that has only some of its nodes, in their order."""
-        nodes, left_out = (np.searchsorted(some, row) for row in (self.nodes, self.left_out))
-        return Weights(nodes, self.share, left_out, self.others[:, some])
+        nodes, left_out = (np.searchsorted(kept_nodes, row) for row in (self.nodes, self.validation_nodes))
+        return Weights(nodes, self.weights, left_out, self.error_weights[:, kept_nodes])
 
 
 def spaced(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
@@ -59,14 +59,14 @@ def spaced(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
     return "itself", law("itself", nodes)
 
 
-def law(kind: str, values: np.ndarray) -> np.ndarray:
+def law(transform: str, values: np.ndarray) -> np.ndarray:
     """Return values as a law has them."""
     values = np.asarray(values, dtype=float)
-    if kind == "cosine":
+    if transform == "cosine":
         return -np.cos(np.radians(values))
-    if kind == "logarithm":
+    if transform == "logarithm":
         return np.log(values)
-    return np.sqrt(values) if kind == "root" else values
+    return np.sqrt(values) if transform == "root" else values
 
 
 def place_on(name: str, nodes: np.ndarray, value: object) -> float:
@@ -121,19 +121,19 @@ def weights_at(name: str, nodes: np.ndarray, value: object) -> Weights:
     return Weights(drawn, share, near, others)
 
 
-def _nearest(at: np.ndarray, x: float, most: int) -> np.ndarray:
+def _nearest(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray:
     """Return the nodes around x, as many on either side as there are."""
-    most = min(most, len(at))
-    right = int(np.searchsorted(at, x))
-    first = min(max(right - most // 2, 0), len(at) - most)
-    return np.arange(first, first + most)
+    n_nodes = min(n_nodes, len(nodes))
+    right = int(np.searchsorted(nodes, x))
+    first = min(max(right - n_nodes // 2, 0), len(nodes) - n_nodes)
+    return np.arange(first, first + n_nodes)
 
 
-def _lagrange(at: np.ndarray, x: float) -> np.ndarray:
+def _lagrange(nodes: np.ndarray, x: float) -> np.ndarray:
     """Return the weights of Lagrange's polynomial."""
-    share = np.ones(len(at))
-    for i, one in enumerate(at):
-        for j, other in enumerate(at):
+    share = np.ones(len(nodes))
+    for i, one in enumerate(nodes):
+        for j, other in enumerate(nodes):
             if i != j:
                 share[i] *= (x - other) / (one - other)
     return share

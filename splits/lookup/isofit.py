@@ -64,7 +64,7 @@ def for_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: 
     }
     part = part.sel({RADIUS: axes["grain_radius"], "wavelength": axes["wl"]})
     seen = [weights_at(INCIDENCE, part[INCIDENCE].values, x) for x in axes["observer_zenith"]]
-    diffuse = np.stack([np.tensordot(w.share, part.values[w.nodes], 1) for w in seen])
+    diffuse = np.stack([np.tensordot(w.weights, part.values[w.nodes], 1) for w in seen])
     both = {"rho_dif_dir": _alike(diffuse, axes), "rho_dir_dir": factor.values}
     return _named(both, axes, dataset)
 
@@ -82,9 +82,9 @@ def _factor(directions: xr.Dataset) -> xr.DataArray:
     return half.sortby([*dims]).isel(azimuth=slice(None, None, -1))
 
 
-def _nodes(factor: xr.DataArray, part: xr.DataArray, name: str) -> np.ndarray:
+def _nodes(factor: xr.DataArray, table_part: xr.DataArray, name: str) -> np.ndarray:
     """Return the nodes of the table that directions were measured at, or refuse others."""
-    wanted, there = factor[name].values, part[name].values
+    wanted, there = factor[name].values, table_part[name].values
     near = np.abs(there[:, np.newaxis] - wanted).argmin(axis=0)
     if not np.allclose(there[near], wanted, rtol=1e-9, atol=0.0):
         raise refuse(f"directions.{name}", wanted.tolist(), f"among the table's, {there.tolist()}")

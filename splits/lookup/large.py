@@ -21,18 +21,18 @@ IN_MEMORY = 2**28
 """Bytes up to which a table is put together in memory, and read into it."""
 
 
-def bytes_of(plan: Plan, order: Order) -> int:
+def bytes_of(plan: Plan, request: Order) -> int:
     """Return the bytes that the values of a table take."""
-    rows = sum(2 + GROUPS * order.covariance for _ in order.quantities)
-    return 4 * rows * plan.axes.size * plan.wavelengths.size
+    rows = sum(2 + GROUPS * request.covariance for _ in request.quantities)
+    return 4 * rows * plan.grid.size * plan.wavelengths.size
 
 
 def write_by_blocks(
     path: Path,
     plan: Plan,
-    order: Order,
-    blocks: Callable[[], Iterable[xr.Dataset]],
-    described: Callable[[xr.Dataset], xr.Dataset],
+    request: Order,
+    read_blocks: Callable[[], Iterable[xr.Dataset]],
+    add_attributes: Callable[[xr.Dataset], xr.Dataset],
 ) -> None:
     """Write a table so that its file appears whole or not at all.
 
@@ -54,21 +54,21 @@ def write_by_blocks(
     OSError
         If there is no space for it, or the file does not hold the blocks afterwards.
     """
-    with prepare_netcdf(path, bytes_of(plan, order)) as aside:
-        skeleton = stored_as(described(_hollow(plan, order, [block.attrs for block in blocks()])))
+    with prepare_netcdf(path, bytes_of(plan, request)) as aside:
+        skeleton = stored_as(add_attributes(_hollow(plan, request, [block.attrs for block in read_blocks()])))
         values = [str(name) for name in skeleton.data_vars]
         skeleton.drop_vars(values).to_netcdf(aside, engine="netcdf4")
         with netCDF4.Dataset(aside, "a") as file:
             for name in values:
                 _declare(file, name, skeleton)
-            for block in blocks():
+            for block in read_blocks():
                 for name in values:
-                    _put(file.variables[name], block, plan.axes.shape)
+                    _put(file.variables[name], block, plan.grid.shape)
         with netCDF4.Dataset(aside) as file:
             file.set_auto_maskandscale(False)
             held = all(
-                _holds(file.variables[name], block, plan.axes.shape)
-                for block in blocks()
+                _holds(file.variables[name], block, plan.grid.shape)
+                for block in read_blocks()
                 for name in values
             )
         if not held:
@@ -76,13 +76,13 @@ def write_by_blocks(
         seal(aside)
 
 
-def _hollow(plan: Plan, order: Order, facts: Sequence[Mapping[str, Any]]) -> xr.Dataset:
+def _hollow(plan: Plan, request: Order, block_attrs: Sequence[Mapping[str, Any]]) -> xr.Dataset:
     """Return a table without values, which takes no memory for them."""
     nothing = {
         name: np.broadcast_to(np.float32(np.nan), shape)
-        for name, shape in arrays_of(plan, order).items()
+        for name, shape in arrays_of(plan, request).items()
     }
-    return finished(nothing, plan, order, facts, sum(float(one["wall_time_s"]) for one in facts))
+    return finished(nothing, plan, request, block_attrs, sum(float(one["wall_time_s"]) for one in block_attrs))
 
 
 def _declare(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:

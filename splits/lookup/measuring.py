@@ -97,44 +97,44 @@ def table(
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
     begun = time.perf_counter()
-    run = Run.checked(wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel)
+    run = Run.from_arguments(wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel)
     order = Order(run, _quantities(quantities), bool(covariance))
-    plan = Plan.of(make, Axes.of(grid), run.wavelengths, incidence_deg)
+    plan = Plan.from_grid(make, Axes.from_mapping(grid), run.wavelengths, incidence_deg)
     place = None if folder is None else expand_path(folder, "folder")
     found = blank(plan, order)
     facts = []
-    for block in blocks(order, plan.ensembles, place, progress):
+    for block in blocks(order, plan.path_groups, place, progress):
         fill(found, block)
         facts.append(block.attrs)
     return finished(found, plan, order, facts, time.perf_counter() - begun)
 
 
-def _quantities(given: Sequence[str]) -> tuple[str, ...]:
+def _quantities(quantities: Sequence[str]) -> tuple[str, ...]:
     """Return quantities of a table, or refuse them."""
-    if isinstance(given, str) or not given or len(set(given)) < len(given):
-        raise refuse("quantities", given, f"a list of {' and '.join(SIDES)}")
-    return tuple(one_of("quantities", name, SIDES) for name in given)
+    if isinstance(quantities, str) or not quantities or len(set(quantities)) < len(quantities):
+        raise refuse("quantities", quantities, f"a list of {' and '.join(SIDES)}")
+    return tuple(one_of("quantities", name, SIDES) for name in quantities)
 
 
-def digest_of(ensemble: Ensemble, order: Order) -> str:
+def digest_of(path_group: Ensemble, request: Order) -> str:
     """Return the SHA-256 of all that decides a block's numbers."""
     digest = hashlib.sha256(physics_digest().encode())
-    run = order.run._replace(incidence=ensemble.incidence, threads=0)
+    run = request.spectral_request._replace(incidence=path_group.incidence, threads=0)
     digest.update(repr(run._replace(wavelengths=np.zeros(0))).encode())
-    digest.update(repr([order.quantities, order.covariance]).encode())
-    likely, unit = likeness(ensemble.family.media[0])
+    digest.update(repr([request.quantities, request.covariance]).encode())
+    likely, unit = likeness(path_group.path_sharing.media[0])
     digest.update(likely)
-    sizes = unit * ensemble.family.scales
-    for row in (run.wavelengths, ensemble.places, ensemble.which, sizes):
+    sizes = unit * path_group.path_sharing.size_ratios
+    for row in (run.wavelengths, path_group.positions, path_group.media_indices, sizes):
         digest.update(np.ascontiguousarray(row).tobytes())
-    for medium in ensemble.family.media:
+    for medium in path_group.path_sharing.media:
         digest.update(absorbing(medium, run.wavelengths))
     return digest.hexdigest()
 
 
 def blocks(
-    order: Order,
-    ensembles: Sequence[Ensemble],
+    request: Order,
+    path_groups: Sequence[Ensemble],
     folder: Path | None,
     progress: Report = None,
 ) -> Iterator[xr.Dataset]:
@@ -152,13 +152,13 @@ def blocks(
     if folder is not None:
         check_writable(folder / "block.nc")
     begun, cuts, measured = time.perf_counter(), Cuts(), 0
-    for number, ensemble in enumerate(ensembles):
-        digest = digest_of(ensemble, order)
+    for number, ensemble in enumerate(path_groups):
+        digest = digest_of(ensemble, request)
         block = None if folder is None else kept(folder, ensemble.number, digest)
         if block is None:
-            left = len(ensembles) - number - 1
+            left = len(path_groups) - number - 1
             show = _of_all(progress, begun, measured, left) if callable(progress) else None
-            block = measure(ensemble, order, cuts, digest, show)
+            block = measure(ensemble, request, cuts, digest, show)
             measured += 1
             if folder is not None:
                 keep(block, folder)
@@ -166,13 +166,13 @@ def blocks(
 
 
 def _of_all(
-    report: Callable[[Progress], None], begun: float, done: int, left: int
+    report: Callable[[Progress], None], start_time: float, n_done: int, n_left: int
 ) -> Callable[[Progress], None]:
     """Return what tells of the whole table where one ensemble has got to."""
 
     def show(one: Progress) -> None:
-        spent = time.perf_counter() - begun
-        each = (spent + one.seconds_left) / (done + 1)
-        report(Progress(one.rays, one.stderr, one.target, spent, one.seconds_left + left * each))
+        spent = time.perf_counter() - start_time
+        each = (spent + one.seconds_left) / (n_done + 1)
+        report(Progress(one.rays, one.stderr, one.target, spent, one.seconds_left + n_left * each))
 
     return show

@@ -32,9 +32,9 @@ class Ensemble(NamedTuple):
 
     number: int
     incidence: float | str
-    family: Family
-    places: np.ndarray
-    which: np.ndarray
+    path_sharing: Family
+    positions: np.ndarray
+    media_indices: np.ndarray
 
 
 class Plan(NamedTuple):
@@ -50,16 +50,16 @@ class Plan(NamedTuple):
         Axes along which all points share paths.
     """
 
-    axes: Axes
+    grid: Axes
     wavelengths: np.ndarray
-    ensembles: tuple[Ensemble, ...]
-    shared: tuple[str, ...]
+    path_groups: tuple[Ensemble, ...]
+    path_sharing_axes: tuple[str, ...]
 
     @classmethod
-    def of(
+    def from_grid(
         cls,
-        make: Callable[..., Any],
-        axes: Axes,
+        make_medium: Callable[..., Any],
+        grid: Axes,
         wavelengths: np.ndarray,
         incidence_deg: float | str = 0.0,
     ) -> Plan:
@@ -79,54 +79,54 @@ class Plan(NamedTuple):
         ValueError
             Names the point that cannot be.
         """
-        if INCIDENCE in axes.names and incidence_deg != 0.0:
+        if INCIDENCE in grid.names and incidence_deg != 0.0:
             allowed = f"left out beside grid.{INCIDENCE}, the same"
             raise refuse(INCIDENCE, incidence_deg, allowed)
-        media_axes = axes.without(INCIDENCE)
-        media = [_made(make, point) for point in media_axes.points()]
-        beams = [check_incidence(one) for one in axes.row(INCIDENCE, incidence_deg)]
+        media_axes = grid.drop(INCIDENCE)
+        media = [_made(make_medium, point) for point in media_axes.iterate_points()]
+        beams = [check_incidence(one) for one in grid.get_values(INCIDENCE, incidence_deg)]
         found = families(media, wavelengths)
-        places = np.arange(axes.size).reshape(axes.shape)
-        if INCIDENCE in axes.names:
-            places = np.moveaxis(places, axes.names.index(INCIDENCE), -1)
+        places = np.arange(grid.size).reshape(grid.shape)
+        if INCIDENCE in grid.names:
+            places = np.moveaxis(places, grid.names.index(INCIDENCE), -1)
         places = places.reshape(len(media), len(beams))
         ensembles = [
-            Ensemble(0, beam, one.family, places[one.places, row], one.which)
+            Ensemble(0, beam, one.path_sharing, places[one.positions, row], one.media_indices)
             for one in found
             for row, beam in enumerate(beams)
         ]
         numbered = tuple(e._replace(number=number) for number, e in enumerate(ensembles))
-        return cls(axes, wavelengths, numbered, _shared(media_axes, found))
+        return cls(grid, wavelengths, numbered, _shared(media_axes, found))
 
     def __str__(self) -> str:
         """Return what is shared by what, in a line."""
-        names, count = self.axes.names, self.axes.size
-        ensembles = "1 ensemble" if len(self.ensembles) == 1 else f"{len(self.ensembles)} ensembles"
-        those = f" ({', '.join(self.shared)})" if self.shared else ""
+        names, count = self.grid.names, self.grid.size
+        ensembles = "1 ensemble" if len(self.path_groups) == 1 else f"{len(self.path_groups)} ensembles"
+        those = f" ({', '.join(self.path_sharing_axes)})" if self.path_sharing_axes else ""
         return (
-            f"{len(self.shared)} of {len(names)} axes share paths{those}: {ensembles} for "
+            f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{those}: {ensembles} for "
             f"{count} spectra of {self.wavelengths.size} wavelengths"
         )
 
 
-def _made(make: Callable[..., Any], point: dict[str, Any]) -> Any:
+def _made(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:
     """Return the medium of a point of the grid, or say which one cannot be."""
     try:
-        medium = make(**point)
-        check_medium(medium, endless=True)
+        medium = make_medium(**point)
+        check_medium(medium, allow_semi_infinite=True)
     except (ValueError, TypeError) as error:
         where = ", ".join(f"{name} = {value!r}" for name, value in point.items())
         raise refuse("grid", where, "a medium", str(error)) from None
     return medium
 
 
-def _shared(axes: Axes, found: list[Members]) -> tuple[str, ...]:
+def _shared(grid: Axes, media_groups: list[Members]) -> tuple[str, ...]:
     """Return the axes along which nothing but absorption, ground and size changes."""
-    family = np.empty(axes.size, dtype=int)
-    for number, one in enumerate(found):
-        family[one.places] = number
-    family = family.reshape(axes.shape)
-    several = [(number, name) for number, name in enumerate(axes.names) if axes.shape[number] > 1]
+    family = np.empty(grid.size, dtype=int)
+    for number, one in enumerate(media_groups):
+        family[one.positions] = number
+    family = family.reshape(grid.shape)
+    several = [(number, name) for number, name in enumerate(grid.names) if grid.shape[number] > 1]
     return tuple(
         name for number, name in several if (family == np.take(family, [0], axis=number)).all()
     )

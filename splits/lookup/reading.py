@@ -98,14 +98,14 @@ class Table:
         if "wavelength" in at:
             given = row_of("wavelength", at.pop("wavelength"), "numbers in nanometres")
             wanted = np.array([place_on("wavelength", wavelengths, one) for one in given])
-        part, weights = self._near(at)
+        part, weights = self._select_stencil(at)
         parts = [_Read(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
                  for q in self.quantities]  # fmt: skip
         for found in weights:
             parts = [_along(read, found) for read in parts]
         if not np.array_equal(wanted, wavelengths):
             parts = [_spectra(read, wavelengths, wanted) for read in parts]
-        return self._named(parts, wanted, at)
+        return self._make_dataset(parts, wanted, at)
 
     @known_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
@@ -123,13 +123,13 @@ class Table:
         -------
         float, shape (axes, wavelengths)
         """
-        part, weights = self._near(at)
+        part, weights = self._select_stencil(at)
         values = part[quantity].values.astype(float)
         found: list[list[np.ndarray]] = []
         for w in weights:
-            found = [[np.tensordot(w.share, row[w.nodes], 1) for row in rows] for rows in found]
-            found.append([np.tensordot(row, values, 1) for row in w.others])
-            values = np.tensordot(w.share, values[w.nodes], 1)
+            found = [[np.tensordot(w.weights, row[w.nodes], 1) for row in rows] for rows in found]
+            found.append([np.tensordot(row, values, 1) for row in w.error_weights])
+            values = np.tensordot(w.weights, values[w.nodes], 1)
         # Of the nodes that were left out, that which the others miss by most.
         none = np.zeros_like(values)
         largest = [max(rows, key=lambda r: float((r**2).sum()), default=none) for rows in found]
@@ -158,10 +158,10 @@ class Table:
         name = f"{quantity}_groups"
         if name not in self.dataset:
             raise refuse("table", quantity, "a table made with covariance=True")
-        part, weights = self._near(at, [name])
+        part, weights = self._select_stencil(at, [name])
         values = part[name].transpose(*self.axes[:-1], "group", "wavelength").values.astype(float)
         for w in weights:
-            values = np.tensordot(w.share, values[w.nodes], 1)
+            values = np.tensordot(w.weights, values[w.nodes], 1)
         return values
 
     @known_arguments
@@ -192,7 +192,7 @@ class Table:
         numbers = [n for n in axes if self.dataset[n].dtype.kind == "f"]
         chosen = checked(names, numbers)
         groups = [f"{q}_groups" for q in self.quantities if f"{q}_groups" in self.dataset]
-        part, weights = self._near(at, self._variables() + groups)
+        part, weights = self._select_stencil(at, self._list_variables() + groups)
         found: dict[str, list[Read]] = {q: [] for q in self.quantities}
         for name in chosen:
             which, nodes = axes.index(name), self.dataset[name].values
@@ -203,20 +203,20 @@ class Table:
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
         return dataset_of(found, chosen, wavelength, attributes(dict(at)))
 
-    def _near(
-        self, at: dict[str, Any], names: list[str] | None = None
+    def _select_stencil(
+        self, at: dict[str, Any], variables: list[str] | None = None
     ) -> tuple[xr.Dataset, list[Weights]]:
         """Return the part of the table around a place, and how values there are drawn from it."""
         at = check_places(at, self.axes[:-1])
-        part, weights = self.dataset[names or self._variables()], []
+        part, weights = self.dataset[variables or self._list_variables()], []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
                 raise refuse(name, None, "given", "an axis of the table")
             found = _weights(name, values, at.get(name, values[0]))
             # Only the nodes that count are read from a table that lies in its file.
-            needed = np.union1d(found.nodes, np.flatnonzero(found.others.any(axis=0)))
-            weights.append(found.among(needed))
+            needed = np.union1d(found.nodes, np.flatnonzero(found.error_weights.any(axis=0)))
+            weights.append(found.restrict_to(needed))
             part = part.isel({name: needed})
         return load_part(part), weights
 
@@ -235,19 +235,19 @@ class Table:
         """Return it as isofit looks it up, see `splits.lookup.isofit.for_isofit`."""
         return for_isofit(self.dataset, directions, **at)
 
-    def _variables(self) -> list[str]:
+    def _list_variables(self) -> list[str]:
         return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]
 
-    def _named(self, parts: list[_Read], wavelengths: np.ndarray, at: Any) -> xr.Dataset:
+    def _make_dataset(self, spectra: list[_Read], wavelengths: np.ndarray, at: Any) -> xr.Dataset:
         """Return what was read as a dataset."""
         variables: dict[str, Any] = {}
-        for name, read in zip(self.quantities, parts, strict=True):
+        for name, read in zip(self.quantities, spectra, strict=True):
             label = str(self.dataset[name].attrs.get("long_name", name))
-            error = np.sqrt(read.stderr**2 + read.missed**2)
+            error = np.sqrt(read.stderr**2 + read.interpolation_error**2)
             for end, values, about in (
                 ("", read.value, label),
                 ("_stderr", error, f"standard error of {label}"),
-                ("_interpolation_error", read.missed, f"error of interpolation of {label}"),
+                ("_interpolation_error", read.interpolation_error, f"error of interpolation of {label}"),
             ):
                 facts = {"long_name": about, "units": "1"}
                 variables[name + end] = ("wavelength", values, facts)
@@ -255,50 +255,50 @@ class Table:
         return xr.Dataset(variables, {"wavelength": axis}, attributes(at))
 
 
-def load_part(part: Part) -> Part:
+def load_part(selection: Part) -> Part:
     """Return a part of a table in memory, or refuse one with gaps."""
     # The library underneath bears one reader at a time.
     with LOCK:
-        part = part.load()
-    check_gaps("table", part)
-    return part
+        selection = selection.load()
+    check_gaps("table", selection)
+    return selection
 
 
 class _Read:
     """Values, errors of the cells, and of interpolation, over the axes that are left."""
 
     def __init__(
-        self, value: np.ndarray, stderr: np.ndarray, missed: np.ndarray | None = None
+        self, value: np.ndarray, stderr: np.ndarray, interpolation_error: np.ndarray | None = None
     ) -> None:
         self.value, self.stderr = value, stderr
-        self.missed = np.zeros_like(value) if missed is None else missed
+        self.interpolation_error = np.zeros_like(value) if interpolation_error is None else interpolation_error
 
 
-def _weights(name: str, nodes: np.ndarray, given: Any) -> Weights:
+def _weights(name: str, nodes: np.ndarray, axis_value: Any) -> Weights:
     """Return how a value is drawn from the nodes of an axis; of texts, from that one."""
     if nodes.dtype.kind == "f":
-        return weights_at(name, nodes, given)
-    one_of(name, str(given), nodes.tolist())
-    place = (nodes == str(given)).argmax(keepdims=True)
+        return weights_at(name, nodes, axis_value)
+    one_of(name, str(axis_value), nodes.tolist())
+    place = (nodes == str(axis_value)).argmax(keepdims=True)
     return Weights(place, np.ones(1), place[:0], np.zeros((0, nodes.size)))
 
 
-def _along(read: _Read, w: Weights) -> _Read:
+def _along(spectra: _Read, axis_weights: Weights) -> _Read:
     """Return what is read at a place of the first axis."""
-    some = [read.value[w.nodes], read.stderr[w.nodes], read.missed[w.nodes]]
-    value = np.tensordot(w.share, some[0], 1)
+    some = [spectra.value[axis_weights.nodes], spectra.stderr[axis_weights.nodes], spectra.interpolation_error[axis_weights.nodes]]
+    value = np.tensordot(axis_weights.weights, some[0], 1)
     # Cells share paths, or at least random numbers: how alike they are off is between the two.
-    alike = np.abs(np.tensordot(w.share, some[1], 1))
-    stderr = np.maximum(alike, np.sqrt(np.tensordot(w.share**2, some[1] ** 2, 1)))
-    before = np.tensordot(np.abs(w.share), some[2], 1)
-    off = np.abs(np.tensordot(w.others, read.value, 1))
+    alike = np.abs(np.tensordot(axis_weights.weights, some[1], 1))
+    stderr = np.maximum(alike, np.sqrt(np.tensordot(axis_weights.weights**2, some[1] ** 2, 1)))
+    before = np.tensordot(np.abs(axis_weights.weights), some[2], 1)
+    off = np.abs(np.tensordot(axis_weights.error_weights, spectra.value, 1))
     here = off.max(axis=0) if len(off) else np.zeros_like(value)
     return _Read(value, stderr, np.hypot(before, here))
 
 
-def _spectra(read: _Read, nodes: np.ndarray, wanted: np.ndarray) -> _Read:
+def _spectra(spectra: _Read, nodes: np.ndarray, wavelengths: np.ndarray) -> _Read:
     """Return what is read at other wavelengths."""
-    points = [_along(read, weights_at("wavelength", nodes, float(one))) for one in wanted]
+    points = [_along(spectra, weights_at("wavelength", nodes, float(one))) for one in wavelengths]
     value, stderr, missed = (
         np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
     )

@@ -54,17 +54,17 @@ class Impurity(ByContent):
     """
 
     name: str
-    per_kg: float
+    amount_per_kg_ice: float
     wavelength_nm: np.ndarray
     absorption: np.ndarray
     sha256: str = ""
-    own: bool = False
+    is_user_defined: bool = False
 
-    def per_ice(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_absorption_per_kg_ice(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the absorption per mass of ice (m²/kg), shaped like the wavelengths (nm)."""
         first, last = self.wavelength_nm[[0, -1]]
         w = within(wavelength_nm, first, last, f"impurity {self.name}")
-        return self.per_kg * np.interp(w, self.wavelength_nm, self.absorption)
+        return self.amount_per_kg_ice * np.interp(w, self.wavelength_nm, self.absorption)
 
 
 @cache
@@ -77,7 +77,7 @@ def kinds() -> tuple[str, ...]:
     return tuple(name for name in _known().columns if name not in ALGAE)
 
 
-def impurities_of(by_mass: Any, cells: Any) -> tuple[Impurity, ...]:
+def impurities_of(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
     """Return the impurities that a user's values stand for, or refuse them.
 
     Parameters
@@ -94,40 +94,40 @@ def impurities_of(by_mass: Any, cells: Any) -> tuple[Impurity, ...]:
     ValueError
         For an unknown kind, a negative amount or a malformed table.
     """
-    for key, given in (("impurities_ng_g", by_mass), ("algae_cells_ml", cells)):
+    for key, given in (("impurities_ng_g", mass_ng_g), ("algae_cells_ml", cells_ml)):
         if not isinstance(given, Mapping):
             raise refuse(key, given, "a mapping of amounts by kind")
-    found = [_by_mass(name, amount) for name, amount in by_mass.items()]
-    for name, amount in cells.items():
+    found = [_by_mass(name, amount) for name, amount in mass_ng_g.items()]
+    for name, amount in cells_ml.items():
         number = in_range(f"algae_cells_ml.{name}", amount, 0.0, MOST_CELLS_ML, "cells/ml")
         found.append(_of_table("algae_cells_ml", name, PER_CELL_ML * number, ALGAE))
     return tuple(found)
 
 
-def described_impurities(found: Sequence[Impurity], place: str) -> dict[str, Any]:
+def described_impurities(impurities: Sequence[Impurity], location: str) -> dict[str, Any]:
     """Return impurities under names fit for dataset attributes."""
-    facts: dict[str, Any] = {"impurities_in": place} if found else {}
-    for one in found:
+    facts: dict[str, Any] = {"impurities_in": location} if impurities else {}
+    for one in impurities:
         if one.name in ALGAE:
-            facts[f"{one.name}_cells_ml"] = one.per_kg / PER_CELL_ML
+            facts[f"{one.name}_cells_ml"] = one.amount_per_kg_ice / PER_CELL_ML
         else:
-            facts[f"{one.name}_ng_g"] = one.per_kg / PER_NG_G
+            facts[f"{one.name}_ng_g"] = one.amount_per_kg_ice / PER_NG_G
         if one.sha256:
             facts[f"{one.name}_sha256"] = one.sha256
-        elif one.own:
+        elif one.is_user_defined:
             facts[f"{one.name}_wavelength_nm"] = one.wavelength_nm
             facts[f"{one.name}_absorption_m2_kg"] = one.absorption
     return facts
 
 
-def _by_mass(name: Any, given: Any) -> Impurity:
+def _by_mass(name: Any, value: Any) -> Impurity:
     key = f"impurities_ng_g.{name}"
-    own = isinstance(given, Mapping)
-    if own and set(given) not in OWN_KEYS:
+    own = isinstance(value, Mapping)
+    if own and set(value) not in OWN_KEYS:
         allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
-        raise refuse(key, sorted(map(str, given)), allowed)
+        raise refuse(key, sorted(map(str, value)), allowed)
     amount = in_range(
-        f"{key}.ng_g" if own else key, given["ng_g"] if own else given, 0.0, MOST_NG_G
+        f"{key}.ng_g" if own else key, value["ng_g"] if own else value, 0.0, MOST_NG_G
     )
     if not own:
         return _of_table("impurities_ng_g", name, PER_NG_G * amount, kinds())
@@ -137,11 +137,11 @@ def _by_mass(name: Any, given: Any) -> Impurity:
         allowed = "a name of at most 80 characters without /, not ground or refractive_index"
         raise refuse("impurities_ng_g", name, allowed, "it names attributes of datasets")
     digest = ""
-    if "table" in given:
+    if "table" in value:
         names = ("wavelength_nm", "absorption_m2_kg")
-        (w, values), digest = user_table(f"{key}.table", given["table"], names)
+        (w, values), digest = user_table(f"{key}.table", value["table"], names)
     else:
-        w, values = given["wavelength_nm"], given["absorption_m2_kg"]
+        w, values = value["wavelength_nm"], value["absorption_m2_kg"]
     w, values = read_columns(key, {"wavelength_nm": w, "absorption_m2_kg": values})
     increasing(f"{key}.wavelength_nm", w)
     if w.size != values.size or w.size < 2:
@@ -151,15 +151,15 @@ def _by_mass(name: Any, given: Any) -> Impurity:
     return Impurity(str(name), PER_NG_G * amount, w, values, digest, own)
 
 
-def _of_table(key: str, name: Any, per_kg: float, names: tuple[str, ...]) -> Impurity:
-    if name not in names:
-        hint = suggestion(name, list(names))
+def _of_table(key: str, name: Any, amount_per_kg_ice: float, known_names: tuple[str, ...]) -> Impurity:
+    if name not in known_names:
+        hint = suggestion(name, list(known_names))
         if name in _known().columns:
             right = "algae_cells_ml" if name in ALGAE else "impurities_ng_g"
             hint = f"its amount stands under {right}"
-        raise refuse(key, name, "one of " + ", ".join(names), hint)
+        raise refuse(key, name, "one of " + ", ".join(known_names), hint)
     column = _known()[name]
     w = column.index.to_numpy()
     # The first and the last band reach half a band farther than their middles.
     w = np.concatenate([[w[0] - HALF_BAND_NM], w, [w[-1] + HALF_BAND_NM]])
-    return Impurity(name, per_kg, w, np.pad(column.to_numpy(), 1, mode="edge"))
+    return Impurity(name, amount_per_kg_ice, w, np.pad(column.to_numpy(), 1, mode="edge"))

@@ -38,7 +38,7 @@ class RefractiveIndex(Protocol):
 
 def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
     """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
-    w = snap_to_ends(read_numbers("wavelength_nm", wavelength_nm, gaps=True), low, high)
+    w = snap_to_ends(read_numbers("wavelength_nm", wavelength_nm, allow_gaps=True), low, high)
     inside = (w >= low) & (w <= high)
     if not inside.all():
         raise refuse(
@@ -51,9 +51,9 @@ def within(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray
     return w
 
 
-def _row_of(inside: np.ndarray, low: float, high: float) -> str:
+def _row_of(valid_wavelengths: np.ndarray, low: float, high: float) -> str:
     """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
-    first, last = (inside.min(), inside.max()) if inside.size > 1 else (low, high)
+    first, last = (valid_wavelengths.min(), valid_wavelengths.max()) if valid_wavelengths.size > 1 else (low, high)
     return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 
 

@@ -13,7 +13,7 @@ from splits.checks import refuse, snap_to_ends
 
 
 def _complex(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
-    share = snap_to_ends(read_numbers("fraction", fraction, gaps=True), 0.0, 1.0)
+    share = snap_to_ends(read_numbers("fraction", fraction, allow_gaps=True), 0.0, 1.0)
     outside = share[~((share >= 0.0) & (share <= 1.0))]
     if outside.size:
         raise refuse("fraction", float(outside.flat[0]), "in [0, 1]")

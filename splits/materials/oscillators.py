@@ -36,7 +36,7 @@ class Band:
         for key in ("energy_ev", "strength", "width_ev"):
             in_range(key, getattr(self, key), 0.0, np.inf, open_low=True)
 
-    def dielectric(self, energy_ev: Any) -> np.ndarray:
+    def permittivity(self, energy_ev: Any) -> np.ndarray:
         """Return the band's part of the dielectric constant at photon energies in eV."""
         e = np.asarray(energy_ev, dtype=float)
         square = self.energy_ev**2
@@ -64,20 +64,20 @@ class Oscillators:
     name: str
     source: str
     range_nm: tuple[float, float]
-    high_energy: float
-    bands: tuple[Band, ...]
+    high_energy_permittivity: float
+    oscillators: tuple[Band, ...]
 
     def __post_init__(self) -> None:
-        in_range("high_energy", self.high_energy, 1.0, np.inf)
+        in_range("high_energy", self.high_energy_permittivity, 1.0, np.inf)
 
-    def dielectric(self, energy_ev: Any) -> np.ndarray:
+    def permittivity(self, energy_ev: Any) -> np.ndarray:
         """Return ε at photon energies in eV, also beyond the range the model is meant for."""
-        bands = [band.dielectric(energy_ev) for band in self.bands]
-        return np.asarray(self.high_energy + np.sum(bands, axis=0))
+        bands = [band.permittivity(energy_ev) for band in self.oscillators]
+        return np.asarray(self.high_energy_permittivity + np.sum(bands, axis=0))
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k; a wavelength outside the range raises ValueError."""
-        return np.sqrt(self.dielectric(HC_EV_NM / within(wavelength_nm, *self.range_nm, self.name)))
+        return np.sqrt(self.permittivity(HC_EV_NM / within(wavelength_nm, *self.range_nm, self.name)))
 
 
 def goethite() -> Oscillators:
@@ -122,6 +122,6 @@ def goethite() -> Oscillators:
             "The Iron Oxides (2003); n held to optical mineralogy; strengths chosen"
         ),
         range_nm=(300.0, 2600.0),
-        high_energy=4.66,
-        bands=tuple(Band(HC_EV_NM / w, f, g) for w, f, g in wavelength_strength_width),
+        high_energy_permittivity=4.66,
+        oscillators=tuple(Band(HC_EV_NM / w, f, g) for w, f, g in wavelength_strength_width),
     )

@@ -51,11 +51,11 @@ def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
     return given_index(material, spec, names)
 
 
-def given_index(material: str, spec: Any, names: Sequence[str] = ()) -> RefractiveIndex:
+def given_index(material: str, spec: Any, dataset_names: Sequence[str] = ()) -> RefractiveIndex:
     """Return what `refractive_index` does of a material with datasets of these names, or none."""
     key, spec = f"refractive_index[{material}]", columns_of(spec)
     if isinstance(spec, str):
-        if spec in names:
+        if spec in dataset_names:
             return dataset(material, spec)
         if spec.endswith(".csv"):
             return _user_table(key, Path(spec))
@@ -64,7 +64,7 @@ def given_index(material: str, spec: Any, names: Sequence[str] = ()) -> Refracti
         except Refusal:
             raise
         except ValueError:
-            one_of(key, spec, [*names, "a complex number", "a .csv file"])
+            one_of(key, spec, [*dataset_names, "a complex number", "a .csv file"])
     if isinstance(spec, Path):
         return _user_table(key, spec)
     if isinstance(spec, Mapping):

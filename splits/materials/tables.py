@@ -56,25 +56,25 @@ class Cells(NamedTuple):
     key: str
     path: Path
     allowed: str
-    names: list[str]
+    column_names: list[str]
     rows: list[list[str]]
-    lines: list[int]
+    line_numbers: list[int]
     sha256: str
 
-    def refused(self, hint: str) -> Refusal:
+    def invalid(self, hint: str) -> Refusal:
         """Return the error that says why the file cannot be taken."""
         return refuse(self.key, str(self.path), self.allowed, hint)
 
-    def texts(self, name: str) -> list[str]:
+    def get_texts(self, name: str) -> list[str]:
         """Return the cells of a column, or refuse a file that does not have it."""
-        if name not in self.names:
-            near = suggestion(name, self.names)
-            there = f"; {near}" if near else f" among {listed(map(named, self.names))}"
-            raise self.refused(f"no column {name}{there}")
-        place = self.names.index(name)
+        if name not in self.column_names:
+            near = suggestion(name, self.column_names)
+            there = f"; {near}" if near else f" among {listed(map(named, self.column_names))}"
+            raise self.invalid(f"no column {name}{there}")
+        place = self.column_names.index(name)
         return [row[place] for row in self.rows]
 
-    def numbers(self, name: str, gaps: bool = False) -> np.ndarray:
+    def get_numbers(self, name: str, allow_gaps: bool = False) -> np.ndarray:
         """Return a column of finite numbers, or refuse the first cell that holds none.
 
         Parameters
@@ -84,12 +84,12 @@ class Cells(NamedTuple):
             Whether cells may be empty, which are NaN.
         """
         found = []
-        for cell, line in zip(self.texts(name), self.lines, strict=True):
+        for cell, line in zip(self.get_texts(name), self.line_numbers, strict=True):
             gap = cell.lower() in GAPS
             value = float(cell) if _NUMBER.fullmatch(cell) else np.nan
-            if not np.isfinite(value) and not (gap and gaps):
+            if not np.isfinite(value) and not (gap and allow_gaps):
                 what = "a gap" if gap else named(cell)
-                raise self.refused(f"line {line}: {named(name)} is {what}{_advice(cell)}")
+                raise self.invalid(f"line {line}: {named(name)} is {what}{_advice(cell)}")
             found.append(value)
         return np.array(found)
 
@@ -101,7 +101,7 @@ def _advice(cell: str) -> str:
     return "; write decimals with a point, thousands without commas" if "," in cell else ""
 
 
-def read_cells(key: str, path: str | Path, needed: Sequence[str] = ()) -> Cells:
+def read_cells(key: str, path: str | Path, required: Sequence[str] = ()) -> Cells:
     """Return the cells of a CSV file with comments after ``#``, or refuse it.
 
     Parameters
@@ -125,7 +125,7 @@ def read_cells(key: str, path: str | Path, needed: Sequence[str] = ()) -> Cells:
         content = path.read_bytes()
     except OSError:
         raise refuse(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
-    columns = f"{'columns' if len(needed) != 1 else 'column'} {', '.join(needed)}".rstrip()
+    columns = f"{'columns' if len(required) != 1 else 'column'} {', '.join(required)}".rstrip()
     allowed = f"a CSV file with {columns} of finite numbers"
     table = Cells(key, path, allowed, [], [], [], hashlib.sha256(content).hexdigest())
     # Comments may be in any encoding.
@@ -134,64 +134,64 @@ def read_cells(key: str, path: str | Path, needed: Sequence[str] = ()) -> Cells:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         fields = _fields(table, number, line)
-        if not table.names:
-            table.names.extend(fields)
+        if not table.column_names:
+            table.column_names.extend(fields)
             _check_header(table)
             continue
-        if len(fields) != len(table.names):
+        if len(fields) != len(table.column_names):
             hint = "commas separate columns, points decimals" if fields[-1] else "a comma too many"
-            counts = f"fields in line {number}: {len(fields)}, in the header: {len(table.names)}"
-            raise table.refused(f"{counts}; {hint}")
+            counts = f"fields in line {number}: {len(fields)}, in the header: {len(table.column_names)}"
+            raise table.invalid(f"{counts}; {hint}")
         table.rows.append(fields)
-        table.lines.append(number)
+        table.line_numbers.append(number)
     if not table.rows:
-        raise table.refused("it has no rows")
+        raise table.invalid("it has no rows")
     return table
 
 
 def _fields(table: Cells, number: int, line: str) -> list[str]:
     """Return the fields of a line, without a comment at the end of a row."""
     row = line.partition("#")[0]
-    if table.names and '"' not in row:
+    if table.column_names and '"' not in row:
         line = row
     try:
         if "\0" in line:
             raise csv.Error("it is no text in UTF-8")
         return [field.strip() for field in next(csv.reader([line], strict=True))]
     except csv.Error as error:
-        raise table.refused(f"line {number}: {error}") from None
+        raise table.invalid(f"line {number}: {error}") from None
 
 
 def _check_header(table: Cells) -> None:
     """Refuse names of columns that are missing or not unique."""
-    if "" in table.names:
+    if "" in table.column_names:
         hint = "a comma too many, or numbers of rows? write it with index=False"
-        raise table.refused(f"a column without a name; {hint}")
-    twice = [name for name in table.names if table.names.count(name) > 1]
+        raise table.invalid(f"a column without a name; {hint}")
+    twice = [name for name in table.column_names if table.column_names.count(name) > 1]
     if twice:
-        raise table.refused(f"two columns {named(twice[0])}")
+        raise table.invalid(f"two columns {named(twice[0])}")
 
 
-def read_numbers(key: str, path: str | Path, needed: Sequence[str] = ()) -> pd.DataFrame:
+def read_numbers(key: str, path: str | Path, required: Sequence[str] = ()) -> pd.DataFrame:
     """Return a CSV file whose columns hold numbers, or gaps (NaN) unless needed, or refuse it."""
-    cells = read_cells(key, path, needed)
-    for name in needed:
-        cells.numbers(name)
-    return pd.DataFrame({name: cells.numbers(name, gaps=True) for name in cells.names})
+    cells = read_cells(key, path, required)
+    for name in required:
+        cells.get_numbers(name)
+    return pd.DataFrame({name: cells.get_numbers(name, allow_gaps=True) for name in cells.column_names})
 
 
-def columns_of(given: Any) -> Any:
+def columns_of(value: Any) -> Any:
     """Return the columns of a DataFrame as a mapping of lists, with an index that has a name.
 
     Whatever else a user gives is returned as it is.
     """
-    if not isinstance(given, pd.DataFrame):
-        return given
-    frame = given if given.index.name is None else given.reset_index()
+    if not isinstance(value, pd.DataFrame):
+        return value
+    frame = value if value.index.name is None else value.reset_index()
     return frame.to_dict("list")
 
 
-def user_table(key: str, path: str | Path, names: Sequence[str]) -> UserTable:
+def user_table(key: str, path: str | Path, column_names: Sequence[str]) -> UserTable:
     """Return columns of numbers of a CSV file, or refuse it; see `read_cells`.
 
     Parameters
@@ -202,5 +202,5 @@ def user_table(key: str, path: str | Path, names: Sequence[str]) -> UserTable:
     names : sequence of str
         Of the columns; others are not looked at.
     """
-    cells = read_cells(key, path, names)
-    return UserTable([cells.numbers(name) for name in names], cells.sha256)
+    cells = read_cells(key, path, column_names)
+    return UserTable([cells.get_numbers(name) for name in column_names], cells.sha256)

@@ -38,50 +38,50 @@ class ParticleType(ByContent):
 
     name: str
     mass_fraction: float
-    concentration: Mapping[str, float]
+    mineral_mass_fractions: Mapping[str, float]
 
     @property
-    def density(self) -> float:
+    def density_kg_m3(self) -> float:
         """Density of the particle γ_j (kg/m³), Eq 15."""
-        return 1.0 / sum(c / MINERAL_KG_M3[mineral] for mineral, c in self.concentration.items())
+        return 1.0 / sum(c / MINERAL_KG_M3[mineral] for mineral, c in self.mineral_mass_fractions.items())
 
     @property
-    def volumes(self) -> dict[str, float]:
+    def mineral_volume_fractions(self) -> dict[str, float]:
         """Volume of each mineral per volume of the particle v_jℓ, Eq 17."""
         return {
-            mineral: self.density / MINERAL_KG_M3[mineral] * c
-            for mineral, c in self.concentration.items()
+            mineral: self.density_kg_m3 / MINERAL_KG_M3[mineral] * c
+            for mineral, c in self.mineral_mass_fractions.items()
         }
 
     @property
-    def oxide(self) -> str | None:
+    def iron_oxide(self) -> str | None:
         """The iron oxide mixed into the particle or into its coating, if it has any."""
-        found = [m for m in OXIDES if m in self.concentration]
-        return found[0] if found and len(self.concentration) > 1 else None
+        found = [m for m in OXIDES if m in self.mineral_mass_fractions]
+        return found[0] if found and len(self.mineral_mass_fractions) > 1 else None
 
     @property
-    def coated(self) -> bool:
+    def is_coated(self) -> bool:
         """Whether a coating of kaolinite and iron oxide surrounds a core of quartz."""
-        return "kaolinite" in self.concentration
+        return "kaolinite" in self.mineral_mass_fractions
 
     @property
-    def materials(self) -> tuple[str, ...]:
+    def shell_materials(self) -> tuple[str, ...]:
         """Names of its layers from the outside in."""
-        if self.coated:
-            coating = f"kaolinite with {self.oxide}" if self.oxide else "kaolinite"
+        if self.is_coated:
+            coating = f"kaolinite with {self.iron_oxide}" if self.iron_oxide else "kaolinite"
             return coating, "quartz"
-        if self.oxide:
-            return (f"quartz with {self.oxide}",)
-        return (next(iter(self.concentration)),)
+        if self.iron_oxide:
+            return (f"quartz with {self.iron_oxide}",)
+        return (next(iter(self.mineral_mass_fractions)),)
 
     @property
     def inclusion_fraction(self) -> float:
         """Volume of iron oxide per volume of the mixture that it is part of (section 4.2.5)."""
-        if self.oxide is None:
+        if self.iron_oxide is None:
             return 0.0
-        matrix = "kaolinite" if self.coated else "quartz"
-        volumes = self.volumes
-        return volumes[self.oxide] / (volumes[self.oxide] + volumes[matrix])
+        matrix = "kaolinite" if self.is_coated else "quartz"
+        volumes = self.mineral_volume_fractions
+        return volumes[self.iron_oxide] / (volumes[self.iron_oxide] + volumes[matrix])
 
 
 @dataclass(frozen=True)
@@ -95,33 +95,33 @@ class Composition:
         v_coat, volume of the coating per volume of a coated particle.
     """
 
-    types: tuple[ParticleType, ...]
+    particle_types: tuple[ParticleType, ...]
     coating_fraction: float
 
     @property
-    def density(self) -> float:
+    def density_kg_m3(self) -> float:
         """Mean density of the particles γ (kg/m³), Eq 16."""
-        return 1.0 / sum(t.mass_fraction / t.density for t in self.types)
+        return 1.0 / sum(t.mass_fraction / t.density_kg_m3 for t in self.particle_types)
 
     @property
     def volume_fractions(self) -> tuple[float, ...]:
         """Volume of each type per volume of all particles v_j, Eq 18."""
-        return tuple(self.density / t.density * t.mass_fraction for t in self.types)
+        return tuple(self.density_kg_m3 / t.density_kg_m3 * t.mass_fraction for t in self.particle_types)
 
-    def rows(self) -> list[dict[str, float | str]]:
+    def to_rows(self) -> list[dict[str, float | str]]:
         """Return a table of every intermediate, one row per type."""
         return [
             {
                 "particle_type": t.name,
                 "mass_fraction": t.mass_fraction,
-                "density_kg_m3": t.density,
+                "density_kg_m3": t.density_kg_m3,
                 "volume_fraction": v,
-                **{f"mass_{m}": t.concentration.get(m, 0.0) for m in MINERAL_KG_M3},
-                **{f"volume_{m}": t.volumes.get(m, 0.0) for m in MINERAL_KG_M3},
+                **{f"mass_{m}": t.mineral_mass_fractions.get(m, 0.0) for m in MINERAL_KG_M3},
+                **{f"volume_{m}": t.mineral_volume_fractions.get(m, 0.0) for m in MINERAL_KG_M3},
                 "inclusion_fraction": t.inclusion_fraction,
-                "coating_fraction": self.coating_fraction if t.coated else 0.0,
+                "coating_fraction": self.coating_fraction if t.is_coated else 0.0,
             }
-            for t, v in zip(self.types, self.volume_fractions, strict=True)
+            for t, v in zip(self.particle_types, self.volume_fractions, strict=True)
         ]
 
 
@@ -139,7 +139,7 @@ def coating_fraction(sphericity: float, relative_thickness: float) -> float:
     return coat / (1.0 + coat)
 
 
-def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, float]:
+def coated_particle(oxide: str, iron_oxide: float, coating_fraction: float) -> dict[str, float]:
     """Return the concentrations by mass of quartz coated by iron oxide in kaolinite.
 
     Eqs 10-11: the mass of kaolinite follows from the volume of the coating.
@@ -159,10 +159,10 @@ def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, flo
     """
     quartz, kaolinite = MINERAL_KG_M3["quartz"], MINERAL_KG_M3["kaolinite"]
     iron = MINERAL_KG_M3[oxide]
-    core = quartz * (1.0 - coat)
-    limit = iron * coat / (iron * coat + core)
+    core = quartz * (1.0 - coating_fraction)
+    limit = iron * coating_fraction / (iron * coating_fraction + core)
     # A coating full of oxide has no room left but for rounding.
-    room = max(iron * coat * (1.0 - iron_oxide) - core * iron_oxide, 0.0)
+    room = max(iron * coating_fraction * (1.0 - iron_oxide) - core * iron_oxide, 0.0)
     if iron_oxide > limit * (1.0 + ROUNDING):
         raise refuse(
             "iron_oxide",
@@ -170,7 +170,7 @@ def coated_particle(oxide: str, iron_oxide: float, coat: float) -> dict[str, flo
             f"at most {np.floor(1e4 * limit) / 1e4:g}, what a coating of {oxide} can hold",
             "a thicker coating holds more: relative_coating_thickness; or set partition (coated) 0",
         )
-    matrix = kaolinite / iron * room / (core + kaolinite * coat)
+    matrix = kaolinite / iron * room / (core + kaolinite * coating_fraction)
     found = {"quartz": 1.0 - iron_oxide - matrix, oxide: iron_oxide, "kaolinite": matrix}
     return {mineral: c for mineral, c in found.items() if c > 0.0 or mineral == "kaolinite"}
 
@@ -180,7 +180,7 @@ def compose(
     hematite_ratio: float,
     magnetite: float,
     partition: tuple[float, float, float],
-    coat: float,
+    coating_fraction: float,
     excess_magnetite: str = "first",
 ) -> Composition:
     """Return the particle types of a sand.
@@ -237,10 +237,10 @@ def compose(
         concentration[f"quartz mixed with {oxide}"] = {m: c for m, c in grain.items() if c > 0.0}
         mass[f"quartz coated by {oxide}"] = share * coated * scale
         if share * coated > 0.0:
-            grain = coated_particle(oxide, iron_oxide, coat)
+            grain = coated_particle(oxide, iron_oxide, coating_fraction)
             concentration[f"quartz coated by {oxide}"] = grain
     total = sum(mass.values())
     types = (
         ParticleType(name, m / total, concentration[name]) for name, m in mass.items() if m > 0.0
     )
-    return Composition(tuple(types), coat)
+    return Composition(tuple(types), coating_fraction)

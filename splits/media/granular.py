@@ -33,10 +33,10 @@ class Interface(NamedTuple):
         Of the sample.
     """
 
-    share: float
-    near: int
-    far: int
-    place: str = "outer"
+    fraction: float
+    outer_material: int
+    inner_material: int
+    location: str = "outer"
     layer: int = 0
 
 
@@ -48,15 +48,15 @@ class Described(Protocol):
         """What sort of medium this is, as configuration files name it."""
         ...
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials; of grains, after those of dry and wet pores."""
         ...
 
-    def interfaces(self) -> Sequence[Interface]:
+    def list_interfaces(self) -> Sequence[Interface]:
         """Return the pairs of materials whose contrast depends on wavelength."""
         ...
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
         ...
 
@@ -69,7 +69,7 @@ class Described(Protocol):
 class Impure(Protocol):
     """A medium that may hold what absorbs besides its materials."""
 
-    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
         ...
 
@@ -90,9 +90,9 @@ def absorption_of(medium: Described, index: np.ndarray, wavelength_nm: np.ndarra
     absorption *= path_fractions(medium)
     first = 0
     for part in _parts_of(medium):
-        count = len(part.materials())
+        count = len(part.list_materials())
         if isinstance(part, Impure):
-            absorption[:, first : first + count] += part.added_absorption(wavelength_nm)
+            absorption[:, first : first + count] += part.compute_added_absorption(wavelength_nm)
         first += count
     return absorption
 
@@ -105,7 +105,7 @@ def path_fractions(medium: Described) -> np.ndarray:
     """
     fractions = []
     for part in _parts_of(medium):
-        own = np.ones(len(part.materials()))
+        own = np.ones(len(part.list_materials()))
         if isinstance(part, GranularMedium):
             own[: PORES + len(part.pores)] = pore_fraction(part)
         fractions.append(own)
@@ -113,7 +113,7 @@ def path_fractions(medium: Described) -> np.ndarray:
 
 
 def _parts_of(medium: Described) -> Sequence[Any]:
-    return medium.parts if isinstance(medium, LayeredMedium) else (medium,)
+    return medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
 
 
 @runtime_checkable
@@ -131,7 +131,7 @@ class LayeredMedium(Described, Protocol):
         ...
 
     @property
-    def parts(self) -> Sequence[Any]:
+    def scene_layers(self) -> Sequence[Any]:
         """Return the media as scenes take them: granular ones, and layers of particles."""
         ...
 
@@ -156,7 +156,7 @@ class GranularMedium(Described, Protocol):
         ...
 
     @property
-    def wet_share(self) -> float:
+    def wet_fraction(self) -> float:
         """Probability that a leg through pores runs in water."""
         ...
 
@@ -181,7 +181,7 @@ class GranularMedium(Described, Protocol):
         ...
 
     @property
-    def readings(self) -> TransportReadings:
+    def interpretation(self) -> TransportReadings:
         """Named readings of the papers."""
         ...
 
@@ -190,7 +190,7 @@ class GranularMedium(Described, Protocol):
         """What lies below, None where light leaves there."""
         ...
 
-    def grains(self) -> Grains:
+    def make_grain_population(self) -> Grains:
         """Return the table of particle types."""
         ...
 
@@ -202,7 +202,7 @@ def mean_leg_m(medium: GranularMedium) -> float:
     mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg, unless grains are
     points, among which the leg stands for both (`pore_fraction`).
     """
-    readings = medium.readings
+    readings = medium.interpretation
     whole = readings.grain_distance == "leg" or readings.grain_extent == "point"
     return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
 
@@ -213,7 +213,7 @@ def pore_fraction(medium: GranularMedium) -> float:
     It is 1 unless grains are points whose distance includes them: then 1 − 𝓔, and the coefficient
     that applies per metre of leg is that of radiative transfer, (1 − 𝓔) times the material's.
     """
-    readings = medium.readings
+    readings = medium.interpretation
     parted = readings.grain_distance == "leg_and_grain" and readings.grain_extent == "point"
     return medium.porosity if parted else 1.0
 

@@ -45,12 +45,12 @@ class Ground(ByContent):
 
     name: str
     source: str
-    values: np.ndarray
+    albedo_values: np.ndarray
     wavelength_nm: np.ndarray | None = None
     sha256: str = ""
 
     @staticmethod
-    def of(given: Any) -> Ground | None:
+    def from_input(value: Any) -> Ground | None:
         """Return the ground that a user's value stands for, None where light leaves below.
 
         Parameters
@@ -65,27 +65,27 @@ class Ground(ByContent):
         ValueError
             For an unknown name, a malformed table or an albedo outside 0 to 1.
         """
-        if given is None or isinstance(given, Ground):
-            return given
-        given = columns_of(given)
-        if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".csv")):
-            return _from_file(Path(given))
-        if isinstance(given, str):
-            return _named(given)
-        if isinstance(given, Mapping):
-            if set(given) != {"wavelength_nm", "albedo"}:
-                keys = sorted(map(str, given))
+        if value is None or isinstance(value, Ground):
+            return value
+        value = columns_of(value)
+        if isinstance(value, Path) or (isinstance(value, str) and value.endswith(".csv")):
+            return _from_file(Path(value))
+        if isinstance(value, str):
+            return _named(value)
+        if isinstance(value, Mapping):
+            if set(value) != {"wavelength_nm", "albedo"}:
+                keys = sorted(map(str, value))
                 raise refuse("ground", keys, "a mapping of wavelength_nm and albedo, lists")
-            return _table(TABLE, "given by the user", given["wavelength_nm"], given["albedo"])
-        albedo = in_range("ground", number("ground", given, _ALLOWED), 0.0, 1.0)
+            return _table(TABLE, "given by the user", value["wavelength_nm"], value["albedo"])
+        albedo = in_range("ground", number("ground", value, _ALLOWED), 0.0, 1.0)
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
     def as_input(self) -> Any:
         """Return what a user gives for this ground, see `of`; of a file, its name."""
         if self.name == TABLE:
-            return {"wavelength_nm": self.wavelength_nm, "albedo": self.values}
+            return {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo_values}
         if self.wavelength_nm is None:
-            return BLACK if self.name == BLACK else float(self.values[0])
+            return BLACK if self.name == BLACK else float(self.albedo_values[0])
         return self.name if self.sha256 else _soil(self.name)
 
     def __repr__(self) -> str:
@@ -93,22 +93,22 @@ class Ground(ByContent):
         return f"Ground.of({word(self)})"
 
     @property
-    def reflecting(self) -> bool:
+    def is_reflecting(self) -> bool:
         """Whether light comes back at any wavelength."""
-        return bool((self.values > 0.0).any())
+        return bool((self.albedo_values > 0.0).any())
 
     def albedo(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the albedo at wavelengths (nm), shaped like them; linear between table rows."""
         if self.wavelength_nm is None:
-            return np.full(np.shape(wavelength_nm), self.values[0])
+            return np.full(np.shape(wavelength_nm), self.albedo_values[0])
         first, last = self.wavelength_nm[[0, -1]]
         return np.interp(
             within(wavelength_nm, first, last, f"ground {self.name}"),
             self.wavelength_nm,
-            self.values,
+            self.albedo_values,
         )
 
-    def depth(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def optical_depth(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the optical depth of a bounce, −ln of the albedo, shaped like the wavelengths."""
         albedo = self.albedo(wavelength_nm)
         dark = albedo <= np.exp(-BLACK_DEPTH)
@@ -121,7 +121,7 @@ def ground_facts(ground: Ground | None) -> dict[str, Any]:
         return {"ground": OPEN}
     facts: dict[str, Any] = {"ground": ground.name}
     if ground.name == TABLE:
-        facts |= {"ground_wavelength_nm": ground.wavelength_nm, "ground_albedo": ground.values}
+        facts |= {"ground_wavelength_nm": ground.wavelength_nm, "ground_albedo": ground.albedo_values}
     return facts | ({"ground_sha256": ground.sha256} if ground.sha256 else {})
 
 

@@ -39,7 +39,7 @@ def sample_depth(depth_m: Any) -> float:
 
 
 def indices_of(
-    materials: Iterable[str], given: Any, pores: Iterable[str] = ()
+    materials: Iterable[str], given: Any, pore_fluids: Iterable[str] = ()
 ) -> dict[str, RefractiveIndex]:
     """Return the refractive index of every material, where nothing is given the default dataset.
 
@@ -57,7 +57,7 @@ def indices_of(
         If `given` is not a mapping, or for a material that the medium does not have.
     """
     known = list(materials)
-    others = [*pores, "air"] if isinstance(given, Mapping) and "air" in given else list(pores)
+    others = [*pore_fluids, "air"] if isinstance(given, Mapping) and "air" in given else list(pore_fluids)
     names = known + others
     if not isinstance(given, Mapping):
         raise refuse("refractive_index", given, "a mapping by material")
@@ -88,5 +88,5 @@ def described(medium: Any) -> dict[str, Any]:
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):
             inputs[f"refractive_index_{material}_sha256"] = digest
-    inputs |= {f"reading_{k}": v for k, v in medium.readings.as_dict().items()}
+    inputs |= {f"reading_{k}": v for k, v in medium.interpretation.as_dict().items()}
     return inputs | ground_facts(medium.ground)

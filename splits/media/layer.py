@@ -124,9 +124,9 @@ class Layer(ByContent):
         for name in ("polarized", "opaque"):
             if not isinstance(getattr(self, name), (bool, np.bool_)):
                 raise refuse(name, getattr(self, name), "true or false")
-        put("_phase", self._read_phase())
+        put("_phase", self._make_phase_function())
         if self.surface is not None:
-            put("surface", RoughSurface.of(self.surface))
+            put("surface", RoughSurface.from_input(self.surface))
             least = CLEARANCE * self.surface.rms_height_m
             finite = self.optical_thickness != math.inf and not self.opaque
             if self.depth_m < least and finite:
@@ -135,7 +135,7 @@ class Layer(ByContent):
                     f"{CLEARANCE:g} standard deviations of height must fit above the bottom",
                 )  # fmt: skip
 
-    def _read_phase(self) -> Phase:
+    def _make_phase_function(self) -> Phase:
         """Return the phase function, or refuse it."""
         given = self.phase_function
         if isinstance(given, Mapping):
@@ -158,12 +158,12 @@ class Layer(ByContent):
         return (1.0 if infinite else self.optical_thickness) / self.depth_m
 
     @property
-    def phase(self) -> Phase:
+    def kernel_phase_function(self) -> Phase:
         """The phase function as kernels take it."""
         phase: Phase = self._phase  # type: ignore[attr-defined]
         return phase
 
-    def turbid(self, analog: bool) -> Turbid:
+    def make_scattering_layer(self, analog: bool) -> Turbid:
         """Return the layer as kernels take it.
 
         An infinite layer that absorbs nothing sends all light back, after infinitely many
@@ -176,27 +176,27 @@ class Layer(ByContent):
         elif self.optical_thickness == math.inf:
             depth = math.inf
             if albedo == 1.0:
-                reach = max(1.0, 1.0 / (1.0 - self.phase.g))
+                reach = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
                 rough = 0.0 if self.surface is None else CLEARANCE * self.surface.rms_height_m
                 depth, bottom = DEEP * reach / self.extinction_per_m + rough, 1.0
         return Turbid(depth, self.extinction_per_m, albedo, self.refractive_index, bottom, analog)
 
-    def fields(self) -> Fields | None:
+    def make_height_fields(self) -> Fields | None:
         """Return the rough surface as kernels take it, None where it is smooth."""
         if self.surface is None or self.surface.rms_height_m == 0.0:
             return None
-        numbers: Fields = self.surface.numbers()
+        numbers: Fields = self.surface.make_height_fields()
         return numbers
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the name of the one material of index arrays."""
         return ("matrix",)
 
-    def interfaces(self) -> list[Any]:
+    def list_interfaces(self) -> list[Any]:
         """Return none: the index is the same at all wavelengths."""
         return []
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the refractive index, shape (wavelengths, 1)."""
         return np.full((np.size(wavelength_nm), 1), complex(self.refractive_index))
 
@@ -210,21 +210,21 @@ class Layer(ByContent):
             inputs |= {f"phase_{key}": self.phase_function[key] for key in ("cosine", "density")}
         return {
             **inputs,
-            "asymmetry": self.phase.g,
-            "max_polarization": self.phase.polarizing,
+            "asymmetry": self.kernel_phase_function.g,
+            "max_polarization": self.kernel_phase_function.max_polarization,
             "surface": "smooth" if surface is None else "rough",
             **{f"surface_{key}": value for key, value in rough.items()},
             "extinction_per_m": self.extinction_per_m,
         }
 
 
-def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
+def _table(table: Mapping[str, Any], max_polarization: float) -> Phase:
     """Return a tabulated phase function, or refuse it."""
     allowed = "a mapping with equally long lists cosine and density"
-    if set(given) != {"cosine", "density"}:
-        raise refuse("phase_function", [str(key) for key in given], allowed)
-    given = {key: given[key] for key in ("cosine", "density")}
-    cosine, density = read_columns("phase_function", given)
+    if set(table) != {"cosine", "density"}:
+        raise refuse("phase_function", [str(key) for key in table], allowed)
+    table = {key: table[key] for key in ("cosine", "density")}
+    cosine, density = read_columns("phase_function", table)
     if cosine.shape != density.shape:
         raise refuse("phase_function", (cosine.shape, density.shape), allowed)
     if cosine.size < 2 or not np.allclose(cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING, atol=0.0):
@@ -236,4 +236,4 @@ def _table(given: Mapping[str, Any], polarizing: float) -> Phase:
     good = (density >= 0.0).all() and (density <= 1e100).all()
     if not good or not density.max() > 1e-100:
         raise refuse("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
-    return tabulated(cosine, density, polarizing)
+    return tabulated(cosine, density, max_polarization)

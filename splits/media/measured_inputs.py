@@ -50,11 +50,11 @@ def takes_measured(kind: type[Kind]) -> type[Kind]:
     return kind
 
 
-def on_top(base: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+def on_top(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return keywords on top of others, of which those go that are said in other words."""
-    said = {REPLACES.get(name, name) for name in more}
+    said = {REPLACES.get(name, name) for name in overrides}
     kept = {name: v for name, v in base.items() if REPLACES.get(name, name) not in said}
-    return {**kept, **more}
+    return {**kept, **overrides}
 
 
 def check_one_of_each(keywords: dict[str, Any]) -> None:

@@ -27,10 +27,10 @@ SPHERICITY = 0.75
 class Shape(NamedTuple):
     """Optical shape of dry grains at 900 nm, see `splits.analysis.grain_shape`."""
 
-    enhancement: float
-    enhancement_stderr: float
-    asymmetry: float
-    asymmetry_stderr: float
+    absorption_enhancement: float
+    absorption_enhancement_stderr: float
+    asymmetry_parameter: float
+    asymmetry_parameter_stderr: float
 
 
 SHAPE = Shape(1.661, 0.003, 0.678, 0.001)
@@ -67,7 +67,7 @@ def natural(
     sphericity: tuple[float, float, float, float] | None = None,
     pores: Mapping[str, float] | None = None,
     refractive_index: Mapping[str, Any] | None = None,
-    readings: Readings | str | Mapping[str, Any] | None = None,
+    interpretation: Readings | str | Mapping[str, Any] | None = None,
 ) -> Snow:
     """Return snow as it lies, by its surface area: dry, deep and clean unless said.
 
@@ -107,7 +107,7 @@ def natural(
     return cls(**natural_settings(given))
 
 
-def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
+def natural_settings(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of `splits.Snow` that natural snow has, with those given.
 
     Raises
@@ -115,7 +115,7 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     ValueError
         Where no size is given.
     """
-    if not {AREA, RADIUS, "grain_size_um"} & set(given):
+    if not {AREA, RADIUS, "grain_size_um"} & set(keywords):
         raise refuse(
             AREA, None, "given, or optical_radius_um",
             "m2/kg: fresh snow has 40 and more, old snow 10, melting snow 3",
@@ -123,25 +123,25 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     usual = {
         **GRAINS, "readings": READINGS, "density_kg_m3": 300.0, "depth_m": math.inf,
     }  # fmt: skip
-    if "saturation" not in given and "liquid_water_content" not in given:
+    if "saturation" not in keywords and "liquid_water_content" not in keywords:
         usual["saturation"] = 0.0
-    if "density_kg_m3" in given:
-        key, temperature = "density_kg_m3", given.get("temperature_c", -1.0)
+    if "density_kg_m3" in keywords:
+        key, temperature = "density_kg_m3", keywords.get("temperature_c", -1.0)
         ice = ice_density(in_range("temperature_c", temperature, -40.0, 0.0, "°C"))
         hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
-        in_range(key, given[key], LIGHTEST, ice, "kg/m3", hint=hint, open_high=True)
-    readings = given.get("readings", {})
+        in_range(key, keywords[key], LIGHTEST, ice, "kg/m3", hint=hint, open_high=True)
+    readings = keywords.get("readings", {})
     if isinstance(readings, Mapping):
-        given = {**given, "readings": together([READINGS, readings])}
-    index = given.get("refractive_index", {})
+        keywords = {**keywords, "readings": together([READINGS, readings])}
+    index = keywords.get("refractive_index", {})
     indices = {"refractive_index": {**INDICES, **index} if isinstance(index, Mapping) else index}
-    return {**usual, **given, **indices}
+    return {**usual, **keywords, **indices}
 
 
 def is_natural(snow: Any) -> bool:
     """Tell whether snow has the grains and the readings of natural snow."""
     alike = all(getattr(snow, name) == value for name, value in GRAINS.items())
-    return alike and snow.readings == type(snow.readings).of(READINGS)
+    return alike and snow.interpretation == type(snow.interpretation).from_input(READINGS)
 
 
 def shape_facts(snow: Any) -> dict[str, float]:
@@ -149,8 +149,8 @@ def shape_facts(snow: Any) -> dict[str, float]:
     if not is_natural(snow):
         return {}
     return {
-        "absorption_enhancement_900nm_dry": SHAPE.enhancement,
-        "absorption_enhancement_900nm_dry_stderr": SHAPE.enhancement_stderr,
-        "asymmetry_parameter_900nm_dry": SHAPE.asymmetry,
-        "asymmetry_parameter_900nm_dry_stderr": SHAPE.asymmetry_stderr,
+        "absorption_enhancement_900nm_dry": SHAPE.absorption_enhancement,
+        "absorption_enhancement_900nm_dry_stderr": SHAPE.absorption_enhancement_stderr,
+        "asymmetry_parameter_900nm_dry": SHAPE.asymmetry_parameter,
+        "asymmetry_parameter_900nm_dry_stderr": SHAPE.asymmetry_parameter_stderr,
     }

@@ -39,7 +39,7 @@ class _Place(NamedTuple):
 
     layer: int | None
     key: str
-    kind: str
+    component: str
 
 
 def names_of(medium: Any) -> list[str]:
@@ -72,12 +72,12 @@ def value_of(medium: Any, name: str) -> float:
     place = _place_of(medium, name)
     owner = medium if place.layer is None else medium.layers[place.layer]
     if place.key in SHARES:
-        return float(getattr(owner, place.key)[SHARES[place.key].index(place.kind)])
-    if place.kind:
-        given = getattr(owner, place.key).get(place.kind, 0.0)
+        return float(getattr(owner, place.key)[SHARES[place.key].index(place.component)])
+    if place.component:
+        given = getattr(owner, place.key).get(place.component, 0.0)
         return float(given["ng_g"] if isinstance(given, Mapping) else given)
     if place.key == "ground":
-        return float(owner.ground.values[0])
+        return float(owner.ground.albedo_values[0])
     value = getattr(owner, place.key)
     return float(value[SHIFTED[place.key] - 1] if place.key in SHIFTED else value)
 
@@ -106,9 +106,9 @@ def with_value(medium: Any, name: str, value: float) -> Any:
     return replace(medium, layers=tuple(layers))
 
 
-def moved(medium: Any, name: str, by: float) -> Any:
+def moved(medium: Any, name: str, shift: float) -> Any:
     """Return a medium with a parameter moved by so much, see `with_value`."""
-    return with_value(medium, name, value_of(medium, name) + by)
+    return with_value(medium, name, value_of(medium, name) + shift)
 
 
 def unit_of(name: str) -> str:
@@ -118,14 +118,14 @@ def unit_of(name: str) -> str:
     return _PER.get(key) or _PER.get(parameter_about(key)[1], "1")
 
 
-def _with(owner: Any, place: _Place, value: float) -> Any:
-    key = place.key
+def _with(owner: Any, location: _Place, value: float) -> Any:
+    key = location.key
     if key in SHARES:
-        return replace(owner, **{key: _shared(owner, place, value)})
-    if place.kind:
+        return replace(owner, **{key: _shared(owner, location, value)})
+    if location.component:
         amounts = dict(getattr(owner, key))
-        given = amounts.get(place.kind)
-        amounts[place.kind] = {**given, "ng_g": value} if isinstance(given, Mapping) else value
+        given = amounts.get(location.component)
+        amounts[location.component] = {**given, "ng_g": value} if isinstance(given, Mapping) else value
         return replace(owner, **{key: amounts})
     if key in SHIFTED:
         before = getattr(owner, key)
@@ -143,14 +143,14 @@ def _with(owner: Any, place: _Place, value: float) -> Any:
     return replace(owner, **{key: value})
 
 
-def _shared(owner: Any, place: _Place, value: float) -> tuple[float, ...]:
+def _shared(owner: Any, location: _Place, value: float) -> tuple[float, ...]:
     """Return shares of which one has a value, and the others what is left in their ratios."""
-    before, which = getattr(owner, place.key), SHARES[place.key].index(place.kind)
-    value = in_range(f"{place.key}.{place.kind}", value, 0.0, 1.0)
+    before, which = getattr(owner, location.key), SHARES[location.key].index(location.component)
+    value = in_range(f"{location.key}.{location.component}", value, 0.0, 1.0)
     rest = sum(share for i, share in enumerate(before) if i != which)
     if rest == 0.0:
-        hint = f"which of the others grows is not known: give {place.key} with some of each"
-        raise refuse(f"{place.key}.{place.kind}", value, "below 1 to begin with", hint)
+        hint = f"which of the others grows is not known: give {location.key} with some of each"
+        raise refuse(f"{location.key}.{location.component}", value, "below 1 to begin with", hint)
     factor = (1.0 - value) / rest
     return tuple(value if i == which else factor * share for i, share in enumerate(before))
 
@@ -173,9 +173,9 @@ def _place_of(medium: Any, name: Any) -> _Place:
     return _own_place(medium.layers[number], found[2], name, number)
 
 
-def _own_place(owner: Any, own: str, name: str, layer: int | None) -> _Place:
+def _own_place(owner: Any, own_name: str, name: str, layer: int | None) -> _Place:
     """Return where a parameter of a medium without layers is."""
-    key, _, kind = own.partition(".")
+    key, _, kind = own_name.partition(".")
     if kind and key in AMOUNTS:
         if not hasattr(owner, key):
             raise refuse("parameter", name, "of a medium that takes impurities: snow")
@@ -185,9 +185,9 @@ def _own_place(owner: Any, own: str, name: str, layer: int | None) -> _Place:
     if key in SHARES and kind and hasattr(owner, key):
         return _Place(layer, key, one_of(f"parameter {key}", kind, SHARES[key]))
     known = names_of(owner)
-    if own not in known:
+    if own_name not in known:
         raise unknown_key(f"parameter {name}", known)
-    return _Place(layer, own, "")
+    return _Place(layer, own_name, "")
 
 
 def _albedo_of(medium: Any) -> float | None:
@@ -195,7 +195,7 @@ def _albedo_of(medium: Any) -> float | None:
     ground = getattr(medium, "ground", None)
     if not isinstance(ground, Ground) or ground.wavelength_nm is not None:
         return None
-    return float(ground.values[0])
+    return float(ground.albedo_values[0])
 
 
 def _is_number(value: Any) -> bool:

@@ -44,14 +44,14 @@ class ParticleLayer:
     """
 
     layer: Layer
-    top: bool = False
-    wet_share = 1.0
+    is_top: bool = False
+    wet_fraction = 1.0
     largest_grain_m = 0.0
 
     def __post_init__(self) -> None:
         for name, (allowed, why) in LEFT_OUT.items():
             given = getattr(self.layer, name)
-            if given != allowed and not (name == "surface" and self.top):
+            if given != allowed and not (name == "surface" and self.is_top):
                 raise refuse(name, given, "left out" if allowed is None else "false", why)
         if self.layer.optical_thickness == math.inf:
             raise refuse("optical_thickness", math.inf, "finite", "other layers lie below")
@@ -61,19 +61,19 @@ class ParticleLayer:
         """Thickness (m)."""
         return float(self.layer.depth_m)
 
-    def fields(self) -> Fields | None:
+    def make_height_fields(self) -> Fields | None:
         """Return its rough surface as kernels take it, None where it is smooth."""
-        return self.layer.fields()
+        return self.layer.make_height_fields()
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
         return ("air", "matrix")
 
-    def interfaces(self) -> Sequence[Interface]:
+    def list_interfaces(self) -> Sequence[Interface]:
         """Return none: the index is the same at all wavelengths."""
         return ()
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 2)."""
         index = np.ones((np.size(wavelength_nm), 2), dtype=complex)
         index[:, WET_PORE] = self.layer.refractive_index
@@ -104,21 +104,21 @@ class AbsorbingMatrix(ParticleLayer):
     outer_index: float = 1.0
 
     @classmethod
-    def of(cls, part: ParticleLayer) -> AbsorbingMatrix:
+    def from_particle_layer(cls, stacked_layer: ParticleLayer) -> AbsorbingMatrix:
         """Return the layer that is the same to light as one of absorbing particles."""
-        layer = part.layer
+        layer = stacked_layer.layer
         albedo = layer.single_scattering_albedo
         thickness = albedo * layer.optical_thickness
         scattering = replace(layer, optical_thickness=thickness, single_scattering_albedo=1.0)
-        return cls(scattering, part.top, (1.0 - albedo) * layer.extinction_per_m)
+        return cls(scattering, stacked_layer.is_top, (1.0 - albedo) * layer.extinction_per_m)
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 2)."""
         index = super().indices(wavelength_nm)
         index[:, DRY_PORE] = self.outer_index
         return index
 
-    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return what the matrix absorbs (1/m), shape (wavelengths, 2)."""
         added = np.zeros((np.size(wavelength_nm), 2))
         added[:, WET_PORE] = self.absorption_per_m

@@ -29,37 +29,37 @@ class Pores(NamedTuple):
     """
 
     names: tuple[str, ...]
-    shares: tuple[float, ...]
+    fractions: tuple[float, ...]
 
     @classmethod
-    def of(cls, saturation: float, others: Mapping[str, float]) -> Pores:
+    def from_saturation(cls, saturation: float, other_fluids: Mapping[str, float]) -> Pores:
         """Return the pores of so much water and of others; the rest is dry."""
-        dry = max(1.0 - saturation - sum(others.values()), 0.0)
-        return cls((AIR, WATER, *others), (dry, saturation, *others.values()))
+        dry = max(1.0 - saturation - sum(other_fluids.values()), 0.0)
+        return cls((AIR, WATER, *other_fluids), (dry, saturation, *other_fluids.values()))
 
-    def interfaces(self, core: int, share: float = 1.0) -> list[Interface]:
+    def list_grain_interfaces(self, grain_material: int, probability: float = 1.0) -> list[Interface]:
         """Return what grains of a material, met with a probability, have in common with pores."""
-        return [Interface(share * part, row, core) for row, part in enumerate(self.shares)]
+        return [Interface(probability * part, row, grain_material) for row, part in enumerate(self.fractions)]
 
-    def faces(self, fresnel: bool) -> list[Interface]:
+    def list_boundary_interfaces(self, with_fresnel: bool) -> list[Interface]:
         """Return what wet pores have in common with the dry ones outside, if Fresnel acts there."""
         return [
             Interface(part, DRY_PORE, row, "face")
-            for row, part in enumerate(self.shares)
-            if fresnel and row != DRY_PORE and part > 0.0
+            for row, part in enumerate(self.fractions)
+            if with_fresnel and row != DRY_PORE and part > 0.0
         ]
 
-    def fill(
-        self, index: np.ndarray, known: Mapping[str, RefractiveIndex], wavelength_nm: np.ndarray
+    def fill_refractive_indices(
+        self, index: np.ndarray, refractive_index: Mapping[str, RefractiveIndex], wavelength_nm: np.ndarray
     ) -> None:
         """Write refractive indices of media that are there into their columns."""
-        for row, (name, part) in enumerate(zip(self.names, self.shares, strict=True)):
-            if name in known and (part > 0.0 or row == DRY_PORE):
-                index[:, row] = known[name](wavelength_nm)
+        for row, (name, part) in enumerate(zip(self.names, self.fractions, strict=True)):
+            if name in refractive_index and (part > 0.0 or row == DRY_PORE):
+                index[:, row] = refractive_index[name](wavelength_nm)
 
 
 def other_pores(
-    given: Any, saturation: float, refractive_index: Any, taken: Iterable[str]
+    pores: Any, saturation: float, refractive_index: Any, grain_materials: Iterable[str]
 ) -> dict[str, float]:
     """Return the shares of media other than air and water, or refuse them.
 
@@ -73,11 +73,11 @@ def other_pores(
     taken : iterable of str
         Names of the materials of grains.
     """
-    if not isinstance(given, Mapping):
-        raise refuse("pores", given, "a mapping of shares of the pore space by medium")
-    reserved = (AIR, WATER, *taken)
+    if not isinstance(pores, Mapping):
+        raise refuse("pores", pores, "a mapping of shares of the pore space by medium")
+    reserved = (AIR, WATER, *grain_materials)
     shares = {}
-    for name, share in given.items():
+    for name, share in pores.items():
         if not isinstance(name, str) or not name.isidentifier() or name in reserved:
             hint = "water is saturation, air the rest"
             raise refuse("pores", name, f"names other than {', '.join(reserved)}", hint)
@@ -87,5 +87,5 @@ def other_pores(
             raise refuse("pores", name, "media of known refractive index", hint)
     total = saturation + sum(shares.values())
     if total > 1.0 + ROUNDING:
-        raise refuse("pores", dict(given), "shares that leave saturation room: at most 1 together")
+        raise refuse("pores", dict(pores), "shares that leave saturation room: at most 1 together")
     return shares

@@ -133,7 +133,7 @@ class TransportReadings:
                 raise refuse(f"readings.{name}", rule, "keep with grain_extent point", hint)
 
     @classmethod
-    def of(cls: type[Kind], value: Any) -> Kind:
+    def from_input(cls: type[Kind], value: Any) -> Kind:
         """Return readings, or refuse them.
 
         Parameters
@@ -153,7 +153,7 @@ class TransportReadings:
         names = [f.name for f in fields(cls)]
         if SET in value:
             base = SETS[one_of(f"readings.{SET}", value[SET], SETS)]
-            return cls.of({**base, **{key: given for key, given in value.items() if key != SET}})
+            return cls.from_input({**base, **{key: given for key, given in value.items() if key != SET}})
         for name in value:
             if name not in names:
                 raise refuse(
@@ -161,15 +161,15 @@ class TransportReadings:
                 )
         return cls(**value)
 
-    def rules(self, analog: bool = False) -> Rules:
+    def to_sampling_rules(self, analog: bool = False) -> Rules:
         """Return the readings as kernels take them."""
         return Rules(
-            entry=ENTRY[self.entry],
-            facets=FACETS[self.facets],
+            entry_sampling=ENTRY[self.entry],
+            facet_sampling=FACETS[self.facets],
             wrong_side=WRONG_SIDE[self.wrong_side],
             boundary_fresnel=self.boundary_fresnel == "yes",
-            on_last_leg=FATE[self.grain_on_last_leg],
-            across_boundary=FATE[self.grain_across_boundary],
+            segment_overlap=FATE[self.grain_on_last_leg],
+            boundary_overlap=FATE[self.grain_across_boundary],
             analog=analog,
             point_grains=EXTENT[self.grain_extent],
         )
@@ -178,7 +178,7 @@ class TransportReadings:
         """Return all readings by name."""
         return asdict(self)
 
-    def transport(self) -> dict[str, str]:
+    def to_transport_dict(self) -> dict[str, str]:
         """Return the readings that SPLITS and SPLITSnow share."""
         return {field.name: getattr(self, field.name) for field in fields(TransportReadings)}
 

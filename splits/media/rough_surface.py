@@ -125,36 +125,36 @@ class SurfaceField(ByContent):
         return call("SurfaceField", self.as_input())
 
     @property
-    def _limit(self) -> float:
+    def _relative_band_limit(self) -> float:
         """Band limit in units of k0."""
         assert self.band_limit_per_m is not None and self.wave_number_per_m is not None
         return self.band_limit_per_m / self.wave_number_per_m
 
     @cached_property
-    def quantiles(self) -> np.ndarray:
+    def wave_number_quantiles(self) -> np.ndarray:
         """Quantile function of a spectrum's wave numbers (1/m), see `rng.table_probabilities`."""
         assert self.spectrum is not None
         return quantiles_of(*(np.array(self.spectrum[key]) for key in _SPECTRUM))
 
-    def correlation_at(self, r_m: np.ndarray) -> np.ndarray:
+    def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
         r = read_numbers("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
-            return np.array([sum_of_cells(self.quantiles, x) for x in r.ravel()]).reshape(r.shape)
+            return np.array([sum_of_cells(self.wave_number_quantiles, x) for x in r.ravel()]).reshape(r.shape)
         law = LAWS[self.correlation]
         assert self.wave_number_per_m is not None
         r = self.wave_number_per_m * r
-        if law.share(self._limit) == 1.0:
+        if law.cdf(self._relative_band_limit) == 1.0:
             return law.correlation(r)
-        found = [integral(law.density, self._limit, x) for x in r.ravel()]
-        return np.array(found).reshape(r.shape) / law.share(self._limit)
+        found = [integral(law.density, self._relative_band_limit, x) for x in r.ravel()]
+        return np.array(found).reshape(r.shape) / law.cdf(self._relative_band_limit)
 
     def mean_square_wave_number(self) -> float:
         """Return the expected λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
-            return mean_of_cells(self.quantiles, lambda k: k * k)
+            return mean_of_cells(self.wave_number_quantiles, lambda k: k * k)
         assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * LAWS[self.correlation].square(self._limit)
+        return self.wave_number_per_m**2 * LAWS[self.correlation].mean_square(self._relative_band_limit)
 
 
 @known_keywords
@@ -188,7 +188,7 @@ class RoughSurface:
         object.__setattr__(self, "fields", found)
 
     @classmethod
-    def of(cls, value: Any) -> RoughSurface:
+    def from_input(cls, value: Any) -> RoughSurface:
         """Return a surface given as such or as its fields, or refuse it."""
         return value if isinstance(value, cls) else cls(value)
 
@@ -213,14 +213,14 @@ class RoughSurface:
             return np.ones_like(r)
         shares = ((field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields)
         parts = zip(shares, self.fields, strict=True)
-        return np.sum([share * field.correlation_at(r) for share, field in parts], axis=0)
+        return np.sum([share * field.compute_correlation(r) for share, field in parts], axis=0)
 
     def rms_slope(self) -> float:
         """Return √⟨|∇Ψ|²⟩, infinite where a law without band limit has it so."""
         rough = [field for field in self.fields if field.rms_height_m > 0.0]
         return math.sqrt(sum(f.rms_height_m**2 * f.mean_square_wave_number() for f in rough))
 
-    def numbers(self) -> kernels.Fields:
+    def make_height_fields(self) -> kernels.Fields:
         """Return the surface as kernels take it."""
         count = len(self.fields)
         law = np.full(count, kernels.TABLE, dtype=np.int64)
@@ -229,29 +229,29 @@ class RoughSurface:
         quantile = np.zeros((count, QUANTILES if tables else 2))
         for i, field in enumerate(self.fields):
             if field.spectrum is not None:
-                quantile[i] = field.quantiles
+                quantile[i] = field.wave_number_quantiles
                 continue
             named = LAWS[field.correlation]
-            law[i], wave_number[i] = named.code, field.wave_number_per_m
-            share[i] = named.share(field._limit)
+            law[i], wave_number[i] = named.kernel_code, field.wave_number_per_m
+            share[i] = named.cdf(field._relative_band_limit)
         return kernels.Fields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
-            waves=np.array([field.waves for field in self.fields], dtype=np.int64),
+            n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),
             law=law,
             wave_number=wave_number,
-            share=share,
-            quantile=quantile,
+            band_fraction=share,
+            quantiles=quantile,
         )
 
-    def realisation(self, seed: int, number: int = 0) -> np.ndarray:
+    def sample_realization(self, seed: int, ray_number: int = 0) -> np.ndarray:
         """Return the waves that ray `number` of ensemble 0 draws as its first numbers.
 
         Rows are those of `splits.transport.rough.waves`, which also evaluates them.
         """
-        seed, number = _whole("seed", seed, low=0), _whole("number", number, low=0)
+        seed, ray_number = _whole("seed", seed, low=0), _whole("number", ray_number, low=0)
         state = np.zeros(1, dtype=np.uint64)
-        start_stream(state, seed, 0, number)
-        drawn = self.numbers()
+        start_stream(state, seed, 0, ray_number)
+        drawn = self.make_height_fields()
         waves: np.ndarray = kernels.draw_waves(state, drawn, kernels.room_for(drawn)).waves
         return waves
 
@@ -270,21 +270,21 @@ class RoughSurface:
         return inputs | {"rms_slope": self.rms_slope()}
 
 
-def _field(where: str, given: Any) -> SurfaceField:
+def _field(key: str, value: Any) -> SurfaceField:
     """Return a field, or refuse it and say which."""
-    if isinstance(given, SurfaceField):
-        return given
+    if isinstance(value, SurfaceField):
+        return value
     names = [f.name for f in fields(SurfaceField)]
     allowed = "one of " + ", ".join(names)
-    if not isinstance(given, Mapping):
-        raise refuse(where, given, "a mapping of keys, each " + allowed)
-    for name in given:
+    if not isinstance(value, Mapping):
+        raise refuse(key, value, "a mapping of keys, each " + allowed)
+    for name in value:
         if name not in names:
-            raise refuse(where, name, allowed, suggestion(name, names))
-    if "rms_height_m" not in given:
-        raise refuse(f"{where}.rms_height_m", None, "given (m)")
-    with under(where):
-        return SurfaceField(**given)
+            raise refuse(key, name, allowed, suggestion(name, names))
+    if "rms_height_m" not in value:
+        raise refuse(f"{key}.rms_height_m", None, "given (m)")
+    with under(key):
+        return SurfaceField(**value)
 
 
 def _whole(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:

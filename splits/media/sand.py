@@ -108,7 +108,7 @@ class Sand(ByContent):
     depth_m: float = 1.0
     size_tail: float = 1e-4
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    readings: SandReadings = field(default_factory=SandReadings)
+    interpretation: SandReadings = field(default_factory=SandReadings)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
 
@@ -116,7 +116,7 @@ class Sand(ByContent):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("readings", SandReadings.of(self.readings))
+        put("readings", SandReadings.from_input(self.interpretation))
         put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
         put(
             "porosity",
@@ -138,28 +138,28 @@ class Sand(ByContent):
         kinds = ("pure", "mixed", "coated")
         put("partition", numbers("partition", self.partition, kinds, (0.0, 1.0)))
         put("texture", numbers("texture", self.texture, SEPARATES, (0.0, 1.0)))
-        put("ground", Ground.of(self.ground))
+        put("ground", Ground.from_input(self.ground))
         put("depth_m", sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, in_range(name, getattr(self, name), 0.0, 1.0))
         given = self.refractive_index
         put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
-        if self.pores and self.readings.water != "whole_pores":
+        if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these media fill is not known: leave readings.water out"
-            allowed = f"empty with readings.water {self.readings.water}"
+            allowed = f"empty with readings.water {self.interpretation.water}"
             raise refuse("pores", dict(self.pores), allowed, hint)
         put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
-        _ = self.sizes, self.composition
+        _ = self.size_distribution, self.composition
 
     def __repr__(self) -> str:
         """Return the sand on one line, as it was given."""
         return call("Sand", unusual(self, type(self)()))
 
     @cached_property
-    def sizes(self) -> SoilSizes:
+    def size_distribution(self) -> SoilSizes:
         """Sizes of the particles, of every type alike."""
-        return soil_sizes(self.texture, self.size_tail, self.readings.sizes)
+        return soil_sizes(self.texture, self.size_tail, self.interpretation.sizes)
 
     @cached_property
     def composition(self) -> Composition:
@@ -171,28 +171,28 @@ class Sand(ByContent):
             self.magnetite,
             self.partition,
             coat,
-            self.readings.excess_magnetite,
+            self.interpretation.excess_magnetite,
         )
 
     @property
     def density_kg_m3(self) -> float:
         """Mean density of the particles (kg/m³), SPLITS Eq 16."""
-        return self.composition.density
+        return self.composition.density_kg_m3
 
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain (m)."""
-        return float(self.sizes.largest)
+        return float(self.size_distribution.largest_m)
 
     @cached_property
     def attenuation_per_m(self) -> float:
         """K = K1 K2, cross-section per volume of particles (1/m), SPLITS Eqs 22-24."""
-        return self.sizes.attenuation * statistics.shape_attenuation(*self.sphericity)
+        return self.size_distribution.size_attenuation_per_m * statistics.shape_attenuation(*self.sphericity)
 
     @property
     def mean_grain_distance_m(self) -> float:
         """Mean distance between particles of any type along a ray (m), SPLITS Eq 21."""
-        solid = 1.0 - self.porosity if self.readings.attenuation == "solid" else 1.0
+        solid = 1.0 - self.porosity if self.interpretation.attenuation == "solid" else 1.0
         return 1.0 / (solid * self.attenuation_per_m)
 
     @property
@@ -201,77 +201,77 @@ class Sand(ByContent):
         return 4.0 * self.attenuation_per_m / self.density_kg_m3
 
     @cached_property
-    def _wetness(self) -> Wetness:
+    def _water(self) -> Wetness:
         """Where the water is."""
-        sphericity, reading = self.sphericity[2], self.readings.water
+        sphericity, reading = self.sphericity[2], self.interpretation.water
         return wetness(self.saturation, self.porosity, sphericity, reading)
 
     @property
-    def wet_share(self) -> float:
+    def wet_fraction(self) -> float:
         """Probability that a leg through pores runs in water."""
-        return self._wetness.share
+        return self._water.wet_fraction
 
     @cached_property
-    def _layers(self) -> list[tuple[str, ...]]:
+    def _shell_materials(self) -> list[tuple[str, ...]]:
         """Names of the materials of each particle type, from the outside in."""
-        film = (FILM,) if self._wetness.film else ()
-        return [(*film, *t.materials) for t in self.composition.types]
+        film = (FILM,) if self._water.relative_film_thickness else ()
+        return [(*film, *t.shell_materials) for t in self.composition.particle_types]
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        minerals = dict.fromkeys(m for layers in self._layers for m in layers)
-        return (*self.fluids.names, *minerals)
+        minerals = dict.fromkeys(m for layers in self._shell_materials for m in layers)
+        return (*self.pore_fluids.names, *minerals)
 
     @cached_property
-    def fluids(self) -> Pores:
+    def pore_fluids(self) -> Pores:
         """What fills the pores, by the probability that legs run there."""
-        return Pores.of(self.wet_share, self.pores)
+        return Pores.from_saturation(self.wet_fraction, self.pores)
 
-    def grains(self) -> Grains:
+    def make_grain_population(self) -> Grains:
         """Return the table of particle types; sizes and shapes are those of all types."""
-        names = self.materials()
-        deepest = max(len(layers) for layers in self._layers)
-        material = np.zeros((len(self._layers), deepest), dtype=np.int64)
+        names = self.list_materials()
+        deepest = max(len(layers) for layers in self._shell_materials)
+        material = np.zeros((len(self._shell_materials), deepest), dtype=np.int64)
         thickness = np.zeros(material.shape)
-        for i, layers in enumerate(self._layers):
+        for i, layers in enumerate(self._shell_materials):
             material[i, : len(layers)] = [names.index(m) for m in layers]
             thickness[i, : len(layers) - 1] = self.relative_coating_thickness
-            if self._wetness.film:
-                thickness[i, 0] = self._wetness.film
+            if self._water.relative_film_thickness:
+                thickness[i, 0] = self._water.relative_film_thickness
         facetness = statistics.truncated_normal(
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
         return Grains(
             attenuation=1.0 / mean_leg_m(self),
-            share=np.cumsum(self.composition.volume_fractions),
+            type_cdf=np.cumsum(self.composition.volume_fractions),
             types=Types(
-                shells=np.array([len(layers) for layers in self._layers], dtype=np.int64),
+                n_shells=np.array([len(layers) for layers in self._shell_materials], dtype=np.int64),
                 material=material,
-                thickness=thickness,
-                curvature=2.0 * self.sizes.struck_inverse_sizes()[np.newaxis],
+                coating_thickness=thickness,
+                curvature=2.0 * self.size_distribution.tabulate_struck_inverse_sizes()[np.newaxis],
                 sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
                 facetness=facetness[np.newaxis],
             ),
         )
 
-    def interfaces(self) -> list[Interface]:
+    def list_interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet at surfaces of particles and of the slab."""
-        names = self.materials()
+        names = self.list_materials()
         found: list[Interface] = []
-        for layers, share in zip(self._layers, self.composition.volume_fractions, strict=True):
+        for layers, share in zip(self._shell_materials, self.composition.volume_fractions, strict=True):
             rows = [names.index(m) for m in layers]
-            found += self.fluids.interfaces(rows[0], share)
+            found += self.pore_fluids.list_grain_interfaces(rows[0], share)
             found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
-        return found + self.fluids.faces(self.readings.rules().boundary_fresnel)
+        return found + self.pore_fluids.list_boundary_interfaces(self.interpretation.to_sampling_rules().boundary_fresnel)
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        mix = MIXING[self.readings.mixing]
-        index = np.ones((wavelength_nm.size, len(self.materials())), dtype=complex)
-        self.fluids.fill(index, self.refractive_index, wavelength_nm)
+        mix = MIXING[self.interpretation.mixing]
+        index = np.ones((wavelength_nm.size, len(self.list_materials())), dtype=complex)
+        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
         # A leg that is water for a part of its length absorbs by that part.
-        index[:, WET_PORE].imag *= self._wetness.filled
+        index[:, WET_PORE].imag *= self._water.filled_fraction
         known: dict[str, np.ndarray] = {}
 
         def pure(mineral: str) -> np.ndarray:
@@ -279,11 +279,11 @@ class Sand(ByContent):
                 known[mineral] = self.refractive_index[mineral](wavelength_nm)
             return known[mineral]
 
-        if self._wetness.film:
-            index[:, self.materials().index(FILM)] = pure(WATER)
-        for particle in self.composition.types:
-            for name in particle.materials:
-                row = self.materials().index(name)
+        if self._water.relative_film_thickness:
+            index[:, self.list_materials().index(FILM)] = pure(WATER)
+        for particle in self.composition.particle_types:
+            for name in particle.shell_materials:
+                row = self.list_materials().index(name)
                 matrix, _, oxide = name.partition(" with ")
                 index[:, row] = pure(matrix)
                 if oxide:
@@ -293,12 +293,12 @@ class Sand(ByContent):
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
         return described(self) | {
-            "particle_types": ", ".join(t.name for t in self.composition.types),
+            "particle_types": ", ".join(t.name for t in self.composition.particle_types),
             "particle_volume_fractions": self.composition.volume_fractions,
             "particle_density_kg_m3": self.density_kg_m3,
             "coating_volume_fraction": self.composition.coating_fraction,
             "mean_grain_distance_m": self.mean_grain_distance_m,
-            "wet_share": self.wet_share,
-            "film_thickness_per_major_axis": self._wetness.film,
+            "wet_share": self.wet_fraction,
+            "film_thickness_per_major_axis": self._water.relative_film_thickness,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }

@@ -106,7 +106,7 @@ class Snow(ByContent):
     temperature_c: float = -1.0
     depth_m: float = 0.12
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    readings: Readings = field(default_factory=Readings)
+    interpretation: Readings = field(default_factory=Readings)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
     impurities_ng_g: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -125,7 +125,7 @@ class Snow(ByContent):
             temperature_c: float = ...,
             depth_m: float = ...,
             refractive_index: Mapping[str, Any] = ...,
-            readings: Readings | str | Mapping[str, Any] = ...,
+            interpretation: Readings | str | Mapping[str, Any] = ...,
             ground: Any = ...,
             pores: Mapping[str, float] = ...,
             impurities_ng_g: Mapping[str, Any] = ...,
@@ -168,9 +168,9 @@ class Snow(ByContent):
         hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
         key, density = "density_kg_m3", self.density_kg_m3
         put(key, in_range(key, density, THINNEST_KG_M3, ice, "kg/m3", hint=hint, open_high=True))
-        put("ground", Ground.of(self.ground))
+        put("ground", Ground.from_input(self.ground))
         put("depth_m", sample_depth(self.depth_m))
-        put("readings", Readings.of(self.readings))
+        put("readings", Readings.from_input(self.interpretation))
         given = self.refractive_index
         put("pores", other_pores(self.pores, self.saturation, given, ("ice",)))
         put("refractive_index", indices_of(("ice", "water"), given, self.pores))
@@ -179,22 +179,22 @@ class Snow(ByContent):
         _ = self._impurities
 
     @cached_property
-    def _diameters_m(self) -> tuple[float, float]:
-        scale = 1e-6 if self.readings.size_is == "diameter" else 2e-6
+    def _diameter_limits_m(self) -> tuple[float, float]:
+        scale = 1e-6 if self.interpretation.size_is == "diameter" else 2e-6
         return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
 
     @cached_property
     def _impurities(self) -> tuple[Impurity, ...]:
         return impurities_of(self.impurities_ng_g, self.algae_cells_ml)
 
-    def _content(self) -> tuple[Hashable, ...]:
+    def _comparison_key(self) -> tuple[Hashable, ...]:
         # A table is what it holds, and not the path that it was read from.
         return (*super()._content(), frozenset(self._impurities))
 
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain (m)."""
-        return self._diameters_m[1]
+        return self._diameter_limits_m[1]
 
     @property
     def porosity(self) -> float:
@@ -210,7 +210,7 @@ class Snow(ByContent):
     @cached_property
     def attenuation_per_m(self) -> float:
         """K = K1 K2, cross-section per volume of ice (1/m), SPLITSnow Eq A.5."""
-        return statistics.size_attenuation(*self._diameters_m) * statistics.shape_attenuation(
+        return statistics.size_attenuation(*self._diameter_limits_m) * statistics.shape_attenuation(
             *self.sphericity
         )
 
@@ -235,66 +235,66 @@ class Snow(ByContent):
         return self.saturation * self.porosity
 
     @property
-    def wet_share(self) -> float:
+    def wet_fraction(self) -> float:
         """Probability that a leg through pores runs in water."""
         return self.saturation
 
-    def grains(self) -> Grains:
+    def make_grain_population(self) -> Grains:
         """Return the table of particle types: one, of ice."""
-        sizes = statistics.struck_inverse_sizes(*self._diameters_m, self.readings.struck_size)
+        sizes = statistics.struck_inverse_sizes(*self._diameter_limits_m, self.interpretation.struck_size)
         return Grains(
             attenuation=1.0 / mean_leg_m(self),
-            share=np.ones(1),
+            type_cdf=np.ones(1),
             types=Types(
-                shells=np.ones(1, dtype=np.int64),
-                material=np.array([[self._ice]], dtype=np.int64),
-                thickness=np.zeros((1, 1)),
+                n_shells=np.ones(1, dtype=np.int64),
+                material=np.array([[self._ice_column]], dtype=np.int64),
+                coating_thickness=np.zeros((1, 1)),
                 curvature=2.0 * sizes[np.newaxis],
                 sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
                 facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
             ),
         )
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials in the rows of index arrays."""
-        return (*self.fluids.names, "ice")
+        return (*self.pore_fluids.names, "ice")
 
     @cached_property
-    def fluids(self) -> Pores:
+    def pore_fluids(self) -> Pores:
         """What fills the pores."""
-        return Pores.of(self.saturation, self.pores)
+        return Pores.from_saturation(self.saturation, self.pores)
 
     @property
-    def _ice(self) -> int:
+    def _ice_column(self) -> int:
         """Row of ice in index arrays."""
-        return len(self.fluids.names)
+        return len(self.pore_fluids.names)
 
-    def interfaces(self) -> list[Interface]:
+    def list_interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet at surfaces of grains and of the slab."""
-        fresnel = self.readings.rules().boundary_fresnel
-        return self.fluids.interfaces(self._ice) + self.fluids.faces(fresnel)
+        fresnel = self.interpretation.to_sampling_rules().boundary_fresnel
+        return self.pore_fluids.list_grain_interfaces(self._ice_column) + self.pore_fluids.list_boundary_interfaces(fresnel)
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials); 1 if absent."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        index = np.ones((wavelength_nm.size, self._ice + 1), dtype=complex)
-        self.fluids.fill(index, self.refractive_index, wavelength_nm)
-        index[:, self._ice] = self.refractive_index["ice"](wavelength_nm)
+        index = np.ones((wavelength_nm.size, self._ice_column + 1), dtype=complex)
+        self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
+        index[:, self._ice_column] = self.refractive_index["ice"](wavelength_nm)
         return index
 
-    def added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        added = np.zeros((wavelength_nm.size, self._ice + 1))
-        per_ice = sum(one.per_ice(wavelength_nm) for one in self._impurities)
+        added = np.zeros((wavelength_nm.size, self._ice_column + 1))
+        per_ice = sum(one.compute_absorption_per_kg_ice(wavelength_nm) for one in self._impurities)
         if self.impurities_in == "ice":
-            added[:, self._ice] = ice_density(self.temperature_c) * per_ice
+            added[:, self._ice_column] = ice_density(self.temperature_c) * per_ice
         else:
             # Per length of leg: what leaves as much of the impurity along a ray as there is per
             # mass of ice, of which a ray crosses 1/K (Eq A.5) for every leg.
             ice_per_leg = 1.0 / (self.attenuation_per_m * mean_leg_m(self))
             density = ice_density(self.temperature_c) * ice_per_leg
-            added[:, : self._ice] = np.reshape(density * per_ice, (-1, 1))
+            added[:, : self._ice_column] = np.reshape(density * per_ice, (-1, 1))
         return added
 
     def describe(self) -> dict[str, Any]:

@@ -41,38 +41,38 @@ class LogNormal:
         Of the natural logarithm of the size in m: a_g and b_g of Eq 19.
     """
 
-    low: float
-    high: float
-    mass: float
-    mean: float
-    sd: float
+    min_size_m: float
+    max_size_m: float
+    mass_fraction: float
+    log_mean: float
+    log_sd: float
 
-    def _shape(self, x: np.ndarray, power: float = 0.0) -> np.ndarray:
+    def _relative_density(self, x: np.ndarray, power: float = 0.0) -> np.ndarray:
         """Return s^power times the density of x = ln s, up to a factor."""
-        score = (x - self.mean) / self.sd
-        return np.exp(-0.5 * score**2 + power * (x - np.log(self.low)))
+        score = (x - self.log_mean) / self.log_sd
+        return np.exp(-0.5 * score**2 + power * (x - np.log(self.min_size_m)))
 
     @property
-    def inverse_mean(self) -> float:
+    def mean_inverse_size_per_m(self) -> float:
         """Mean of 1/s by mass (1/m): the quotient of integrals in Eq 23."""
         return _inverse_mean(self)
 
-    def struck_size(self, probability: np.ndarray) -> np.ndarray:
+    def compute_struck_sizes(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
-        low, high = float(np.log(self.low)), float(np.log(self.high))
+        low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
         return np.exp(
-            integral_and_quantiles(lambda x: self._shape(x, -1.0), low, high, probability)[1]
+            integral_and_quantiles(lambda x: self._relative_density(x, -1.0), low, high, probability)[1]
         )
 
 
 @lru_cache(maxsize=1024)
-def _inverse_mean(sizes: LogNormal) -> float:
+def _inverse_mean(distribution: LogNormal) -> float:
     """Return `LogNormal.inverse_mean`; fits ask for the same soils again and again."""
     # Not in closed form: its error functions cancel when a separate's limits lie close
     # together in probability, while this integrand is always smooth.
-    low, high = float(np.log(sizes.low)), float(np.log(sizes.high))
-    weighted, _ = integral_and_quantiles(lambda x: sizes._shape(x, -1.0), low, high)
-    return weighted / integral_and_quantiles(sizes._shape, low, high)[0] / sizes.low
+    low, high = float(np.log(distribution.min_size_m)), float(np.log(distribution.max_size_m))
+    weighted, _ = integral_and_quantiles(lambda x: distribution._relative_density(x, -1.0), low, high)
+    return weighted / integral_and_quantiles(distribution._relative_density, low, high)[0] / distribution.min_size_m
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,16 @@ class SoilSizes:
     separates: tuple[LogNormal, ...]
 
     @property
-    def largest(self) -> float:
+    def largest_m(self) -> float:
         """Largest major axis (m)."""
-        return max(s.high for s in self.separates)
+        return max(s.max_size_m for s in self.separates)
 
     @property
-    def attenuation(self) -> float:
+    def size_attenuation_per_m(self) -> float:
         """Mean of 1/s by volume (1/m): K1 of Eq 23 without v_j."""
-        return sum(s.mass * s.inverse_mean for s in self.separates)
+        return sum(s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates)
 
-    def struck_inverse_sizes(self) -> np.ndarray:
+    def tabulate_struck_inverse_sizes(self) -> np.ndarray:
         """Return the quantile function of 1/s of struck particles, shape (TABLE_POINTS,).
 
         Between the outermost quantiles of two separates the table is linear, as within one: where
@@ -101,20 +101,20 @@ class SoilSizes:
 
 
 @lru_cache(maxsize=64)
-def _struck_inverse_sizes(sizes: SoilSizes) -> np.ndarray:
+def _struck_inverse_sizes(distribution: SoilSizes) -> np.ndarray:
     u = table_probabilities(TABLE_POINTS)
-    weights = np.array([s.mass * s.inverse_mean for s in sizes.separates])[::-1]
+    weights = np.array([s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates])[::-1]
     edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
     edges[-1] = 1.0
     inverse = np.empty(u.shape)
-    for i, separate in enumerate(reversed(sizes.separates)):
+    for i, separate in enumerate(reversed(distribution.separates)):
         inside = (u >= edges[i]) & (u <= edges[i + 1])
         part = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
-        inverse[inside] = 1.0 / separate.struck_size(1.0 - part)
+        inverse[inside] = 1.0 / separate.compute_struck_sizes(1.0 - part)
     return inverse
 
 
-def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -> SoilSizes:
+def soil_sizes(texture: object, tail_mass: float = 1e-4, size_model: str = "separates") -> SoilSizes:
     """Return the particle sizes of a sand of given texture.
 
     Parameters
@@ -141,11 +141,11 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
         raise refuse(
             "texture", texture, f"silt + 1.5 clay at most {FINES_LIMIT:g}", "more is no sand"
         )
-    tail = in_range("size_tail", tail, 1e-6, 0.01)
-    cumulative = np.clip([tail, clay, clay + silt, 1.0 - tail], tail, 1.0 - tail)
+    tail_mass = in_range("size_tail", tail_mass, 1e-6, 0.01)
+    cumulative = np.clip([tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass)
     score = [NormalDist().inv_cdf(c) for c in cumulative]
     x = np.log(LIMITS_M)
-    if pieces == "single":
+    if size_model == "single":
         return SoilSizes((_single((clay, silt, sand)),))
     separates = []
     for i, mass in enumerate((clay, silt, sand)):
@@ -153,9 +153,9 @@ def soil_sizes(texture: object, tail: float = 1e-4, pieces: str = "separates") -
             sd = (x[i + 1] - x[i]) / (score[i + 1] - score[i])
             mean = x[i] - sd * score[i]
             separates.append(LogNormal(LIMITS_M[i], LIMITS_M[i + 1], mass, float(mean), float(sd)))
-    total = sum(s.mass for s in separates)
+    total = sum(s.mass_fraction for s in separates)
     return SoilSizes(
-        tuple(LogNormal(s.low, s.high, s.mass / total, s.mean, s.sd) for s in separates)
+        tuple(LogNormal(s.min_size_m, s.max_size_m, s.mass_fraction / total, s.log_mean, s.log_sd) for s in separates)
     )
 
 

@@ -64,7 +64,7 @@ class Stack:
 
     layers: tuple[GranularMedium | Layer, ...]
     ground: Any = None
-    readings: str | None = None
+    interpretation: str | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.layers, str | GranularMedium | Layer) or not isinstance(
@@ -90,37 +90,37 @@ class Stack:
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
-        if self.readings is not None:
-            layers = tuple(self._read_anew(layer) for layer in layers)
+        if self.interpretation is not None:
+            layers = tuple(self._apply_interpretation(layer) for layer in layers)
         grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
         for number, layer in grains:
             top, first = grains[0]
-            if layer.readings.transport() != first.readings.transport():
+            if layer.interpretation.to_transport_dict() != first.interpretation.to_transport_dict():
                 raise refuse(
-                    f"layers[{number}].readings", layer.readings.as_dict(),
-                    f"those of layers[{top}], {first.readings.as_dict()}",
+                    f"layers[{number}].readings", layer.interpretation.as_dict(),
+                    f"those of layers[{top}], {first.interpretation.as_dict()}",
                     "one set holds for all: Stack(..., readings='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
-        object.__setattr__(self, "ground", Ground.of(self.ground))
+        object.__setattr__(self, "ground", Ground.from_input(self.ground))
 
     def __repr__(self) -> str:
         """Return the stack, a layer to a line, as it was given."""
-        inputs = {"ground": self.ground, "readings": self.readings}
+        inputs = {"ground": self.ground, "readings": self.interpretation}
         ends = [f", {key}={word(value)}" for key, value in inputs.items() if value is not None]
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(ends)})"]
         return "\n".join(lines)
 
-    def _read_anew(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
+    def _apply_interpretation(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
         """Return a layer with the stack's readings."""
         if isinstance(layer, Layer):
             return layer
-        own: Any = layer.readings
-        chosen = SETS[one_of("readings", self.readings, SETS)]
-        return replace(cast(Any, layer), readings=type(own).of({**own.as_dict(), **chosen}))
+        own: Any = layer.interpretation
+        chosen = SETS[one_of("readings", self.interpretation, SETS)]
+        return replace(cast(Any, layer), readings=type(own).from_input({**own.as_dict(), **chosen}))
 
     @cached_property
-    def parts(self) -> tuple[GranularMedium | ParticleLayer, ...]:
+    def scene_layers(self) -> tuple[GranularMedium | ParticleLayer, ...]:
         """The layers as scenes take them."""
         return tuple(
             ParticleLayer(layer, number == 0) if isinstance(layer, Layer) else layer
@@ -130,62 +130,62 @@ class Stack:
     @property
     def depth_m(self) -> float:
         """Thickness of all layers together (m)."""
-        return float(np.cumsum([part.depth_m for part in self.parts])[-1])
+        return float(np.cumsum([part.depth_m for part in self.scene_layers])[-1])
 
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain of all layers (m)."""
-        return max(part.largest_grain_m for part in self.parts)
+        return max(part.largest_grain_m for part in self.scene_layers)
 
-    def materials(self) -> tuple[str, ...]:
+    def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials, layer by layer."""
         return tuple(
             f"layers.{number}.{name}"
-            for number, layer in enumerate(self.parts)
-            for name in layer.materials()
+            for number, layer in enumerate(self.scene_layers)
+            for name in layer.list_materials()
         )
 
-    def interfaces(self) -> list[Interface]:
+    def list_interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet within each layer, and at faces of particles'."""
         found = []
-        first = np.cumsum([0, *(len(part.materials()) for part in self.parts)]).tolist()
-        for number, layer in enumerate(self.parts):
+        first = np.cumsum([0, *(len(part.list_materials()) for part in self.scene_layers)]).tolist()
+        for number, layer in enumerate(self.scene_layers):
             found += [
-                Interface(i.share, i.near + first[number], i.far + first[number], i.place, number)
-                for i in layer.interfaces()
+                Interface(i.fraction, i.outer_material + first[number], i.inner_material + first[number], i.location, number)
+                for i in layer.list_interfaces()
             ]
-        for upper, lower in pairwise(range(len(self.parts))):
+        for upper, lower in pairwise(range(len(self.scene_layers))):
             for one, other in ((upper, lower), (lower, upper)):
-                found += self._between(one, other, first)
+                found += self._list_boundary_interfaces(one, other, first)
         return found
 
-    def _between(self, one: int, other: int, first: list[int]) -> list[Interface]:
+    def _list_boundary_interfaces(self, number: int, neighbour_number: int, first_columns: list[int]) -> list[Interface]:
         """Return what the pores of one layer of grains have in common with its neighbour."""
-        grains, neighbour = self.parts[one], self.parts[other]
+        grains, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
         if isinstance(grains, ParticleLayer):
             return []
-        shares = Pores.of(grains.wet_share, grains.pores).shares
+        shares = Pores.from_saturation(grains.wet_fraction, grains.pores).fractions
         matrix = isinstance(neighbour, ParticleLayer)
-        if not matrix and not grains.readings.rules().boundary_fresnel:
+        if not matrix and not grains.interpretation.to_sampling_rules().boundary_fresnel:
             return []
         # Air and water of two layers of grains may have tables of their own.
         rows = [
             (r, WET_PORE if matrix else r) for r in range(len(shares)) if matrix or r <= WET_PORE
         ]
         return [
-            Interface(shares[row], first[other] + beyond, first[one] + row, "face", one)
+            Interface(shares[row], first_columns[neighbour_number] + beyond, first_columns[number] + row, "face", number)
             for row, beyond in rows
             if shares[row] > 0.0
         ]
 
-    def indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        return np.concatenate([layer.indices(wavelength_nm) for layer in self.parts], axis=1)
+        return np.concatenate([layer.compute_refractive_indices(wavelength_nm) for layer in self.scene_layers], axis=1)
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities of all layers, for a dataset's attributes."""
         facts: dict[str, Any] = {"depth_m": self.depth_m}
-        for number, layer in enumerate(self.parts):
+        for number, layer in enumerate(self.scene_layers):
             facts[f"layers_{number}_kind"] = self.layers[number].kind
             described = layer.describe()
             described.pop("ground", None)

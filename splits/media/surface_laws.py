@@ -34,10 +34,10 @@ class Law(NamedTuple):
         Of heights at a distance, without a limit.
     """
 
-    code: int
-    share: Callable[[float], float]
+    kernel_code: int
+    cdf: Callable[[float], float]
     density: Callable[[np.ndarray], np.ndarray]
-    square: Callable[[float], float]
+    mean_square: Callable[[float], float]
     correlation: Callable[[np.ndarray], np.ndarray]
 
 
@@ -93,24 +93,24 @@ LAWS = {
 CORRELATIONS = (*LAWS, "spectrum")
 
 
-def quantiles_of(k: np.ndarray, density: np.ndarray) -> np.ndarray:
+def quantiles_of(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
     """Return the quantile function of the density p(λ) λ, p linear between its points."""
-    slope = np.diff(density) / np.diff(k)
+    slope = np.diff(density) / np.diff(wave_number)
 
     def mass(cell: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """∫ p λ dλ from the beginning of a cell, exact: p(λ) λ is a parabola."""
-        step = upper - k[cell]
-        p, a = density[cell], k[cell]
+        step = upper - wave_number[cell]
+        p, a = density[cell], wave_number[cell]
         return step * (p * a + step * (0.5 * (p + slope[cell] * a) + step * slope[cell] / 3.0))
 
-    cells = np.arange(k.size - 1)
-    cumulative = np.concatenate([[0.0], np.cumsum(mass(cells, k[1:]))])
+    cells = np.arange(wave_number.size - 1)
+    cumulative = np.concatenate([[0.0], np.cumsum(mass(cells, wave_number[1:]))])
     wanted = table_probabilities(QUANTILES) * cumulative[-1]
     # Cells without mass hold no quantile but those at the very ends.
-    cell = np.clip(np.searchsorted(cumulative, wanted, side="left") - 1, 0, k.size - 2)
+    cell = np.clip(np.searchsorted(cumulative, wanted, side="left") - 1, 0, wave_number.size - 2)
     first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
     cell = np.maximum(cell, first)
-    low, high = k[cell], k[cell + 1]
+    low, high = wave_number[cell], wave_number[cell + 1]
     for _ in range(60):
         middle = 0.5 * (low + high)
         below = cumulative[cell] + mass(cell, middle) < wanted
@@ -130,18 +130,18 @@ def mean_of_cells(
     return float((weight * function(np.interp(x, where, table))).sum())
 
 
-def sum_of_cells(table: np.ndarray, r: float) -> float:
+def sum_of_cells(table: np.ndarray, distance: float) -> float:
     """Return the mean of J0(λ r), in pieces of less than a period."""
     widest = float(np.diff(table).max())
     j0 = _special().j0
-    return mean_of_cells(table, lambda k: j0(k * r), 1 + int(widest * r / math.pi))
+    return mean_of_cells(table, lambda k: j0(k * distance), 1 + int(widest * distance / math.pi))
 
 
-def integral(density: Callable[[np.ndarray], np.ndarray], limit: float, r: float) -> float:
+def integral(density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float) -> float:
     """Return ∫ J0(λr) density dλ from 0 to the limit, in pieces of less than a period."""
     octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
-    edges = [np.array([0.0]), octaves, np.arange(0.0, limit, 2.0 * math.pi / max(r, 1e-300))[1:]]
+    edges = [np.array([0.0]), octaves, np.arange(0.0, limit, 2.0 * math.pi / max(distance, 1e-300))[1:]]
     edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
     half = 0.5 * np.diff(edge)[:, None]
     k = edge[:-1, None] + half * (1.0 + _NODES)
-    return float((half * _WEIGHTS * _special().j0(k * r) * density(k)).sum())
+    return float((half * _WEIGHTS * _special().j0(k * distance) * density(k)).sum())

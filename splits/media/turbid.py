@@ -20,7 +20,7 @@ class TurbidMedium(Described, Protocol):
         ...
 
     @property
-    def phase(self) -> Phase:
+    def kernel_phase_function(self) -> Phase:
         """Phase function."""
         ...
 
@@ -29,11 +29,11 @@ class TurbidMedium(Described, Protocol):
         """Whether the Stokes vector is followed."""
         ...
 
-    def turbid(self, analog: bool) -> Turbid:
+    def make_scattering_layer(self, analog: bool) -> Turbid:
         """Return the layer; with absorption by coin toss if it is `analog`."""
         ...
 
-    def fields(self) -> Fields | None:
+    def make_height_fields(self) -> Fields | None:
         """Return the rough surface, None where it is smooth."""
         ...
 

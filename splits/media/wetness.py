@@ -36,12 +36,12 @@ class Wetness(NamedTuple):
         Thickness of a film on every grain per major axis.
     """
 
-    share: float
-    filled: float
-    film: float
+    wet_fraction: float
+    filled_fraction: float
+    relative_film_thickness: float
 
 
-def wetness(saturation: float, porosity: float, sphericity: float, reading: str) -> Wetness:
+def wetness(saturation: float, porosity: float, sphericity: float, water_model: str) -> Wetness:
     """Return where the water of a sand is.
 
     Parameters
@@ -55,10 +55,10 @@ def wetness(saturation: float, porosity: float, sphericity: float, reading: str)
         Of legs drawn by volume; of all legs shorter than some length; on the grains up to
         `THICKEST`, and the rest in whole pores.
     """
-    if reading == "narrow_pores" and saturation > 0.0:
+    if water_model == "narrow_pores" and saturation > 0.0:
         share = narrowest(saturation)
         return Wetness(share, saturation / share, 0.0)
-    if reading == "film":
+    if water_model == "film":
         # Thin: its volume is surface times thickness.
         per_thickness = float(surface_to_volume(sphericity)) * (1.0 - porosity) / porosity
         film = min(saturation / per_thickness, THICKEST)

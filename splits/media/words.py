@@ -20,11 +20,11 @@ def call(name: str, inputs: Mapping[str, Any]) -> str:
     return f"{name}({', '.join(f'{key}={word(value)}' for key, value in inputs.items())})"
 
 
-def unusual(medium: Any, usual: Any) -> dict[str, Any]:
+def unusual(medium: Any, reference: Any) -> dict[str, Any]:
     """Return the fields of a dataclass in which it differs from another of its kind, by name."""
     found = {}
     for name in (field.name for field in fields(medium)):
-        value, other = getattr(medium, name), getattr(usual, name)
+        value, other = getattr(medium, name), getattr(reference, name)
         if word(value) == word(other):
             continue
         if isinstance(value, Mapping) and isinstance(other, Mapping):

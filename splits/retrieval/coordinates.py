@@ -26,7 +26,7 @@ class Widest(NamedTuple):
 
     low: float
     high: float
-    law: str
+    transform: str
 
 
 class Free(NamedTuple):
@@ -46,12 +46,12 @@ class Free(NamedTuple):
     names: tuple[str, ...]
     low: np.ndarray
     high: np.ndarray
-    laws: tuple[str, ...]
+    transforms: tuple[str, ...]
     prior_mean: np.ndarray
     prior_sd: np.ndarray
 
     @classmethod
-    def of(cls, ranges: Any, prior: Any, known: Mapping[str, Widest]) -> Free:
+    def from_ranges(cls, ranges: Any, prior: Any, allowed_ranges: Mapping[str, Widest]) -> Free:
         """Return what a user leaves free, or refuse it.
 
         Parameters
@@ -69,10 +69,10 @@ class Free(NamedTuple):
             For a name that is not known, a range that is none or not within the widest, or a
             prior of what is not free.
         """
-        given = _ranges(ranges, known)
+        given = _ranges(ranges, allowed_ranges)
         names = tuple(given)
         low, high = np.array([given[name] for name in names]).T
-        laws = tuple(known[name].law for name in names)
+        laws = tuple(allowed_ranges[name].transform for name in names)
         plain = cls(names, low, high, laws, np.full(len(names), 0.5), np.full(len(names), np.inf))
         if prior is None:
             return plain
@@ -83,21 +83,21 @@ class Free(NamedTuple):
             if name not in names:
                 raise unknown_key(f"prior.{name}", names)
             i = names.index(name)
-            mean[i], sd[i] = plain._prior(i, pair)
+            mean[i], sd[i] = plain._to_coordinate_prior(i, pair)
         return plain._replace(prior_mean=mean, prior_sd=sd)
 
-    def _prior(self, i: int, pair: Any) -> tuple[float, float]:
+    def _to_coordinate_prior(self, index: int, pair: Any) -> tuple[float, float]:
         """Return mean and standard deviation of a prior in its coordinate, or refuse it."""
-        key = f"prior.{self.names[i]}"
+        key = f"prior.{self.names[index]}"
         mean, sd = numbers(key, pair, ("mean", "standard deviation"))
         if not sd > 0.0:
             raise refuse(key, pair, "a standard deviation above 0")
-        low, high = self.low[i], self.high[i]
+        low, high = self.low[index], self.high[index]
         mean = float(snap_to_ends(mean, low, high))
         if not low <= mean <= high:
             raise refuse(key, pair, f"a mean in the range {low:g} to {high:g}")
         ends = [np.clip(mean + sign * sd, low, high) for sign in (-1.0, 1.0)]
-        below, middle, above = self.coordinates_of(i, np.array([ends[0], mean, ends[1]])).tolist()
+        below, middle, above = self.to_coordinate(index, np.array([ends[0], mean, ends[1]])).tolist()
         # Where the range cuts one side off, the other one tells.
         cut = [ends[0] > mean - sd, ends[1] < mean + sd]
         sides = [d for d, off in zip((middle - below, above - middle), cut, strict=True) if not off]
@@ -106,59 +106,59 @@ class Free(NamedTuple):
             raise refuse(key, pair, allowed, "leave it out: it says less than the range does")
         return middle, float(np.mean(sides))
 
-    def flat(self) -> Free:
+    def drop_priors(self) -> Free:
         """Return the same without priors."""
         return self._replace(prior_sd=np.full(len(self.names), np.inf))
 
-    def coordinates(self, values: np.ndarray) -> np.ndarray:
+    def to_coordinates(self, values: np.ndarray) -> np.ndarray:
         """Return coordinates of values, shape (..., parameters)."""
-        found = [self.coordinates_of(i, values[..., i]) for i in range(len(self.names))]
+        found = [self.to_coordinate(i, values[..., i]) for i in range(len(self.names))]
         return np.stack(found, axis=-1)
 
-    def coordinates_of(self, i: int, values: np.ndarray) -> np.ndarray:
+    def to_coordinate(self, index: int, values: np.ndarray) -> np.ndarray:
         """Return coordinates of values of one parameter."""
-        first, last = law(self.laws[i], np.array([self.low[i], self.high[i]]))
-        row: np.ndarray = (law(self.laws[i], values) - first) / (last - first)
+        first, last = law(self.transforms[index], np.array([self.low[index], self.high[index]]))
+        row: np.ndarray = (law(self.transforms[index], values) - first) / (last - first)
         return row
 
-    def at(self, coordinates: np.ndarray) -> np.ndarray:
+    def to_physical(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the values of coordinates, shape (..., parameters)."""
         found = np.empty(np.shape(coordinates))
-        for i, kind in enumerate(self.laws):
+        for i, kind in enumerate(self.transforms):
             first, last = law(kind, np.array([self.low[i], self.high[i]]))
             found[..., i] = _values(kind, first + coordinates[..., i] * (last - first))
         return np.clip(found, self.low, self.high)
 
     @property
-    def precision(self) -> np.ndarray:
+    def prior_precision(self) -> np.ndarray:
         """Precision of the priors, 0 without one."""
         return 1.0 / self.prior_sd**2
 
     @property
     def prior_variance(self) -> np.ndarray:
         """Variance of what was known before: of the prior, or of the range."""
-        return 1.0 / np.maximum(self.precision, 1.0 / FLAT_VARIANCE)
+        return 1.0 / np.maximum(self.prior_precision, 1.0 / FLAT_VARIANCE)
 
 
-def _values(kind: str, at: np.ndarray) -> np.ndarray:
+def _values(transform: str, transformed: np.ndarray) -> np.ndarray:
     """Return the values that a law has made these of, see `splits.lookup.interpolation.law`."""
-    if kind == "cosine":
-        return np.degrees(np.arccos(np.clip(-at, -1.0, 1.0)))
-    if kind == "logarithm":
-        return np.exp(at)
-    return np.square(at) if kind == "root" else np.asarray(at, dtype=float)
+    if transform == "cosine":
+        return np.degrees(np.arccos(np.clip(-transformed, -1.0, 1.0)))
+    if transform == "logarithm":
+        return np.exp(transformed)
+    return np.square(transformed) if transform == "root" else np.asarray(transformed, dtype=float)
 
 
-def _ranges(given: Any, known: Mapping[str, Widest]) -> dict[str, tuple[float, float]]:
+def _ranges(free: Any, allowed_ranges: Mapping[str, Widest]) -> dict[str, tuple[float, float]]:
     """Return (low, high) by name, or refuse them."""
-    if isinstance(given, str) or not isinstance(given, Mapping | Sequence) or not len(given):
-        raise refuse("free", given, "names of parameters, or their (low, high) by name")
+    if isinstance(free, str) or not isinstance(free, Mapping | Sequence) or not len(free):
+        raise refuse("free", free, "names of parameters, or their (low, high) by name")
     found = {}
-    for name in given:
-        if name not in known:
-            raise unknown_key(f"free.{name}", known)
-        widest = known[name]
-        pair = given[name] if isinstance(given, Mapping) else (widest.low, widest.high)
+    for name in free:
+        if name not in allowed_ranges:
+            raise unknown_key(f"free.{name}", allowed_ranges)
+        widest = allowed_ranges[name]
+        pair = free[name] if isinstance(free, Mapping) else (widest.low, widest.high)
         ends = (widest.low, widest.high)
         low, high = numbers(f"free.{name}", pair, ("low", "high"), ends)
         if not widest.low <= low < high <= widest.high:

@@ -13,7 +13,7 @@ DRAWN = 4
 
 
 @entry
-def cubic(nodes, count, x, share, slope):
+def cubic(nodes, n_nodes, x, weights, derivative_weights):
     """Write the weights of the nodes around a place and their derivatives; return the first node.
 
     Parameters
@@ -25,11 +25,11 @@ def cubic(nodes, count, x, share, slope):
     share, slope : float64[4]
         Set; 0 beyond the nodes that are drawn from.
     """
-    drawn = min(DRAWN, count)
-    right = np.searchsorted(nodes[:count], x)
-    first = min(max(right - drawn // 2, 0), count - drawn)
-    share[:] = 0.0
-    slope[:] = 0.0
+    drawn = min(DRAWN, n_nodes)
+    right = np.searchsorted(nodes[:n_nodes], x)
+    first = min(max(right - drawn // 2, 0), n_nodes - drawn)
+    weights[:] = 0.0
+    derivative_weights[:] = 0.0
     for i in range(drawn):
         value, rise = 1.0, 0.0
         for j in range(drawn):
@@ -37,13 +37,13 @@ def cubic(nodes, count, x, share, slope):
                 scale = 1.0 / (nodes[first + i] - nodes[first + j])
                 rise = rise * (x - nodes[first + j]) * scale + value * scale
                 value *= (x - nodes[first + j]) * scale
-        share[i] = value
-        slope[i] = rise
+        weights[i] = value
+        derivative_weights[i] = rise
     return first
 
 
 @entry
-def read(table, nodes, counts, x, values, slopes):
+def read(node_values, axis_nodes, n_nodes, state, values, jacobian):
     """Read a table at a place: values, and slopes along all axes.
 
     Parameters
@@ -58,39 +58,39 @@ def read(table, nodes, counts, x, values, slopes):
     slopes : float64[columns, axes]
         Set, unless it has no columns.
     """
-    axes = len(counts)
+    axes = len(n_nodes)
     share, slope = np.empty((axes, DRAWN)), np.empty((axes, DRAWN))
     first = np.empty(axes, dtype=np.int64)
     cells = 1
     for a in range(axes):
-        first[a] = cubic(nodes[a], counts[a], x[a], share[a], slope[a])
-        cells *= min(DRAWN, counts[a])
+        first[a] = cubic(axis_nodes[a], n_nodes[a], state[a], share[a], slope[a])
+        cells *= min(DRAWN, n_nodes[a])
     values[:] = 0.0
-    slopes[:] = 0.0
-    wanted = len(slopes) > 0
+    jacobian[:] = 0.0
+    wanted = len(jacobian) > 0
     part = np.empty(axes)
     for cell in range(cells):
         rest, place, stride, weight = cell, 0, 1, 1.0
         part[:] = 1.0
         for a in range(axes - 1, -1, -1):
-            drawn = min(DRAWN, counts[a])
+            drawn = min(DRAWN, n_nodes[a])
             i = rest % drawn
             rest //= drawn
             place += (first[a] + i) * stride
-            stride *= counts[a]
+            stride *= n_nodes[a]
             weight *= share[a, i]
             for b in range(axes):
                 part[b] *= slope[a, i] if a == b else share[a, i]
         for column in range(len(values)):
-            value = table[place, column]
+            value = node_values[place, column]
             values[column] += weight * value
             if wanted:
                 for b in range(axes):
-                    slopes[column, b] += part[b] * value
+                    jacobian[column, b] += part[b] * value
 
 
 @entry
-def read_all(table, nodes, counts, places, values):
+def read_all(node_values, axis_nodes, n_nodes, states, values):
     """Read a table at many places.
 
     Parameters
@@ -101,6 +101,6 @@ def read_all(table, nodes, counts, places, values):
     values : float64[places, columns]
         Set.
     """
-    none = np.empty((0, len(counts)))
-    for row in range(len(places)):
-        read(table, nodes, counts, places[row], values[row], none)
+    none = np.empty((0, len(n_nodes)))
+    for row in range(len(states)):
+        read(node_values, axis_nodes, n_nodes, states[row], values[row], none)

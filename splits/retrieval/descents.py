@@ -29,13 +29,13 @@ class Grid(NamedTuple):
     counts : int64[axes]
     """
 
-    cells: np.ndarray
-    nodes: np.ndarray
-    counts: np.ndarray
+    node_values: np.ndarray
+    axis_nodes: np.ndarray
+    n_nodes: np.ndarray
 
 
 @entry
-def reduce_each(spectra, centre, project, white, y, rest):
+def reduce_each(spectra, mean_spectrum, projection, whitening, components, residual_chi2):
     """Set components of spectra, and the squares of what they leave, in units of noise.
 
     Parameters
@@ -48,114 +48,114 @@ def reduce_each(spectra, centre, project, white, y, rest):
     y : float64[measurements, components]
     rest : float64[measurements]
     """
-    many = len(centre)
+    many = len(mean_spectrum)
     off = np.empty(many)
     for row in range(len(spectra)):
         square = 0.0
         for i in range(many):
-            off[i] = spectra[row, i] - centre[i]
+            off[i] = spectra[row, i] - mean_spectrum[i]
             one = 0.0
             for j in range(i + 1):
-                one += white[i, j] * off[j]
+                one += whitening[i, j] * off[j]
             square += one * one
-        for component in range(len(project)):
+        for component in range(len(projection)):
             one = 0.0
             for i in range(many):
-                one += project[component, i] * off[i]
-            y[row, component] = one
+                one += projection[component, i] * off[i]
+            components[row, component] = one
             square -= one * one
-        rest[row] = max(square, 0.0)
+        residual_chi2[row] = max(square, 0.0)
 
 
 @entry
-def nearest(cells, nodes, counts, y, mean, precision, place):
+def nearest(node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state):
     """Set a place to the cell in the ranges that comes nearest to a measurement."""
-    axes = len(counts)
+    axes = len(n_nodes)
     least = np.inf
     at = np.empty(axes)
-    for cell in range(len(cells)):
+    for cell in range(len(node_values)):
         rest, inside, cost = cell, True, 0.0
         for a in range(axes - 1, -1, -1):
-            at[a] = nodes[a, rest % counts[a]]
-            rest //= counts[a]
+            at[a] = axis_nodes[a, rest % n_nodes[a]]
+            rest //= n_nodes[a]
             inside = inside and -1e-9 <= at[a] <= 1.0 + 1e-9
-            cost += precision[a] * (at[a] - mean[a]) ** 2
+            cost += prior_precision[a] * (at[a] - prior_mean[a]) ** 2
         if not inside:
             continue
-        for column in range(len(y)):
-            cost += (cells[cell, column] - y[column]) ** 2
+        for column in range(len(measurement)):
+            cost += (node_values[cell, column] - measurement[column]) ** 2
         if cost < least:
             least = cost
             for a in range(axes):
-                place[a] = min(max(at[a], 0.0), 1.0)
+                state[a] = min(max(at[a], 0.0), 1.0)
     if least == np.inf:
-        place[:] = 0.5
+        state[:] = 0.5
 
 
 @entry
-def around(grid, y, prior, place, values, slopes, gradient, curvature):
+def around(grid, measurement, prior, state, modelled, jacobian, gradient, hessian):
     """Return the sum of squares at a place; set half its gradient and half its curvature."""
     mean, precision = prior
-    read(grid.cells, grid.nodes, grid.counts, place, values, slopes)
-    axes = len(place)
+    read(grid.node_values, grid.axis_nodes, grid.n_nodes, state, modelled, jacobian)
+    axes = len(state)
     cost = 0.0
     gradient[:] = 0.0
-    curvature[:] = 0.0
+    hessian[:] = 0.0
     for a in range(axes):
-        off = place[a] - mean[a]
+        off = state[a] - mean[a]
         cost += precision[a] * off * off
         gradient[a] = precision[a] * off
-        curvature[a, a] = precision[a]
-    for column in range(len(y)):
-        off = values[column] - y[column]
+        hessian[a, a] = precision[a]
+    for column in range(len(measurement)):
+        off = modelled[column] - measurement[column]
         cost += off * off
         for a in range(axes):
-            gradient[a] += slopes[column, a] * off
+            gradient[a] += jacobian[column, a] * off
             for b in range(a + 1):
-                curvature[a, b] += slopes[column, a] * slopes[column, b]
+                hessian[a, b] += jacobian[column, a] * jacobian[column, b]
     for a in range(axes):
         for b in range(a):
-            curvature[b, a] = curvature[a, b]
+            hessian[b, a] = hessian[a, b]
     return cost
 
 
 @entry
-def step_of(place, gradient, curvature, damping, target):
+def step_of(state, gradient, hessian, damping, new_state):
     """Set the target of a damped step within the ranges; coordinates held at an end stay."""
-    axes = len(place)
+    axes = len(state)
     held = np.zeros(axes, dtype=np.bool_)
     # Of all together: where a root begins, light has no slope, and nothing of its own to be damped.
     least = 0.0
     for a in range(axes):
-        least += damping * curvature[a, a] / axes
+        least += damping * hessian[a, a] / axes
     for _ in range(axes):
         matrix = np.empty((axes, axes))
         right = np.empty(axes)
         for a in range(axes):
-            at_low, at_high = place[a] <= 0.0, place[a] >= 1.0
+            at_low, at_high = state[a] <= 0.0, state[a] >= 1.0
             out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
             held[a] = held[a] or out
             right[a] = 0.0 if held[a] else -gradient[a]
         for a in range(axes):
             for b in range(axes):
-                matrix[a, b] = 0.0 if held[a] or held[b] else curvature[a, b]
-            matrix[a, a] = 1.0 if held[a] else curvature[a, a] + least + 1e-12
+                matrix[a, b] = 0.0 if held[a] or held[b] else hessian[a, b]
+            matrix[a, a] = 1.0 if held[a] else hessian[a, a] + least + 1e-12
         move = np.linalg.solve(matrix, right)
         blocked = False
         for a in range(axes):
-            target[a] = place[a] + move[a]
-            over = (place[a] <= 0.0 and target[a] < 0.0) or (place[a] >= 1.0 and target[a] > 1.0)
+            new_state[a] = state[a] + move[a]
+            over = (state[a] <= 0.0 and new_state[a] < 0.0) or (state[a] >= 1.0 and new_state[a] > 1.0)
             if over and not held[a]:
                 held[a] = True
                 blocked = True
         if not blocked:
             break
     for a in range(axes):
-        target[a] = min(max(target[a], 0.0), 1.0)
+        new_state[a] = min(max(new_state[a], 0.0), 1.0)
 
 
 @entry
-def descend(grid, y, mean, precision, place, curvature):
+def descend(grid, measurement, prior_mean, prior_precision, state, hessian):
     """Move a place to where the sum of squares is least near it; set the curvature there.
 
     Returns
@@ -163,23 +163,23 @@ def descend(grid, y, mean, precision, place, curvature):
     float, bool
         The sum of squares, and whether the place has come to rest.
     """
-    axes, columns = len(place), len(y)
+    axes, columns = len(state), len(measurement)
     values, slopes = np.empty(columns), np.empty((columns, axes))
     gradient, target = np.empty(axes), np.empty(axes)
-    cost = around(grid, y, (mean, precision), place, values, slopes, gradient, curvature)
+    cost = around(grid, measurement, (prior_mean, prior_precision), state, values, slopes, gradient, hessian)
     damping = 1e-3
     other_gradient, other = np.empty(axes), np.empty((axes, axes))
     for _ in range(STEPS):
-        step_of(place, gradient, curvature, damping, target)
-        moved = np.abs(target - place).max()
+        step_of(state, gradient, hessian, damping, target)
+        moved = np.abs(target - state).max()
         if moved < NEAR:
             return cost, True
-        found = around(grid, y, (mean, precision), target, values, slopes, other_gradient, other)
+        found = around(grid, measurement, (prior_mean, prior_precision), target, values, slopes, other_gradient, other)
         if found <= cost:
             cost = found
-            place[:] = target
+            state[:] = target
             gradient[:] = other_gradient
-            curvature[:] = other
+            hessian[:] = other
             damping = max(0.1 * damping, 1e-9)
         else:
             damping = min(10.0 * damping, 1e6)
@@ -187,7 +187,7 @@ def descend(grid, y, mean, precision, place, curvature):
 
 
 @entry
-def descend_each(grid, y, mean, precision, variance, places, variances, misfits):
+def descend_each(grid, measurements, prior_mean, prior_precision, prior_variance, states, variances, misfits):
     """Descend for every measurement; set places, variances of coordinates, and misfits.
 
     Parameters
@@ -202,25 +202,25 @@ def descend_each(grid, y, mean, precision, variance, places, variances, misfits)
     misfits : float64[measurements, 2]
         And whether places have come to rest, 1 or 0.
     """
-    axes = len(mean)
+    axes = len(prior_mean)
     curvature, other_curvature = np.empty((axes, axes)), np.empty((axes, axes))
     other = np.empty(axes)
-    for row in range(len(y)):
-        place = places[row]
-        nearest(grid.cells, grid.nodes, grid.counts, y[row], mean, precision, place)
+    for row in range(len(measurements)):
+        place = states[row]
+        nearest(grid.node_values, grid.axis_nodes, grid.n_nodes, measurements[row], prior_mean, prior_precision, place)
         # Ends of ranges may be places of no slope: a second descent begins away from them.
         for a in range(axes):
             other[a] = min(max(place[a], INNER), 1.0 - INNER)
-        cost, rests = descend(grid, y[row], mean, precision, place, curvature)
-        second, other_rests = descend(grid, y[row], mean, precision, other, other_curvature)
+        cost, rests = descend(grid, measurements[row], prior_mean, prior_precision, place, curvature)
+        second, other_rests = descend(grid, measurements[row], prior_mean, prior_precision, other, other_curvature)
         if second < cost:
             cost, rests = second, other_rests
             place[:] = other
             curvature[:] = other_curvature
         for a in range(axes):
-            cost -= precision[a] * (place[a] - mean[a]) ** 2
+            cost -= prior_precision[a] * (place[a] - prior_mean[a]) ** 2
             # The range counts as knowledge where there is no prior.
-            curvature[a, a] += 1.0 / variance[a] - precision[a]
+            curvature[a, a] += 1.0 / prior_variance[a] - prior_precision[a]
         inverse = np.linalg.inv(curvature)
         for a in range(axes):
             variances[row, a] = inverse[a, a]

@@ -72,20 +72,20 @@ def best_bands(
     if not isinstance(table, Table):
         raise refuse("table", type(table).__name__, "a Table", "splits.open_table(…)")
     measurement, names = _measurement(bands, noise)
-    covariance = measurement.check_told().covariance
+    covariance = measurement.check_noise_known().covariance
     if (covariance != np.diag(np.diag(covariance))).any():
         hint = "bands are chosen one by one"
         raise refuse("noise", "errors that are alike", "standard errors, independent", hint)
     most = check_whole("most", most, 1, len(names))
-    which = Free.of(free, prior, ranges_of(table))
+    which = Free.from_ranges(free, prior, ranges_of(table))
     model = OfTable(table, measurement, which, at)
     random = np.random.default_rng(check_whole("seed", seed, 0))
     slopes, spread = [], []
     for place in random.random((PLACES, len(which.names))):
-        covariance = measurement.covariance + model.covariance(place)
+        covariance = measurement.covariance + model.compute_error_covariance(place)
         # Bands are chosen one by one, as if their errors were independent.
         spread.append(np.sqrt(np.diag(covariance)))
-        slopes.append(model.with_slopes(place)[1])
+        slopes.append(model.evaluate_with_jacobian(place)[1])
     k = np.array(slopes) / np.array(spread)[:, :, np.newaxis]
     chosen, bits, left = _greedy(k, which.prior_variance, most)
     units = [parameter_about(name)[0] for name in which.names]
@@ -116,14 +116,14 @@ def _measurement(bands: Any, noise: Any) -> tuple[Measurement, list[str]]:
     """Return what would be measured, and what its bands are called."""
     if not isinstance(bands, str | Mapping):
         w = row_of("bands", bands, "a mapping of bands, a sensor or wavelengths (nm)")
-        found = Measurement.of((w, np.full(w.shape, 0.5)), noise)
+        found = Measurement.from_input((w, np.full(w.shape, 0.5)), noise)
         return found, [f"{one:g} nm" for one in found.wavelength_nm]
     some = bands_of(bands)
-    return Measurement.of(np.full(len(some), 0.5), noise, bands), list(some)
+    return Measurement.from_input(np.full(len(some), 0.5), noise, bands), list(some)
 
 
 def _greedy(
-    k: np.ndarray, variance: np.ndarray, most: int
+    jacobians: np.ndarray, prior_variance: np.ndarray, n_bands: int
 ) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return the bands, information by step and place, and the spread left by step and parameter.
 
@@ -134,21 +134,21 @@ def _greedy(
     variance : float, shape (parameters,)
         Known before.
     """
-    after = np.tile(np.diag(variance), (len(k), 1, 1))
-    total = np.zeros(len(k))
+    after = np.tile(np.diag(prior_variance), (len(jacobians), 1, 1))
+    total = np.zeros(len(jacobians))
     chosen: list[int] = []
     bits, left = [], []
-    for _ in range(most):
+    for _ in range(n_bands):
         # One more measurement: ln(1 + kᵀ S k)/2 (matrix determinant lemma), then S by its update.
-        gain = np.log2(1.0 + np.einsum("pbi,pij,pbj->pb", k, after, k)) / 2.0
+        gain = np.log2(1.0 + np.einsum("pbi,pij,pbj->pb", jacobians, after, jacobians)) / 2.0
         mean = gain.mean(axis=0)
         mean[chosen] = -np.inf
         best = int(mean.argmax())
         chosen.append(best)
-        row = np.einsum("pij,pj->pi", after, k[:, best])
-        scale = 1.0 + np.einsum("pi,pi->p", k[:, best], row)
+        row = np.einsum("pij,pj->pi", after, jacobians[:, best])
+        scale = 1.0 + np.einsum("pi,pi->p", jacobians[:, best], row)
         after = after - row[:, :, np.newaxis] * row[:, np.newaxis] / scale[:, None, None]
         total = total + gain[:, best]
         bits.append(total)
-        left.append(np.sqrt(np.diagonal(after, axis1=1, axis2=2) / variance).mean(axis=0))
+        left.append(np.sqrt(np.diagonal(after, axis1=1, axis2=2) / prior_variance).mean(axis=0))
     return chosen, np.array(bits), np.array(left)

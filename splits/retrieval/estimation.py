@@ -45,21 +45,21 @@ class Optimum(NamedTuple):
         Coordinates that go no further because their range ends.
     """
 
-    place: np.ndarray
-    values: np.ndarray
-    slopes: np.ndarray
-    covariance: np.ndarray
+    state: np.ndarray
+    modelled: np.ndarray
+    jacobian: np.ndarray
+    error_covariance: np.ndarray
     cost: float
     chi2: float
-    held: np.ndarray
+    active_bounds: np.ndarray
 
     @property
-    def improbability(self) -> float:
+    def minus_two_log_posterior(self) -> float:
         """Twice the negative logarithm of its probability, but for a constant.
 
         Where a model knows less, the sum of squares is smaller for no merit of the place.
         """
-        return self.cost + float(np.linalg.slogdet(self.covariance)[1])
+        return self.cost + float(np.linalg.slogdet(self.error_covariance)[1])
 
 
 class Told(NamedTuple):
@@ -82,7 +82,7 @@ class Told(NamedTuple):
 
 
 def optimum(
-    model: Model, measurement: Measurement, start: np.ndarray, excess: float = 1.0
+    model: Model, measurement: Measurement, start: np.ndarray, variance_inflation: float = 1.0
 ) -> Optimum:
     """Return the most probable place that a descent from a start ends at.
 
@@ -97,22 +97,22 @@ def optimum(
     """
     least_squares = optional("scipy.optimize", "retrieval", "retrievals need").least_squares
 
-    free = model.free
+    free = model.state_vector
     known = np.isfinite(free.prior_sd)
     pull = np.diag(1.0 / free.prior_sd)[known]
     place = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(ROUNDS):
-        covariance = excess * (measurement.covariance + model.covariance(place))
+        covariance = variance_inflation * (measurement.covariance + model.compute_error_covariance(place))
         lower = np.linalg.cholesky(covariance)
 
         def residuals(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
-            values, _ = model.with_slopes(x)
+            values, _ = model.evaluate_with_jacobian(x)
             off = np.linalg.solve(lower, values - measurement.values)
             prior = (x - free.prior_mean)[known] / free.prior_sd[known]
             return np.concatenate([off, prior])
 
         def slopes(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
-            _, along = model.with_slopes(x)
+            _, along = model.evaluate_with_jacobian(x)
             return np.vstack([np.linalg.solve(lower, along), pull])
 
         found = least_squares(residuals, place, slopes, bounds=(0.0, 1.0), xtol=1e-9, ftol=1e-9)
@@ -120,8 +120,8 @@ def optimum(
         place = np.clip(found.x, 1e-9, 1.0 - 1e-9)
         if moved < 1e-3:
             break
-    covariance = excess * (measurement.covariance + model.covariance(place))
-    values, along = model.with_slopes(place)
+    covariance = variance_inflation * (measurement.covariance + model.compute_error_covariance(place))
+    values, along = model.evaluate_with_jacobian(place)
     off = values - measurement.values
     sharp = np.linalg.solve(covariance, off)
     chi2 = float(off @ sharp)
@@ -130,10 +130,10 @@ def optimum(
     return Optimum(place, values, along, covariance, chi2 + float(pulls @ pulls), chi2, held)
 
 
-def held_at(place: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def held_at(state: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return which coordinates an end of their range holds, as a sum of squares falls beyond it."""
-    found: np.ndarray = ((place < HELD) & (gradient > 0.0)) | (
-        (place > 1.0 - HELD) & (gradient < 0.0)
+    found: np.ndarray = ((state < HELD) & (gradient > 0.0)) | (
+        (state > 1.0 - HELD) & (gradient < 0.0)
     )
     return found
 
@@ -141,9 +141,9 @@ def held_at(place: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 def optima(
     model: Model,
     measurement: Measurement,
-    places: np.ndarray,
-    values: np.ndarray,
-    excess: float = 1.0,
+    first_guesses: np.ndarray,
+    modelled: np.ndarray,
+    variance_inflation: float = 1.0,
 ) -> list[Optimum]:
     """Return the different ends of several descents that explain a measurement, best first.
 
@@ -157,39 +157,39 @@ def optima(
         By so much all variances are enlarged.
     """
     spread = np.sqrt(np.diag(measurement.covariance))
-    misfit = (((values - measurement.values) / spread) ** 2).sum(axis=1)
-    prior = (((places - model.free.prior_mean) / model.free.prior_sd) ** 2).sum(axis=1)
+    misfit = (((modelled - measurement.values) / spread) ** 2).sum(axis=1)
+    prior = (((first_guesses - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2).sum(axis=1)
     starts: list[np.ndarray] = []
     for row in np.argsort(misfit + prior, kind="stable"):
-        if all(np.abs(places[row] - other).max() > 0.2 for other in starts):
-            starts.append(places[row])
+        if all(np.abs(first_guesses[row] - other).max() > 0.2 for other in starts):
+            starts.append(first_guesses[row])
         if len(starts) == STARTS:
             break
-    ends = [optimum(model, measurement, start, excess) for start in starts]
-    ends.sort(key=lambda end: end.improbability)
+    ends = [optimum(model, measurement, start, variance_inflation) for start in starts]
+    ends.sort(key=lambda end: end.minus_two_log_posterior)
     found = ends[:1]
     for end in ends[1:]:
-        different = all(np.abs(end.place - one.place).max() > APART for one in found)
-        if different and end.improbability < found[0].improbability + RIVAL:
+        different = all(np.abs(end.state - one.state).max() > APART for one in found)
+        if different and end.minus_two_log_posterior < found[0].minus_two_log_posterior + RIVAL:
             found.append(end)
     return found
 
 
-def told(end: Optimum, free: Free) -> Told:
+def told(estimate: Optimum, state_vector: Free) -> Told:
     """Return what a measurement tells around an optimum (Rodgers 2000, Eqs 2.27, 2.78, 2.80)."""
-    fisher = end.slopes.T @ np.linalg.solve(end.covariance, end.slopes)
-    before = np.diag(1.0 / free.prior_variance)
+    fisher = estimate.jacobian.T @ np.linalg.solve(estimate.error_covariance, estimate.jacobian)
+    before = np.diag(1.0 / state_vector.prior_variance)
     after = np.linalg.inv(fisher + before)
     kernel = after @ fisher
-    scaled = np.eye(len(fisher)) + fisher * free.prior_variance[:, np.newaxis]
+    scaled = np.eye(len(fisher)) + fisher * state_vector.prior_variance[:, np.newaxis]
     bits = 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0))
     return Told(after, kernel, float(np.trace(kernel)), bits)
 
 
-def fitted(end: Optimum, free: Free) -> float:
+def fitted(estimate: Optimum, state_vector: Free) -> float:
     """Return how many values a fit has used up: the trace over coordinates that are not held."""
-    loose = ~end.held
-    slopes = end.slopes[:, loose]
-    fisher = slopes.T @ np.linalg.solve(end.covariance, slopes)
-    before = np.diag(1.0 / free.prior_variance[loose])
+    loose = ~estimate.active_bounds
+    slopes = estimate.jacobian[:, loose]
+    fisher = slopes.T @ np.linalg.solve(estimate.error_covariance, slopes)
+    before = np.diag(1.0 / state_vector.prior_variance[loose])
     return float(np.trace(np.linalg.solve(fisher + before, fisher)))

@@ -27,17 +27,17 @@ LEVELS = (0.2, 5.0)
 class Model(Protocol):
     """What a retrieval asks of a model, at places given by coordinates."""
 
-    free: Free
+    state_vector: Free
 
-    def values(self, places: np.ndarray) -> np.ndarray:
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return what would be measured, shape (places, n)."""
         ...
 
-    def with_slopes(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what would be measured, shape (n,), and slopes, shape (n, parameters)."""
         ...
 
-    def covariance(self, place: np.ndarray) -> np.ndarray:
+    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
         """Return the covariance of what the model itself is off by, shape (n, n)."""
         ...
 
@@ -53,10 +53,10 @@ class Operator(NamedTuple):
     """
 
     matrix: np.ndarray
-    missed: np.ndarray
+    interpolation_error: np.ndarray
 
     @classmethod
-    def of(cls, measurement: Measurement, wavelengths: np.ndarray) -> Operator:
+    def from_measurement(cls, measurement: Measurement, wavelengths: np.ndarray) -> Operator:
         """Return it, or refuse wavelengths outside of the table."""
         if measurement.bands:
             rows = [band_weights(n, band, wavelengths) for n, band in measurement.bands.items()]
@@ -64,9 +64,9 @@ class Operator(NamedTuple):
         matrix, missed = np.zeros((2, measurement.values.size, wavelengths.size))
         for row, off, one in zip(matrix, missed, measurement.wavelength_nm, strict=True):
             w = weights_at("wavelength", wavelengths, float(one))
-            row[w.nodes] = w.share
-            if len(w.others):
-                off[:] = max(w.others, key=lambda r: float((r**2).sum()))
+            row[w.nodes] = w.weights
+            if len(w.error_weights):
+                off[:] = max(w.error_weights, key=lambda r: float((r**2).sum()))
         return cls(matrix, missed)
 
 
@@ -88,59 +88,59 @@ class OfTable:
         self,
         table: Table,
         measurement: Measurement,
-        free: Free,
-        at: Mapping[str, Any] | None,
+        state_vector: Free,
+        fixed: Mapping[str, Any] | None,
         quantity: str = "reflectance",
     ) -> None:
-        self.free, self.table, self.quantity = free, table, quantity
-        self.at = _fixed(table, free, at)
+        self.state_vector, self.table, self.quantity = state_vector, table, quantity
+        self.fixed = _fixed(table, state_vector, fixed)
         self.measurement = measurement
-        self.operator = Operator.of(measurement, table.dataset.wavelength.values)
-        self.axes = [name for name in free.names if name != LEVEL]
+        self.operator = Operator.from_measurement(measurement, table.dataset.wavelength.values)
+        self.axes = [name for name in state_vector.names if name != LEVEL]
         if not self.axes:
-            raise refuse("free", list(free.names), "at least one axis of the table")
-        self._level = free.names.index(LEVEL) if LEVEL in free.names else None
-        self._rows = [free.names.index(name) for name in self.axes]
-        values, nodes = _slice(table, quantity, self.axes, self.at)
-        self.cells = np.ascontiguousarray(
+            raise refuse("free", list(state_vector.names), "at least one axis of the table")
+        self._scale_index = state_vector.names.index(LEVEL) if LEVEL in state_vector.names else None
+        self._axis_indices = [state_vector.names.index(name) for name in self.axes]
+        values, nodes = _slice(table, quantity, self.axes, self.fixed)
+        self.node_values = np.ascontiguousarray(
             values.reshape(-1, values.shape[-1]) @ self.operator.matrix.T
         )
         most = max(len(row) for row in nodes)
-        of_axes = [free.coordinates_of(i, row) for i, row in zip(self._rows, nodes, strict=True)]
-        self._nodes = np.array([np.pad(row, (0, most - len(row))) for row in of_axes])
-        self._counts = np.array([len(row) for row in nodes], dtype=np.int64)
+        of_axes = [state_vector.to_coordinate(i, row) for i, row in zip(self._axis_indices, nodes, strict=True)]
+        self._axis_nodes = np.array([np.pad(row, (0, most - len(row))) for row in of_axes])
+        self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
 
-    def grid(self, cells: np.ndarray) -> Grid:
+    def make_grid(self, node_values: np.ndarray) -> Grid:
         """Return the table over coordinates, with other columns."""
-        return Grid(np.ascontiguousarray(cells), self._nodes, self._counts)
+        return Grid(np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes)
 
-    def _scale(self, places: np.ndarray) -> np.ndarray:
-        if self._level is None:
-            return np.ones(places.shape[:-1])
-        scale: np.ndarray = self.free.at(places)[..., self._level]
+    def _compute_scale(self, states: np.ndarray) -> np.ndarray:
+        if self._scale_index is None:
+            return np.ones(states.shape[:-1])
+        scale: np.ndarray = self.state_vector.to_physical(states)[..., self._scale_index]
         return scale
 
-    def values(self, places: np.ndarray) -> np.ndarray:
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return what would be measured, shape (places, n)."""
-        found = np.empty((len(places), self.cells.shape[1]))
-        at = np.ascontiguousarray(places[:, self._rows])
-        read_all(self.cells, self._nodes, self._counts, at, found)
-        return found * self._scale(places)[:, np.newaxis]
+        found = np.empty((len(states), self.node_values.shape[1]))
+        at = np.ascontiguousarray(states[:, self._axis_indices])
+        read_all(self.node_values, self._axis_nodes, self._n_nodes, at, found)
+        return found * self._compute_scale(states)[:, np.newaxis]
 
-    def with_slopes(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what would be measured, shape (n,), and slopes, shape (n, parameters)."""
-        count = self.cells.shape[1]
+        count = self.node_values.shape[1]
         values, along = np.empty(count), np.empty((count, len(self.axes)))
-        at = np.ascontiguousarray(place[self._rows])
-        read(self.cells, self._nodes, self._counts, at, values, along)
-        scale = float(self._scale(place))
-        slopes = np.zeros((count, len(self.free.names)))
-        slopes[:, self._rows] = scale * along
-        if self._level is not None:
-            slopes[:, self._level] = values * (self.free.high - self.free.low)[self._level]
+        at = np.ascontiguousarray(state[self._axis_indices])
+        read(self.node_values, self._axis_nodes, self._n_nodes, at, values, along)
+        scale = float(self._compute_scale(state))
+        slopes = np.zeros((count, len(self.state_vector.names)))
+        slopes[:, self._axis_indices] = scale * along
+        if self._scale_index is not None:
+            slopes[:, self._scale_index] = values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
         return scale * values, slopes
 
-    def covariance(self, place: np.ndarray) -> np.ndarray:
+    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
         """Return the covariance of what the table is off by, shape (n, n).
 
         Errors of cells are alike at wavelengths that share rays: as the table says, where it keeps
@@ -148,45 +148,45 @@ class OfTable:
         own, which may look like that of a parameter, so it is taken for one error at all
         wavelengths.
         """
-        natural = self.free.at(place)
-        where = {name: float(natural[self.free.names.index(name)]) for name in self.axes}
-        given = {name: value for name, value in self.at.items() if name in self.table.axes}
+        natural = self.state_vector.to_physical(state)
+        where = {name: float(natural[self.state_vector.names.index(name)]) for name in self.axes}
+        given = {name: value for name, value in self.fixed.items() if name in self.table.axes}
         there, q = self.table.interp(**given, **where), self.quantity
         missed = there[f"{q}_interpolation_error"].values
         cells = np.sqrt(np.maximum(there[f"{q}_stderr"].values ** 2 - missed**2, 0.0))
         own = np.abs(self.operator.matrix) @ cells
         along = self.table.interpolation_errors(q, **given, **where) @ self.operator.matrix.T
-        between = self.operator.missed @ there[q].values
-        found = self._of_cells(own, {**given, **where}) + along.T @ along + np.diag(between**2)
-        return float(self._scale(place)) ** 2 * found
+        between = self.operator.interpolation_error @ there[q].values
+        found = self._compute_node_covariance(own, {**given, **where}) + along.T @ along + np.diag(between**2)
+        return float(self._compute_scale(state)) ** 2 * found
 
-    def _of_cells(self, own: np.ndarray, at: dict[str, Any]) -> np.ndarray:
+    def _compute_node_covariance(self, stderr: np.ndarray, axis_values: dict[str, Any]) -> np.ndarray:
         """Return the covariance of the errors of cells, whose standard errors are known."""
         if f"{self.quantity}_groups" not in self.table.dataset:
             w = self.measurement.wavelength_nm
             alike = np.exp(-np.abs(w[:, np.newaxis] - w) / ALIKE_NM)
-            return alike * own[:, np.newaxis] * own
-        groups = self.table.deviations(self.quantity, **at) @ self.operator.matrix.T
+            return alike * stderr[:, np.newaxis] * stderr
+        groups = self.table.deviations(self.quantity, **axis_values) @ self.operator.matrix.T
         found: np.ndarray = groups.T @ groups
         # The standard errors hold what stands for interpolation between refractive indices, too.
-        return found + np.diag(np.maximum(own**2 - np.diag(found), 0.0))
+        return found + np.diag(np.maximum(stderr**2 - np.diag(found), 0.0))
 
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the coordinates of all cells in the ranges, and what would be measured there."""
         grids = np.meshgrid(*(self.table.dataset[name].values for name in self.axes), indexing="ij")
-        natural = np.zeros((grids[0].size, len(self.free.names)))
-        for i, grid in zip(self._rows, grids, strict=True):
+        natural = np.zeros((grids[0].size, len(self.state_vector.names)))
+        for i, grid in zip(self._axis_indices, grids, strict=True):
             natural[:, i] = grid.ravel()
-        if self._level is not None:
-            natural[:, self._level] = np.clip(
-                1.0, self.free.low[self._level], self.free.high[self._level]
+        if self._scale_index is not None:
+            natural[:, self._scale_index] = np.clip(
+                1.0, self.state_vector.low[self._scale_index], self.state_vector.high[self._scale_index]
             )
-        inside = ((natural >= self.free.low) & (natural <= self.free.high)).all(axis=1)
+        inside = ((natural >= self.state_vector.low) & (natural <= self.state_vector.high)).all(axis=1)
         if not inside.any():
-            places = np.full((1, len(self.free.names)), 0.5)
-            return places, self.values(places)
-        scale = natural[inside, self._level] if self._level is not None else 1.0
-        return self.free.coordinates(natural[inside]), (self.cells[inside].T * scale).T
+            places = np.full((1, len(self.state_vector.names)), 0.5)
+            return places, self.evaluate(places)
+        scale = natural[inside, self._scale_index] if self._scale_index is not None else 1.0
+        return self.state_vector.to_coordinates(natural[inside]), (self.node_values[inside].T * scale).T
 
 
 def ranges_of(table: Table) -> dict[str, Widest]:
@@ -196,27 +196,27 @@ def ranges_of(table: Table) -> dict[str, Widest]:
     return ranges_of_axes(Axes(tuple(names), rows))
 
 
-def ranges_of_axes(axes: Axes) -> dict[str, Widest]:
+def ranges_of_axes(grid: Axes) -> dict[str, Widest]:
     """Return what `ranges_of` returns of a table over these axes."""
     found = {}
-    for name, row in zip(*axes, strict=True):
+    for name, row in zip(*grid, strict=True):
         if len(row) > 1 and not isinstance(row[0], str):
             kind, _ = spaced(name, np.array(row, dtype=float))
             found[name] = Widest(float(row[0]), float(row[-1]), kind)
     return found | {LEVEL: Widest(*LEVELS, "itself")}
 
 
-def _fixed(table: Table, free: Free, at: Mapping[str, Any] | None) -> dict[str, Any]:
+def _fixed(table: Table, state_vector: Free, at: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the values of the axes that are not free, or refuse them."""
-    found = check_places(at, table.axes[:-1], "at.", free=free.names)
+    found = check_places(at, table.axes[:-1], "at.", free_axes=state_vector.names)
     for name in table.axes[:-1]:
-        if name not in free.names and name not in found and table.dataset[name].size > 1:
+        if name not in state_vector.names and name not in found and table.dataset[name].size > 1:
             raise refuse(f"at.{name}", None, "given", "an axis of the table that is not free")
     return found
 
 
 def _slice(
-    table: Table, quantity: str, axes: list[str], at: Mapping[str, Any]
+    table: Table, quantity: str, axes: list[str], fixed: Mapping[str, Any]
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return values over some axes and wavelength, others held, and how nodes are spaced."""
     part, shares = table.dataset[quantity], {}
@@ -224,12 +224,12 @@ def _slice(
         if name in axes:
             continue
         nodes = table.dataset[name].values
-        given = at.get(name, nodes[0])
+        given = fixed.get(name, nodes[0])
         if nodes.dtype.kind != "f":
             part = part.sel({name: one_of(f"at.{name}", str(given), nodes.tolist())})
             continue
         w = weights_at(name, nodes, given)
-        part, shares[name] = part.isel({name: w.nodes}), w.share
+        part, shares[name] = part.isel({name: w.nodes}), w.weights
     part = load_part(part)
     for name, share in shares.items():
         part = part.dot(xr.DataArray(share, dims=name), name)

@@ -80,24 +80,24 @@ def sobol_indices(
     points, seed = check_whole("points", points, 64, 65_536), check_whole("seed", seed, 0)
     if points & (points - 1):
         raise refuse("points", points, "a power of 2")
-    which = Free.of(free, None, ranges_of(table))
+    which = Free.from_ranges(free, None, ranges_of(table))
     if len(which.names) < 2 or LEVEL in which.names:
         raise refuse("free", list(which.names), "two axes of the table or more")
     w = table.dataset.wavelength.values
-    plain = Measurement.of((w, np.full(w.size, 0.5)), 0.01)
+    plain = Measurement.from_input((w, np.full(w.size, 0.5)), 0.01)
     model = OfTable(table, plain, which, at, quantity)
     shares = _shares(model, points, seed)
     variables: dict[str, Any] = {}
     for name, label, rows in (
-        ("first_order", "first-order Sobol index", shares.first),
+        ("first_order", "first-order Sobol index", shares.first_order),
         ("total", "total Sobol index", shares.total),
-        ("first_order_sum", "sum of first-order Sobol indices", shares.first.sum(axis=1)),
+        ("first_order_sum", "sum of first-order Sobol indices", shares.first_order.sum(axis=1)),
     ):
         dims = ("parameter", "wavelength") if rows.ndim == 3 else ("wavelength",)
         error = rows.std(axis=0, ddof=1) / np.sqrt(REPEATS)
         variables |= with_error(name, dims, rows.mean(axis=0), error, label)
     long_name = f"standard deviation of {quantity}"
-    variables |= with_error("standard_deviation", "wavelength", shares.spread, None, long_name)
+    variables |= with_error("standard_deviation", "wavelength", shares.standard_deviation, None, long_name)
     axes = {
         "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
         "low": ("parameter", which.low, {"long_name": "low end of its range"}),
@@ -117,23 +117,23 @@ class _Shares(NamedTuple):
     spread : float, shape (wavelengths,)
     """
 
-    first: np.ndarray
+    first_order: np.ndarray
     total: np.ndarray
-    spread: np.ndarray
+    standard_deviation: np.ndarray
 
 
 def _shares(model: OfTable, points: int, seed: int) -> _Shares:
     """Return the shares of the variance, 0 where nothing varies."""
     stats = optional("scipy.stats", "retrieval", "Sobol indices need")
-    many, count = len(model.free.names), model.cells.shape[1]
-    varying = model.cells.std(axis=0) > LEAST_SD
+    many, count = len(model.state_vector.names), model.node_values.shape[1]
+    varying = model.node_values.std(axis=0) > LEAST_SD
     first, total = np.zeros((2, REPEATS, many, count))
     spread = np.zeros(count)
     if not varying.any():
         return _Shares(first, total, spread)
 
     def look(places: np.ndarray) -> np.ndarray:
-        found: np.ndarray = model.values(np.ascontiguousarray(places.T))[:, varying].T
+        found: np.ndarray = model.evaluate(np.ascontiguousarray(places.T))[:, varying].T
         return found
 
     for number in range(REPEATS):

@@ -37,13 +37,13 @@ class Estimated(NamedTuple):
         See `splits.retrieval.result.Found`.
     """
 
-    place: np.ndarray
-    told: Told
+    state: np.ndarray
+    posterior: Told
     draws: Draws
-    tension: np.ndarray
+    prior_tension: np.ndarray
 
 
-def estimated(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) -> Estimated:
+def estimated(state_vector: Free, state: np.ndarray, covariance: np.ndarray, seed: int) -> Estimated:
     """Return what an estimate of the coordinates tells.
 
     Parameters
@@ -55,71 +55,71 @@ def estimated(free: Free, place: np.ndarray, covariance: np.ndarray, seed: int) 
     seed : int
         Of the draws.
     """
-    many = len(place)
-    measurement = Measurement(place, np.arange(many, dtype=float), covariance, {})
-    itself = Around(free, Seen(place, place, np.eye(many), np.zeros((many, many))))
-    ends = optima(itself, measurement, *itself.nodes())
+    many = len(state)
+    measurement = Measurement(state, np.arange(many, dtype=float), covariance, {})
+    itself = Around(state_vector, Seen(state, state, np.eye(many), np.zeros((many, many))))
+    ends = optima(itself, measurement, *itself.evaluate_first_guesses())
     draws = draws_of(itself, measurement, ends, seed)
-    tension = tension_of(free, place, np.diag(covariance))
-    return Estimated(ends[0].place, told(ends[0], free), draws, tension)
+    tension = tension_of(state_vector, state, np.diag(covariance))
+    return Estimated(ends[0].state, told(ends[0], state_vector), draws, tension)
 
 
 def in_table(model: OfTable, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
     """Return what a measurement of unknown noise tells in a table, and the noise found."""
-    check_enough(len(model.free.names), measurement)
-    free = model.free
-    model.free = free.flat()
-    best, *others = sorted(optima(model, measurement, *model.nodes()), key=lambda end: end.cost)
-    own = model.covariance(best.place)
-    model.free = free
-    left = left_open([best.slopes] * 2, best.values - measurement.values, own, best.held)
-    around = Around(free, Seen(best.place, best.values, best.slopes, own))
-    within = RIVAL * float(left.of_values[0, 0])
-    rivals = tuple(end.place for end in others if end.cost < best.cost + within)
-    return _found(lambda x: model.with_slopes(x)[0], around, measurement, left, rivals, seed)
+    check_enough(len(model.state_vector.names), measurement)
+    free = model.state_vector
+    model.state_vector = free.drop_priors()
+    best, *others = sorted(optima(model, measurement, *model.evaluate_first_guesses()), key=lambda end: end.cost)
+    own = model.compute_error_covariance(best.state)
+    model.state_vector = free
+    left = left_open([best.jacobian] * 2, best.modelled - measurement.values, own, best.active_bounds)
+    around = Around(free, Seen(best.state, best.modelled, best.jacobian, own))
+    within = RIVAL * float(left.residual[0, 0])
+    rivals = tuple(end.state for end in others if end.cost < best.cost + within)
+    return _found(lambda x: model.evaluate_with_jacobian(x)[0], around, measurement, left, rivals, seed)
 
 
-def by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
+def by_runs(model: OfRuns, measurement: Measurement, seed: int) -> tuple[Found, Measurement]:
     """Return what a measurement of unknown noise tells by runs, and the noise found."""
-    check_enough(len(runs.free.names), measurement)
-    free = runs.free
-    runs.free = free.flat()
-    settled = runs.settled()
-    runs.free = free
-    best = settled.seen(measurement.covariance)
-    off = best.values - measurement.values
-    held = held_at(best.place, best.slopes.T @ off)
-    left = left_open(settled.jacobians, off, best.covariance, held)
-    rivals = settled.rivals(RIVAL * float(left.of_values[0, 0]))
-    return _found(runs.last, Around(free, best), measurement, left, rivals, seed)
+    check_enough(len(model.state_vector.names), measurement)
+    free = model.state_vector
+    model.state_vector = free.drop_priors()
+    settled = model.find_minima()
+    model.state_vector = free
+    best = settled.linearize(measurement.covariance)
+    off = best.modelled - measurement.values
+    held = held_at(best.state, best.jacobian.T @ off)
+    left = left_open(settled.jacobians, off, best.error_covariance, held)
+    rivals = settled.find_alternatives(RIVAL * float(left.residual[0, 0]))
+    return _found(model.evaluate_last_stage, Around(free, best), measurement, left, rivals, seed)
 
 
-def check_enough(free: int, measurement: Measurement) -> None:
+def check_enough(n_parameters: int, measurement: Measurement) -> None:
     """Refuse a measurement of unknown noise with too few values for so many free parameters."""
-    least, count = free + SPARE, measurement.values.size
-    if not measurement.told and count < least:
+    least, count = n_parameters + SPARE, measurement.values.size
+    if not measurement.noise_known and count < least:
         hint = f"{count} values are too few to find it from the misfit, {least} are needed"
         raise refuse("noise", None, "given", hint)
 
 
 def _found(
-    values: Callable[[np.ndarray], np.ndarray],
-    around: Around,
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    linear_model: Around,
     measurement: Measurement,
-    left: Left,
-    rivals: tuple[np.ndarray, ...],
+    fit_covariance: Left,
+    alternatives: tuple[np.ndarray, ...],
     seed: int,
 ) -> tuple[Found, Measurement]:
     """Return what was found as where noise is known, and the measurement with the noise found."""
-    best = around.seen
-    found = estimated(around.free, best.place, left.of_place, seed)
-    there = values(found.place)
-    whole = left.of_values + best.covariance
+    best = linear_model.linearization
+    found = estimated(linear_model.state_vector, best.state, fit_covariance.state, seed)
+    there = evaluate(found.state)
+    whole = fit_covariance.residual + best.error_covariance
     off = there - measurement.values
     chi2 = float(off @ np.linalg.solve(whole, off))
-    held = held_at(found.place, best.slopes.T @ np.linalg.solve(whole, off))
-    end = Optimum(found.place, there, best.slopes, whole, chi2, chi2, held)
-    own = np.sqrt(np.diag(best.covariance))
-    curved = bent(values, around, found.place, found.told.covariance, whole)
-    plain = Found([end], found.told, found.draws, 1.0, found.tension, own, rivals, curved)
-    return plain, measurement._replace(covariance=left.of_values)
+    held = held_at(found.state, best.jacobian.T @ np.linalg.solve(whole, off))
+    end = Optimum(found.state, there, best.jacobian, whole, chi2, chi2, held)
+    own = np.sqrt(np.diag(best.error_covariance))
+    curved = bent(evaluate, linear_model, found.state, found.posterior.covariance, whole)
+    plain = Found([end], found.posterior, found.draws, 1.0, found.prior_tension, own, alternatives, curved)
+    return plain, measurement._replace(covariance=fit_covariance.residual)

@@ -36,42 +36,42 @@ class Seen(NamedTuple):
         Of what the model itself is off by.
     """
 
-    place: np.ndarray
-    values: np.ndarray
-    slopes: np.ndarray
-    covariance: np.ndarray
+    state: np.ndarray
+    modelled: np.ndarray
+    jacobian: np.ndarray
+    error_covariance: np.ndarray
 
 
 class Around:
     """A measurement as a straight line through one place has it; see `splits.retrieval.forward`."""
 
-    def __init__(self, free: Free, seen: Seen) -> None:
-        self.free, self.seen = free, seen
+    def __init__(self, state_vector: Free, linearization: Seen) -> None:
+        self.state_vector, self.linearization = state_vector, linearization
 
-    def values(self, places: np.ndarray) -> np.ndarray:
+    def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return what would be measured, shape (places, n)."""
-        found: np.ndarray = self.seen.values + (places - self.seen.place) @ self.seen.slopes.T
+        found: np.ndarray = self.linearization.modelled + (states - self.linearization.state) @ self.linearization.jacobian.T
         return found
 
-    def with_slopes(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what would be measured, shape (n,), and slopes, shape (n, parameters)."""
-        return self.values(place[np.newaxis])[0], self.seen.slopes
+        return self.evaluate(state[np.newaxis])[0], self.linearization.jacobian
 
-    def covariance(self, place: np.ndarray) -> np.ndarray:
+    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
         """Return the covariance of what the model is off by, shape (n, n)."""
-        return self.seen.covariance
+        return self.linearization.error_covariance
 
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return where descents begin, and what would be measured there."""
-        return self.seen.place[np.newaxis], self.seen.values[np.newaxis]
+        return self.linearization.state[np.newaxis], self.linearization.modelled[np.newaxis]
 
 
 def bent(
-    values: Callable[[np.ndarray], np.ndarray],
-    around: Around,
-    place: np.ndarray,
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    linear_model: Around,
+    state: np.ndarray,
     covariance: np.ndarray,
-    noise: np.ndarray,
+    error_covariance: np.ndarray,
 ) -> float:
     """Return how far light is off a straight line, a standard deviation away, in its noise.
 
@@ -88,16 +88,16 @@ def bent(
         Covariance of measurement and model.
     """
     sizes, ways = np.linalg.eigh(covariance)
-    lower = np.linalg.cholesky(noise)
+    lower = np.linalg.cholesky(error_covariance)
     most = 0.0
     for step in np.concatenate([np.sqrt(sizes) * ways, -np.sqrt(sizes) * ways], axis=1).T:
-        there = np.clip(place + step, MARGIN, 1.0 - MARGIN)
-        off = values(there) - around.values(there[np.newaxis])[0]
+        there = np.clip(state + step, MARGIN, 1.0 - MARGIN)
+        off = evaluate(there) - linear_model.evaluate(there[np.newaxis])[0]
         most = max(most, float(np.linalg.norm(np.linalg.solve(lower, off))))
     return most
 
 
-def without_noise(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> np.ndarray:
+def without_noise(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> np.ndarray:
     """Return slopes that tell as much as independent Jacobians do, less what their noise feigns.
 
     The mean of the Jacobians is K, with the information M = Kᵀ S⁻¹ K in it.  Products of different
@@ -110,27 +110,27 @@ def without_noise(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> np.ndar
     noise : float, shape (n, n)
         Covariance S of measurement and model.
     """
-    values, vectors, feigned = _information(jacobians, noise)
+    values, vectors, feigned = _information(jacobians, error_covariance)
     mean: np.ndarray = np.mean(jacobians, axis=0)
     root = (vectors * np.sqrt(np.where(values > TRUSTED * feigned, values, 0.0))) @ vectors.T
-    sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(noise, mean))
+    sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(error_covariance, mean))
     some = sizes > 1e-12 * max(sizes[-1], 1e-300)
     inverse = (axes[:, some] / np.sqrt(sizes[some])) @ axes[:, some].T
     found: np.ndarray = mean @ inverse @ root
     return found
 
 
-def doubtful(jacobians: Sequence[np.ndarray], noise: np.ndarray) -> bool:
+def doubtful(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
     """Tell whether noise of the Jacobians may decide what counts as told."""
-    values, _, feigned = _information(jacobians, noise)
+    values, _, feigned = _information(jacobians, error_covariance)
     return bool(((values + feigned > TELLING) & (values < SURELY * feigned)).any())
 
 
 def _information(
-    jacobians: Sequence[np.ndarray], noise: np.ndarray
+    jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return information along its axes, these axes, and what noise feigns along them in a mean."""
-    lower = np.linalg.cholesky(noise)
+    lower = np.linalg.cholesky(error_covariance)
     white = [np.linalg.solve(lower, one) for one in jacobians]
     values, vectors = np.linalg.eigh(crossed(white, white))
     both = np.mean([((one @ vectors) ** 2).sum(axis=0) for one in white], axis=0)

@@ -51,17 +51,17 @@ class _Reduced(NamedTuple):
         Lower triangle.
     """
 
-    project: np.ndarray
-    centre: np.ndarray
-    cells: np.ndarray
-    white: np.ndarray
+    projection: np.ndarray
+    mean_spectrum: np.ndarray
+    node_components: np.ndarray
+    whitening: np.ndarray
 
 
 def _reduced(model: OfTable, covariance: np.ndarray) -> _Reduced:
     """Return the directions of spectra in which the table tells something, in units of noise."""
     white = np.linalg.inv(np.linalg.cholesky(covariance))
-    centre = model.cells.mean(axis=0)
-    cells = (model.cells - centre) @ white.T
+    centre = model.node_values.mean(axis=0)
+    cells = (model.node_values - centre) @ white.T
     _, sizes, directions = np.linalg.svd(cells, full_matrices=False)
     # How far the cells scatter along each.
     far = sizes / np.sqrt(len(cells)) > np.sqrt(LOST)
@@ -119,15 +119,15 @@ def retrieve_map(
     # What no array of this type can hold is told before work begins.
     read_numbers("image", np.empty(0, image.dtype))
     one_of("quantity", "reflectance", table.quantities)
-    which = Free.of(free, prior, ranges_of(table))
+    which = Free.from_ranges(free, prior, ranges_of(table))
     if LEVEL in which.names:
         raise refuse("free", LEVEL, "left out of maps")
     _check_names(image, which.names)
     w = image.wavelength.values
-    measurement = Measurement.of((w, np.full(w.size, 0.5)), noise).check_told()
+    measurement = Measurement.from_input((w, np.full(w.size, 0.5)), noise).check_noise_known()
     model = OfTable(table, measurement, which, at)
     random = np.random.default_rng(1)
-    own = [model.covariance(place) for place in random.random((PLACES, len(which.names)))]
+    own = [model.compute_error_covariance(place) for place in random.random((PLACES, len(which.names)))]
     covariance = measurement.covariance + np.mean(own, axis=0)
     work = _Work(which, model, _reduced(model, covariance), covariance, check_threads(threads))
     dims = [d for d in image.dims if d != "wavelength"]
@@ -136,7 +136,7 @@ def retrieve_map(
         stacked = stacked.chunk({"wavelength": -1})
     many = 2 * len(which.names) + 2
     found = xr.apply_ufunc(
-        work.block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[[WHAT]],
+        work.retrieve_block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[[WHAT]],
         dask="parallelized", output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {WHAT: many}},
     )  # fmt: skip
@@ -157,9 +157,9 @@ def _over_wavelength(image: Any) -> xr.DataArray:
     return image if along == ("wavelength",) else image.swap_dims({along[0]: "wavelength"})
 
 
-def _check_names(image: xr.DataArray, free: Sequence[str]) -> None:
+def _check_names(image: xr.DataArray, names: Sequence[str]) -> None:
     """Refuse dimensions and coordinates of an image that are named like results."""
-    results = {*free, *(f"{name}_stderr" for name in free), "chi2", "flags", WHAT}
+    results = {*names, *(f"{name}_stderr" for name in names), "chi2", "flags", WHAT}
     for name in map(str, {*image.dims, *image.coords} & results):
         hint = f"image.rename({{{name!r}: 'true_{name}'}}), or leave it out by drop_vars"
         raise refuse("image", f"with {name}", "without names that results have", hint)
@@ -168,41 +168,41 @@ def _check_names(image: xr.DataArray, free: Sequence[str]) -> None:
 class _Work(NamedTuple):
     """What all pixels have in common."""
 
-    free: Free
+    state_vector: Free
     model: OfTable
-    reduced: _Reduced
+    reduced_table: _Reduced
     covariance: np.ndarray
     threads: int
 
-    def block(self, spectra: np.ndarray) -> np.ndarray:
+    def retrieve_block(self, spectra: np.ndarray) -> np.ndarray:
         """Return parameters, errors, misfit and flags of spectra, shape (..., what)."""
-        flat = read_numbers("image", spectra, gaps=True).reshape(-1, spectra.shape[-1])
+        flat = read_numbers("image", spectra, allow_gaps=True).reshape(-1, spectra.shape[-1])
         with ThreadPoolExecutor(self.threads) as pool:
             parts = [flat[i : i + PIXELS] for i in range(0, len(flat), PIXELS)]
-            found = np.concatenate(list(pool.map(self._piece, parts)))
+            found = np.concatenate(list(pool.map(self._retrieve_chunk, parts)))
         return found.reshape(*spectra.shape[:-1], -1)
 
-    def _piece(self, spectra: np.ndarray) -> np.ndarray:
-        free, count = self.free, len(self.free.names)
+    def _retrieve_chunk(self, spectra: np.ndarray) -> np.ndarray:
+        free, count = self.state_vector, len(self.state_vector.names)
         gap = ~np.isfinite(spectra).all(axis=1)
         odd = ~gap & (np.abs(np.where(gap[:, None], 0.0, spectra)).max(axis=1) > PER_CENT)
         fine = ~(gap | odd)
-        project, centre, cells, white = self.reduced
+        project, centre, cells, white = self.reduced_table
         y, rest = np.empty((len(spectra), len(project))), np.empty(len(spectra))
         # What the components leave no parameter explains.
         reduce_each(np.where(fine[:, np.newaxis], spectra, 0.5), centre, project, white, y, rest)
-        table = self.model.grid(cells)
-        mean, precision = free.prior_mean, free.precision
+        table = self.model.make_grid(cells)
+        mean, precision = free.prior_mean, free.prior_precision
         places, variances = np.empty((2, len(y), count))
         misfit = np.empty((len(y), 2))
         known = (mean, precision, free.prior_variance)
         descend_each(table, y, *known, places, variances, misfit)
-        natural = free.at(places)
+        natural = free.to_physical(places)
         near = [np.clip(places + s * np.sqrt(variances), 0.0, 1.0) for s in (-1.0, 1.0)]
-        stderr = 0.5 * np.abs(free.at(near[1]) - free.at(near[0]))
+        stderr = 0.5 * np.abs(free.to_physical(near[1]) - free.to_physical(near[0]))
         chi2 = misfit[:, 0] + rest
         flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * odd
-        flags = flags + FLAGS["poor_fit"] * (fine & (chi2 > self.limit()))
+        flags = flags + FLAGS["poor_fit"] * (fine & (chi2 > self.compute_max_chi2()))
         flags = flags + FLAGS["not_at_rest"] * (fine & (misfit[:, 1] == 0.0))
         # An amount of 0 is no end that was set too high.
         ends = (places < 1e-6) & (free.low != 0.0)
@@ -214,28 +214,28 @@ class _Work(NamedTuple):
         found[~fine] = np.nan
         return np.column_stack([found, flags])
 
-    def limit(self) -> float:
+    def compute_max_chi2(self) -> float:
         """Return the misfit that one in a thousand exceeds."""
         chi2 = optional("scipy.stats", "retrieval", "retrievals need").chi2
 
-        return float(chi2.isf(IMPROBABLE, self.expected()))
+        return float(chi2.isf(IMPROBABLE, self.compute_expected_chi2()))
 
-    def expected(self) -> int:
+    def compute_expected_chi2(self) -> int:
         """Return the misfit to expect."""
-        return max(len(self.covariance) - len(self.free.names), 1)
+        return max(len(self.covariance) - len(self.state_vector.names), 1)
 
 
-def _dataset(found: xr.DataArray, free: Free, work: _Work) -> xr.Dataset:
+def _dataset(found: xr.DataArray, state_vector: Free, retrieval: _Work) -> xr.Dataset:
     """Return parameters, errors, misfit and flags by name."""
     variables: dict[str, Any] = {}
     dims = tuple(str(d) for d in found.dims[:-1])
-    for i, name in enumerate(free.names):
+    for i, name in enumerate(state_vector.names):
         long_name, units = parameter_about(name)
-        pair = quantity(name, dims, found[..., i].data, found[..., len(free.names) + i].data,
+        pair = quantity(name, dims, found[..., i].data, found[..., len(state_vector.names) + i].data,
                         long_name, units)  # fmt: skip
         variables |= pair
     variables |= quantity("chi2", dims, found[..., -2].data, None, "sum of squares of the misfit")
-    variables["chi2"][2]["expected"] = work.expected()
+    variables["chi2"][2]["expected"] = retrieval.compute_expected_chi2()
     for _, _, about in variables.values():
         # Where values are NaN, flags say why.
         about[BESIDE] = f"{about.get(BESIDE, '')} flags".strip()

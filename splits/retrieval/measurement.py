@@ -42,10 +42,10 @@ class Measurement(NamedTuple):
     wavelength_nm: np.ndarray
     covariance: np.ndarray
     bands: dict[str, Band]
-    told: bool = True
+    noise_known: bool = True
 
     @classmethod
-    def of(cls, measured: Any, noise: Any, bands: Any = None) -> Measurement:
+    def from_input(cls, measured: Any, noise: Any, bands: Any = None) -> Measurement:
         """Return what a user has measured, or refuse it.
 
         Parameters
@@ -79,16 +79,16 @@ class Measurement(NamedTuple):
             return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
         return cls(values, w, _covariance("noise", noise, w, list(some)), some)
 
-    def check_told(self) -> Measurement:
+    def check_noise_known(self) -> Measurement:
         """Return it, or refuse noise that is not known."""
-        if not self.told:
+        if not self.noise_known:
             raise refuse("noise", None, "given", "only splits.retrieve finds it from the misfit")
         return self
 
 
 def _in_bands(measured: Any, bands: Mapping[str, Band]) -> tuple[np.ndarray, np.ndarray]:
     """Return the middles (nm) and the reflectances of bands, or refuse them."""
-    values = np.atleast_1d(read_in_order("measured", measured, list(bands), gaps=True))
+    values = np.atleast_1d(read_in_order("measured", measured, list(bands), allow_gaps=True))
     if values.shape != (len(bands),):
         raise refuse("measured", f"{values.size} values", f"{len(bands)}, one for each band")
     return np.array([_middle(band) for band in bands.values()]), values
@@ -117,7 +117,7 @@ def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     else:
         raise refuse("measured", type(measured).__name__, allowed)
     w = increasing("measured (wavelengths)", row_of("measured (wavelengths)", pair[0]))
-    values = read_in_order("measured", pair[1], w, find_labels(pair[0]), gaps=True)
+    values = read_in_order("measured", pair[1], w, find_labels(pair[0]), allow_gaps=True)
     if values.shape != w.shape:
         found = f"{w.size} wavelengths, {values.size} values"
         raise refuse("measured", found, "as many of both")
@@ -134,7 +134,7 @@ def _covariance(
         return _alike(noise, wavelength_nm, bands)
     # Wavelengths that are only counted tell nothing; bands have an order.
     labels = [bands] if bands else [wavelength_nm]
-    given = read_in_order(key, noise, *labels, allowed=allowed, counted=bool(bands))
+    given = read_in_order(key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands))
     if given.shape == (count, count):
         if not np.allclose(given, given.T, rtol=ROUNDING, atol=0.0):
             raise refuse(key, "a matrix that is not symmetric", allowed)
@@ -174,6 +174,6 @@ def _alike(noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[
 
 def _middle(band: Band) -> float:
     """Return the mean wavelength (nm) of a band."""
-    w = np.linspace(*band.ends, 501)
+    w = np.linspace(*band.limits_nm, 501)
     response = np.interp(w, band.wavelength_nm, band.response)
     return float((w * response).sum() / response.sum())

@@ -38,7 +38,7 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     ValueError
         For a parameter that the medium does not have, or ends of a range that no medium has.
     """
-    check_medium(medium, endless=True)
+    check_medium(medium, allow_semi_infinite=True)
     if not isinstance(ranges, Mapping):
         hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
         raise refuse("free", ranges, "(low, high) by name", hint)
@@ -65,25 +65,25 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
             check_incidence(float(value))
         middle = np.array([ends[0], 0.5 * ends.sum(), ends[1]])
         known[name] = Widest(float(ends[0]), float(ends[1]), spaced(name, middle)[0])
-    return Free.of(dict(ranges), prior, known)
+    return Free.from_ranges(dict(ranges), prior, known)
 
 
 def incidence_of(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
     """Return the incidence that a measurement of a medium was made under, or refuse it."""
     free = ranges if isinstance(ranges, Mapping) else ()
-    return check_incidence(check_places(at, [INCIDENCE], "at.", free=free).get(INCIDENCE, 0.0))
+    return check_incidence(check_places(at, [INCIDENCE], "at.", free_axes=free).get(INCIDENCE, 0.0))
 
 
 def runs_of(
     medium: Medium,
     measurement: Measurement,
-    free: Free,
+    state_vector: Free,
     incidence: float | str,
-    error: float | None,
+    max_stderr: float | None,
     seed: int,
     progress: Report = None,
 ) -> OfRuns:
     """Return a measurement as runs have it, or refuse an error of theirs."""
-    if error is not None:
-        error = in_range("max_stderr", error, 1e-6, 0.5)
-    return OfRuns(medium, measurement, free, incidence, error, seed, progress)
+    if max_stderr is not None:
+        max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
+    return OfRuns(medium, measurement, state_vector, incidence, max_stderr, seed, progress)

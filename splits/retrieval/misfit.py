@@ -30,11 +30,11 @@ class Left(NamedTuple):
         Covariance of what the misfit was drawn from.
     """
 
-    of_place: np.ndarray
-    of_values: np.ndarray
+    state: np.ndarray
+    residual: np.ndarray
 
 
-def misfit_variances(misfit: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+def misfit_variances(misfit: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """Return the variance of a misfit, in parts for each of `CORRELATIONS`.
 
     The misfit is taken for a first-order autoregressive series, from which the fit has taken what
@@ -52,7 +52,7 @@ def misfit_variances(misfit: np.ndarray, fitted: np.ndarray) -> np.ndarray:
     ----------
     Harville (1974), Biometrika 61, 383-385.
     """
-    columns = np.linalg.qr(fitted)[0]
+    columns = np.linalg.qr(jacobian)[0]
     count = len(misfit) - columns.shape[1]
     squares, likelihood = np.empty((2, len(CORRELATIONS)))
     for i, r in enumerate(CORRELATIONS):
@@ -66,25 +66,25 @@ def misfit_variances(misfit: np.ndarray, fitted: np.ndarray) -> np.ndarray:
     return weights / weights.sum() * squares / count
 
 
-def _unlike(series: np.ndarray, r: float) -> np.ndarray:
+def _unlike(series: np.ndarray, correlation: float) -> np.ndarray:
     """Return a series times the inverse of its correlations r, r², … between wavelengths."""
-    found = (1.0 + r**2) * series
-    found[[0, -1]] -= r**2 * series[[0, -1]]
-    found[1:] -= r * series[:-1]
-    found[:-1] -= r * series[1:]
-    return found / (1.0 - r**2)
+    found = (1.0 + correlation**2) * series
+    found[[0, -1]] -= correlation**2 * series[[0, -1]]
+    found[1:] -= correlation * series[:-1]
+    found[:-1] -= correlation * series[1:]
+    return found / (1.0 - correlation**2)
 
 
-def alike(variances: np.ndarray, count: int) -> np.ndarray:
+def alike(variances: np.ndarray, n_wavelengths: int) -> np.ndarray:
     """Return the covariance of so many wavelengths whose misfit has these `misfit_variances`."""
-    apart = np.arange(count)
+    apart = np.arange(n_wavelengths)
     of_lag = (variances[:, np.newaxis] * CORRELATIONS[:, np.newaxis] ** apart).sum(axis=0)
     found: np.ndarray = of_lag[np.abs(apart[:, np.newaxis] - apart)]
     return found
 
 
 def left_open(
-    jacobians: Sequence[np.ndarray], misfit: np.ndarray, own: np.ndarray, held: np.ndarray
+    jacobians: Sequence[np.ndarray], misfit: np.ndarray, noise_covariance: np.ndarray, active_bounds: np.ndarray
 ) -> Left:
     """Return what a least-squares fit leaves open, as the misfit says.
 
@@ -106,11 +106,11 @@ def left_open(
     """
     scale, unknown = _known(jacobians, misfit)
     moved = [j @ scale for j in jacobians]
-    loose = [j[:, ~held] for j in jacobians]
+    loose = [j[:, ~active_bounds] for j in jacobians]
     taken = np.mean([j @ _known(loose, misfit)[0] for j in loose], axis=0)
     variances = misfit_variances(misfit, taken)
     errors = alike(variances, len(misfit))
-    spread = crossed(moved, [(errors + own) @ m for m in moved])
+    spread = crossed(moved, [(errors + noise_covariance) @ m for m in moved])
     # At least that of as many independent wavelengths.
     sizes, axes = np.linalg.eigh(spread)
     spread = (axes * np.maximum(sizes, variances.sum())) @ axes.T

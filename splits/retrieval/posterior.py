@@ -37,39 +37,39 @@ class Draws(NamedTuple):
         Number of independent draws that they are worth.
     """
 
-    places: np.ndarray
-    effective: float
+    states: np.ndarray
+    n_effective: float
 
 
 class _Part(NamedTuple):
     """A part of the distribution that is drawn from."""
 
     centre: np.ndarray
-    lower: np.ndarray
+    cholesky: np.ndarray
 
     @classmethod
-    def of(cls, centre: np.ndarray, covariance: np.ndarray) -> _Part:
+    def from_covariance(cls, centre: np.ndarray, covariance: np.ndarray) -> _Part:
         tiny = 1e-12 * np.eye(len(centre))
         return cls(centre, np.linalg.cholesky(covariance + tiny))
 
-    def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
-        normal = random.standard_normal((count, len(self.centre)))
-        wide = np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, np.newaxis]
-        places: np.ndarray = self.centre + wide * (normal @ self.lower.T)
+    def draw(self, random: np.random.Generator, n_draws: int) -> np.ndarray:
+        normal = random.standard_normal((n_draws, len(self.centre)))
+        wide = np.sqrt(FREEDOM / random.chisquare(FREEDOM, n_draws))[:, np.newaxis]
+        places: np.ndarray = self.centre + wide * (normal @ self.cholesky.T)
         return places
 
-    def density(self, places: np.ndarray) -> np.ndarray:
+    def compute_log_density(self, states: np.ndarray) -> np.ndarray:
         """Return the logarithm of the density, but for a constant that all parts share."""
-        off = np.linalg.solve(self.lower, (places - self.centre).T)
+        off = np.linalg.solve(self.cholesky, (states - self.centre).T)
         many = len(self.centre)
-        scale = np.log(np.diag(self.lower)).sum()
+        scale = np.log(np.diag(self.cholesky)).sum()
         found: np.ndarray = -scale - 0.5 * (FREEDOM + many) * np.log1p(
             (off**2).sum(axis=0) / FREEDOM
         )
         return found
 
 
-def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], seed: int) -> Draws:
+def draws_of(model: Model, measurement: Measurement, estimates: Sequence[Optimum], seed: int) -> Draws:
     """Return draws from the posterior.
 
     Parameters
@@ -81,16 +81,16 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
     seed : int
     """
     random = np.random.default_rng([seed, 20])
-    parts = [_Part.of(end.place, 1.5 * told(end, model.free).covariance) for end in ends]
-    constant = _student(len(ends[0].place))
+    parts = [_Part.from_covariance(end.state, 1.5 * told(end, model.state_vector).covariance) for end in estimates]
+    constant = _student(len(estimates[0].state))
     best = (0.0, np.zeros(0), np.zeros(0), parts)
     for _ in range(ROUNDS):
         places = _drawn(parts, random)
         inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
         places = places[inside]
-        height = np.logaddexp.reduce([part.density(places) for part in parts], axis=0)
+        height = np.logaddexp.reduce([part.compute_log_density(places) for part in parts], axis=0)
         height += constant - np.log(len(parts)) + np.log1p(-DEFENCE)
-        log = _probable(model, measurement, places, ends) - np.logaddexp(height, np.log(DEFENCE))
+        log = _probable(model, measurement, places, estimates) - np.logaddexp(height, np.log(DEFENCE))
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         effective = float(1.0 / (weight**2).sum())
@@ -105,59 +105,59 @@ def draws_of(model: Model, measurement: Measurement, ends: Sequence[Optimum], se
     return Draws(places[_systematic(weight, random)], effective)
 
 
-def _drawn(parts: Sequence[_Part], random: np.random.Generator) -> np.ndarray:
+def _drawn(components: Sequence[_Part], random: np.random.Generator) -> np.ndarray:
     """Return draws from all parts, and some from everywhere."""
-    everywhere = random.random((int(DEFENCE * DRAWS), len(parts[0].centre)))
-    share = (DRAWS - len(everywhere)) // len(parts)
-    return np.concatenate([everywhere, *(part.draw(random, share) for part in parts)])
+    everywhere = random.random((int(DEFENCE * DRAWS), len(components[0].centre)))
+    share = (DRAWS - len(everywhere)) // len(components)
+    return np.concatenate([everywhere, *(part.draw(random, share) for part in components)])
 
 
-def _student(many: int) -> float:
+def _student(n_dimensions: int) -> float:
     """Return the logarithm of the constant of Student's t in so many dimensions."""
     from math import lgamma, log, pi
 
-    return lgamma(0.5 * (FREEDOM + many)) - lgamma(0.5 * FREEDOM) - 0.5 * many * log(FREEDOM * pi)
+    return lgamma(0.5 * (FREEDOM + n_dimensions)) - lgamma(0.5 * FREEDOM) - 0.5 * n_dimensions * log(FREEDOM * pi)
 
 
 def _probable(
-    model: Model, measurement: Measurement, places: np.ndarray, ends: Sequence[Optimum]
+    model: Model, measurement: Measurement, states: np.ndarray, estimates: Sequence[Optimum]
 ) -> np.ndarray:
     """Return the logarithm of the posterior, but for a constant."""
-    off = model.values(places) - measurement.values
-    nearest = np.argmin([np.abs(places - end.place).max(axis=1) for end in ends], axis=0)
-    misfit = np.empty(len(places))
-    for number, end in enumerate(ends):
+    off = model.evaluate(states) - measurement.values
+    nearest = np.argmin([np.abs(states - end.state).max(axis=1) for end in estimates], axis=0)
+    misfit = np.empty(len(states))
+    for number, end in enumerate(estimates):
         rows = nearest == number
-        lower = np.linalg.cholesky(end.covariance)
+        lower = np.linalg.cholesky(end.error_covariance)
         squares = (np.linalg.solve(lower, off[rows].T) ** 2).sum(axis=0)
         misfit[rows] = squares + 2.0 * np.log(np.diag(lower)).sum()
-    prior = ((places - model.free.prior_mean) / model.free.prior_sd) ** 2
+    prior = ((states - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
     found: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))
     return found
 
 
-def _anew(places: np.ndarray, weight: np.ndarray, parts: Sequence[_Part]) -> list[_Part]:
+def _anew(states: np.ndarray, weights: np.ndarray, components: Sequence[_Part]) -> list[_Part]:
     """Return parts around what was found, each place with the part that it is nearest to."""
-    nearest = np.argmax([part.density(places) for part in parts], axis=0)
+    nearest = np.argmax([part.compute_log_density(states) for part in components], axis=0)
     found = []
-    for number, part in enumerate(parts):
-        own = weight * (nearest == number)
+    for number, part in enumerate(components):
+        own = weights * (nearest == number)
         if own.sum() < 1e-6:
             continue
         own /= own.sum()
-        centre = own @ places
-        off = places - centre
+        centre = own @ states
+        off = states - centre
         spread = (own[:, np.newaxis] * off).T @ off
         few = 1.0 / (own**2).sum()
         # A handful of places does not tell a covariance.
         keep = 1.0 / (1.0 + few / (4.0 * len(centre)))
-        before = part.lower @ part.lower.T
-        found.append(_Part.of(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
-    return found or list(parts)
+        before = part.cholesky @ part.cholesky.T
+        found.append(_Part.from_covariance(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
+    return found or list(components)
 
 
-def _systematic(weight: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def _systematic(weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Return rows as often as they weigh, with as little chance as can be."""
     at = (np.arange(DRAWS) + random.random()) / DRAWS
-    rows: np.ndarray = np.searchsorted(np.cumsum(weight), at * weight.sum())
-    return np.minimum(rows, len(weight) - 1)
+    rows: np.ndarray = np.searchsorted(np.cumsum(weights), at * weights.sum())
+    return np.minimum(rows, len(weights) - 1)

@@ -118,31 +118,31 @@ class Found(NamedTuple):
         How far light is off a straight line a standard deviation away, in units of its noise.
     """
 
-    ends: Sequence[Optimum]
-    told: Told
+    estimates: Sequence[Optimum]
+    posterior: Told
     draws: Draws
-    excess: float
-    tension: np.ndarray
-    off: np.ndarray
-    rivals: tuple[np.ndarray, ...] = ()
-    bent: float = 0.0
+    variance_inflation: float
+    prior_tension: np.ndarray
+    forward_model_error: np.ndarray
+    alternatives: tuple[np.ndarray, ...] = ()
+    nonlinearity: float = 0.0
 
 
-def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
+def result_of(state_vector: Free, measurement: Measurement, solution: Found) -> Retrieved:
     """Return what was found as a dataset."""
-    (best, *_), told, draws, excess, _, off, *_ = found
-    names = list(free.names)
-    natural = free.at(draws.places)
-    spread = draws.places.std(axis=0)
-    before = np.sqrt(free.prior_variance)
+    (best, *_), told, draws, excess, _, off, *_ = solution
+    names = list(state_vector.names)
+    natural = state_vector.to_physical(draws.states)
+    spread = draws.states.std(axis=0)
+    before = np.sqrt(state_vector.prior_variance)
     determined = spread < UNTOLD * before
     noise = np.sqrt(np.diag(measurement.covariance))
     over, pair = ("parameter",), ("parameter", "other_parameter")
     with np.errstate(invalid="ignore"):
-        related = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.places, rowvar=False)))
+        related = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
     labels = [f"{name}: {parameter_about(name)[0]}" for name in names]
     variables = {
-        **quantity("value", over, free.at(best.place), natural.std(axis=0), "most probable value"),
+        **quantity("value", over, state_vector.to_physical(best.state), natural.std(axis=0), "most probable value"),
         **quantity("mean", over, natural.mean(axis=0), None, "mean"),
         **quantity("determined", over, determined.astype(np.int8), None,
                    "1 where the measurement halves what was not known before"),
@@ -153,19 +153,19 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
         **quantity("correlation", pair, related, None, "correlation of coordinates"),
         **quantity("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
         **quantity("measured", "wavelength", measurement.values, noise, "measured"),
-        **quantity("fitted", "wavelength", best.values, off, "of the most probable value"),
+        **quantity("fitted", "wavelength", best.modelled, off, "of the most probable value"),
     }  # fmt: skip
     facts: dict[str, Any] = {
         "title": "Retrieval",
-        "rmse": float(np.sqrt(np.mean((best.values - measurement.values) ** 2))),
-        "noise": GIVEN if measurement.told else "found from the misfit",
+        "rmse": float(np.sqrt(np.mean((best.modelled - measurement.values) ** 2))),
+        "noise": GIVEN if measurement.noise_known else "found from the misfit",
         "chi2": excess * best.chi2,
-        "chi2_expected": len(best.values) - fitted(best, free),
+        "chi2_expected": len(best.modelled) - fitted(best, state_vector),
         "errors_enlarged_by": float(np.sqrt(excess)),
         "degrees_of_freedom": told.degrees_of_freedom,
         "information_bits": told.information_bits,
-        "effective_draws": draws.effective,
-        "warnings": "; ".join(_warnings(free, found, determined)) or "none",
+        "effective_draws": draws.n_effective,
+        "warnings": "; ".join(_warnings(state_vector, solution, determined)) or "none",
         **provenance("retrieval"),
     }
     units = [parameter_about(name)[1] if name != LEVEL else "1" for name in names]
@@ -181,57 +181,57 @@ def result_of(free: Free, measurement: Measurement, found: Found) -> Retrieved:
     return Retrieved(xr.Dataset(variables, axes, attributes(facts)))
 
 
-def tension_of(free: Free, alone: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def tension_of(state_vector: Free, state: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return how far priors are from a place that is told without them, in standard errors."""
-    found: np.ndarray = np.abs(alone - free.prior_mean) / np.sqrt(free.prior_sd**2 + variance)
+    found: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(state_vector.prior_sd**2 + variance)
     return found
 
 
-def excess_of(best: Optimum, free: Free) -> float:
+def excess_of(estimate: Optimum, state_vector: Free) -> float:
     """Return by how much variances are to be enlarged so that the misfit is no surprise."""
     chi2 = optional("scipy.stats", "retrieval", "retrievals need").chi2
 
-    left = max(len(best.values) - fitted(best, free), 1.0)
-    if chi2.sf(best.chi2, left) > IMPROBABLE:
+    left = max(len(estimate.modelled) - fitted(estimate, state_vector), 1.0)
+    if chi2.sf(estimate.chi2, left) > IMPROBABLE:
         return 1.0
-    return best.chi2 / left
+    return estimate.chi2 / left
 
 
-def _warnings(free: Free, result: Found, determined: np.ndarray) -> list[str]:
+def _warnings(state_vector: Free, solution: Found, determined: np.ndarray) -> list[str]:
     """Return what is to be known of the numbers."""
-    ends, told, draws, excess, tension, *_ = result
+    ends, told, draws, excess, tension, *_ = solution
     best, found = ends[0], []
     if excess > 1.0:
         found.append(
             f"the model does not follow the measurement within its noise: errors are enlarged by "
             f"{np.sqrt(excess):.3g}, and may still be too small"
         )
-    untold = [name for name, known in zip(free.names, determined, strict=True) if not known]
+    untold = [name for name, known in zip(state_vector.names, determined, strict=True) if not known]
     if untold:
         found.append(f"not told by the measurement: {', '.join(untold)}")
-    for name, off in zip(free.names, tension, strict=True):
+    for name, off in zip(state_vector.names, tension, strict=True):
         if off > FAR_FROM_PRIOR:
             found.append(f"{name}: prior and measurement are {off:.1f} standard deviations apart")
-    for i, name in enumerate(free.names):
-        low, high = (float(free.at(np.full(len(free.names), x))[i]) for x in (0.0, 1.0))
-        if not (determined[i] or best.held[i]):
+    for i, name in enumerate(state_vector.names):
+        low, high = (float(state_vector.to_physical(np.full(len(state_vector.names), x))[i]) for x in (0.0, 1.0))
+        if not (determined[i] or best.active_bounds[i]):
             continue
-        if best.place[i] < AT_END and low != 0.0:
+        if best.state[i] < AT_END and low != 0.0:
             found.append(f"{name} lies at the low end of its range, {low:g}")
-        if best.place[i] > 1.0 - AT_END:
+        if best.state[i] > 1.0 - AT_END:
             found.append(f"{name} lies at the high end of its range, {high:g}")
-    for other in [*(end.place for end in ends[1:2]), *result.rivals]:
-        off = other - best.place
+    for other in [*(end.state for end in ends[1:2]), *solution.alternatives]:
+        off = other - best.state
         if off @ np.linalg.solve(told.covariance, off) < RIVAL:
             # Within the errors: no other answer.
             continue
-        words = [f"{n} {v:.3g}" for n, v in zip(free.names, free.at(other), strict=True)]
+        words = [f"{n} {v:.3g}" for n, v in zip(state_vector.names, state_vector.to_physical(other), strict=True)]
         found.append(f"another answer is nearly as good: {', '.join(words)}")
-    if result.bent > STRAIGHT:
+    if solution.nonlinearity > STRAIGHT:
         found.append(
             f"errors take reflectance to be linear in the coordinates, but a standard deviation "
-            f"away it is off by {result.bent:.1f} times the noise: take them as rough"
+            f"away it is off by {solution.nonlinearity:.1f} times the noise: take them as rough"
         )
-    if draws.effective < ENOUGH:
-        found.append(f"quantiles are rough, of {draws.effective:.0f} draws in effect")
+    if draws.n_effective < ENOUGH:
+        found.append(f"quantiles are rough, of {draws.n_effective:.0f} draws in effect")
     return found

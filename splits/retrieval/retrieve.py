@@ -127,10 +127,10 @@ def retrieve(
         if max_stderr is not None:
             raise refuse("max_stderr", max_stderr, "left out", "a table has errors of its own")
         one_of("quantity", quantity, model.quantities)
-        measurement = Measurement.of(measured, noise, bands)
-        which = Free.of(free, prior, ranges_of(model))
+        measurement = Measurement.from_input(measured, noise, bands)
+        which = Free.from_ranges(free, prior, ranges_of(model))
         known = OfTable(model, measurement, which, at, quantity)
-        if not measurement.told:
+        if not measurement.noise_known:
             found, measurement = least_squares.in_table(known, measurement, seed)
         else:
             found = _found(known, measurement, seed)
@@ -140,30 +140,30 @@ def retrieve(
         hint = "splits.Table(splits.table(…)), open_table, or a snow, sand, layer or stack"
         raise refuse("model", given, "a Table, or a medium", hint)
     one_of("quantity", quantity, ["reflectance"])
-    measurement = Measurement.of(measured, noise, bands)
+    measurement = Measurement.from_input(measured, noise, bands)
     beam = incidence_of(at, free)
     which = free_of(model, free, prior, beam)
     runs = runs_of(model, measurement, which, beam, max_stderr, seed, progress)
-    if not measurement.told:
+    if not measurement.noise_known:
         found, measurement = least_squares.by_runs(runs, measurement, seed)
     else:
         found = _by_runs(runs, measurement, seed)
     return result_of(which, measurement, found)
 
 
-def _by_runs(runs: OfRuns, measurement: Measurement, seed: int) -> Found:
+def _by_runs(model: OfRuns, measurement: Measurement, seed: int) -> Found:
     """Return what a measurement of known noise tells by runs."""
-    settled = runs.settled()
-    around = Around(runs.free, settled.seen(measurement.covariance))
+    settled = model.find_minima()
+    around = Around(model.state_vector, settled.linearize(measurement.covariance))
     found = _found(around, measurement, seed)
-    noise = found.excess * (measurement.covariance + settled.own)
-    off = bent(runs.last, around, found.ends[0].place, found.told.covariance, noise)
-    return found._replace(bent=off, rivals=settled.rivals(RIVAL))
+    noise = found.variance_inflation * (measurement.covariance + settled.noise_covariance)
+    off = bent(model.evaluate_last_stage, around, found.estimates[0].state, found.posterior.covariance, noise)
+    return found._replace(nonlinearity=off, alternatives=settled.find_alternatives(RIVAL))
 
 
 def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:
     """Return the most probable places, and draws around them."""
-    free, nodes = model.free, model.nodes()
+    free, nodes = model.state_vector, model.evaluate_first_guesses()
     ends = optima(model, measurement, *nodes)
     # A prior that contradicts the measurement is no fault of the model.
     alone = _without_priors(model, measurement, ends[0])
@@ -171,22 +171,22 @@ def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Foun
     excess = excess_of(fair, free)
     if excess > 1.0:
         ends = optima(model, measurement, *nodes, excess)
-    spread = told(alone._replace(covariance=excess * alone.covariance), free.flat()).covariance
-    tension = tension_of(free, alone.place, np.diag(spread))
+    spread = told(alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()).covariance
+    tension = tension_of(free, alone.state, np.diag(spread))
     if ends[0].chi2 - fair.chi2 / excess < FAR_FROM_PRIOR**2:
         # As well followed with the priors as without: they do not contradict it.
         tension = np.zeros_like(tension)
     draws = draws_of(model, measurement, ends, seed)
-    off = np.sqrt(np.diag(model.covariance(ends[0].place)))
+    off = np.sqrt(np.diag(model.compute_error_covariance(ends[0].state)))
     return Found(ends, told(ends[0], free), draws, excess, tension, off)
 
 
-def _without_priors(model: OfTable | Around, measurement: Measurement, end: Optimum) -> Optimum:
+def _without_priors(model: OfTable | Around, measurement: Measurement, estimate: Optimum) -> Optimum:
     """Return the optimum that the measurement has by itself, near that with priors."""
-    free = model.free
+    free = model.state_vector
     if not np.isfinite(free.prior_sd).any():
-        return end
-    model.free = free.flat()
-    alone = optimum(model, measurement, end.place)
-    model.free = free
+        return estimate
+    model.state_vector = free.drop_priors()
+    alone = optimum(model, measurement, estimate.state)
+    model.state_vector = free
     return alone

@@ -61,20 +61,20 @@ class Settled(NamedTuple):
         Independent ones there.
     """
 
-    ends: list[End]
-    values: np.ndarray
-    own: np.ndarray
+    minima: list[End]
+    modelled: np.ndarray
+    noise_covariance: np.ndarray
     jacobians: list[np.ndarray]
 
-    def seen(self, noise: np.ndarray) -> Seen:
+    def linearize(self, measurement_covariance: np.ndarray) -> Seen:
         """Return the best end, with slopes for measurements of some noise."""
-        slopes = without_noise(self.jacobians, noise + self.own)
-        return Seen(self.ends[0].place, self.values, slopes, self.own)
+        slopes = without_noise(self.jacobians, measurement_covariance + self.noise_covariance)
+        return Seen(self.minima[0].state, self.modelled, slopes, self.noise_covariance)
 
-    def rivals(self, within: float) -> tuple[np.ndarray, ...]:
+    def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
         """Return the other ends whose sums of squares are not so much larger."""
-        best, *others = self.ends
-        return tuple(end.place for end in others if end.cost < best.cost + within)
+        best, *others = self.minima
+        return tuple(end.state for end in others if end.cost < best.cost + max_increase)
 
 
 class OfRuns:
@@ -93,119 +93,119 @@ class OfRuns:
     progress : callable, optional
     """
 
-    margin = MARGIN
+    bound_margin = MARGIN
 
     def __init__(
         self,
         medium: Medium,
         measurement: Measurement,
-        free: Free,
+        state_vector: Free,
         incidence: float | str,
-        error: float | None,
+        max_stderr: float | None,
         seed: int,
         progress: Report = None,
     ) -> None:
-        self.medium, self.measurement, self.free = medium, measurement, free
+        self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
         least = float(np.sqrt(np.diag(measurement.covariance).min()))
-        usual = min(max(NOISE_SHARE * least, FINEST), COARSEST) if measurement.told else PLAIN
-        self.error = error or usual
+        usual = min(max(NOISE_SHARE * least, FINEST), COARSEST) if measurement.noise_known else PLAIN
+        self.max_stderr = max_stderr or usual
         self.wavelengths = wavelengths_of(measurement)
-        self.operator = Operator.of(measurement, self.wavelengths).matrix
-        self.axes = [name for name in free.names if name != LEVEL]
-        self._rows = [free.names.index(name) for name in self.axes]
-        self._level = free.names.index(LEVEL) if LEVEL in free.names else None
-        self._known: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._way = Way(progress, self.error, len(free.names))
+        self.operator = Operator.from_measurement(measurement, self.wavelengths).matrix
+        self.axes = [name for name in state_vector.names if name != LEVEL]
+        self._axis_indices = [state_vector.names.index(name) for name in self.axes]
+        self._scale_index = state_vector.names.index(LEVEL) if LEVEL in state_vector.names else None
+        self._cache: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._progress = Way(progress, self.max_stderr, len(state_vector.names))
 
-    def error_of(self, stage: int) -> float:
+    def get_stage_stderr(self, stage: int) -> float:
         """Return the error of the runs of a stage, the last of which is exact."""
-        return self.error if stage == LAST else max(ROUGHLY, self.error)
+        return self.max_stderr if stage == LAST else max(ROUGHLY, self.max_stderr)
 
-    def looked(
-        self, place: np.ndarray, error: float, names: list[str], seed: int
+    def simulate(
+        self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
     ) -> tuple[Any, float]:
         """Return a run at a place, its derivatives to some parameters, and the level there."""
-        natural = self.free.at(place)
+        natural = self.state_vector.to_physical(state)
         medium, beam = self.medium, self.incidence
-        for row, name in zip(self._rows, self.axes, strict=True):
+        for row, name in zip(self._axis_indices, self.axes, strict=True):
             if name == INCIDENCE:
                 beam = float(natural[row])
             else:
                 medium = with_value(medium, name, float(natural[row]))
         found = spectrophotometer(
-            medium, self.wavelengths, beam, error, seed, jacobian=names,
-            progress=self._way.run(error, _runs(len(names))),
+            medium, self.wavelengths, beam, max_stderr, seed, jacobian=names,
+            progress=self._progress.track_run(max_stderr, _runs(len(names))),
         )  # fmt: skip
-        return found, 1.0 if self._level is None else float(natural[self._level])
+        return found, 1.0 if self._scale_index is None else float(natural[self._scale_index])
 
-    def noisy(self, place: np.ndarray, stage: int) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_with_covariance(self, state: np.ndarray, stage: int) -> tuple[np.ndarray, np.ndarray]:
         """Return what would be measured, shape (n,), and the covariance of the runs' noise."""
-        key = (place.tobytes(), stage)
-        if key not in self._known:
-            found, level = self.looked(place, self.error_of(stage), [], self.seed)
+        key = (state.tobytes(), stage)
+        if key not in self._cache:
+            found, level = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
             values = level * (self.operator @ found.reflectance.values)
             groups = level * found.reflectance_groups.values @ self.operator.T
             own = level * np.abs(self.operator) @ found.reflectance_stderr.values
             covariance = groups.T @ groups
             covariance += np.diag(np.maximum(own**2 - np.diag(covariance), 0.0))
-            self._known[key] = values, covariance
-        return self._known[key]
+            self._cache[key] = values, covariance
+        return self._cache[key]
 
-    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return what would be measured, shape (n,)."""
-        return self.noisy(place, stage)[0]
+        return self.evaluate_with_covariance(state, stage)[0]
 
-    def last(self, place: np.ndarray) -> np.ndarray:
+    def evaluate_last_stage(self, state: np.ndarray) -> np.ndarray:
         """Return what would be measured, shape (n,), as exactly as runs say it."""
-        return self.values(place, LAST)
+        return self.evaluate(state, LAST)
 
-    def slopes(self, place: np.ndarray, stage: int, seed: int | None = None) -> np.ndarray:
+    def compute_jacobian(self, state: np.ndarray, stage: int, seed: int | None = None) -> np.ndarray:
         """Return its derivatives to the coordinates, shape (n, parameters)."""
-        error = max(self.error_of(stage), SLOPES)
-        found, level = self.looked(place, error, self.axes, self.seed if seed is None else seed)
-        slopes = np.zeros((len(self.operator), len(self.free.names)))
-        per_unit = self._per_coordinate(place)
-        for i, row in enumerate(self._rows):
+        error = max(self.get_stage_stderr(stage), SLOPES)
+        found, level = self.simulate(state, error, self.axes, self.seed if seed is None else seed)
+        slopes = np.zeros((len(self.operator), len(self.state_vector.names)))
+        per_unit = self._compute_coordinate_derivatives(state)
+        for i, row in enumerate(self._axis_indices):
             along = self.operator @ found.reflectance_jacobian.values[i]
             slopes[:, row] = level * per_unit[row] * along
-        if self._level is not None:
+        if self._scale_index is not None:
             values = self.operator @ found.reflectance.values
-            slopes[:, self._level] = values * (self.free.high - self.free.low)[self._level]
+            slopes[:, self._scale_index] = values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
         return slopes
 
-    def _per_coordinate(self, place: np.ndarray) -> np.ndarray:
+    def _compute_coordinate_derivatives(self, state: np.ndarray) -> np.ndarray:
         """Return how fast parameters change with their coordinates."""
         step = 1e-6
-        low, high = np.clip(place - step, 0.0, 1.0), np.clip(place + step, 0.0, 1.0)
-        rate: np.ndarray = (self.free.at(high) - self.free.at(low)) / (high - low)
+        low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
+        rate: np.ndarray = (self.state_vector.to_physical(high) - self.state_vector.to_physical(low)) / (high - low)
         return rate
 
-    def _aim(self, place: np.ndarray, stage: int) -> Aim:
+    def _make_objective(self, state: np.ndarray, stage: int) -> Aim:
         """Return what counts near a place: noise of the measurement, and of the runs."""
-        if not self.measurement.told:
-            return Aim.least_squares(self.measurement.values, self.free)
-        covariance = self.measurement.covariance + self.noisy(place, stage)[1]
-        return Aim(self.measurement.values, np.linalg.cholesky(covariance), self.free)
+        if not self.measurement.noise_known:
+            return Aim.least_squares(self.measurement.values, self.state_vector)
+        covariance = self.measurement.covariance + self.evaluate_with_covariance(state, stage)[1]
+        return Aim(self.measurement.values, np.linalg.cholesky(covariance), self.state_vector)
 
-    def settled(self) -> Settled:
+    def find_minima(self) -> Settled:
         """Return where the descents end, and Jacobians at the best."""
         qmc = optional("scipy.stats", "retrieval", "retrievals need").qmc
 
-        free = self.free
+        free = self.state_vector
         places = qmc.Sobol(len(free.names), seed=self.seed).random(SURVEY)
         known = np.isfinite(free.prior_sd)
         places[:, known] = free.prior_mean[known] + (places[:, known] - 0.5) * free.prior_sd[known]
-        best, *others = search(self, self._aim, np.clip(places, 0.02, 0.98), STAGES)[-1]
-        ends = [best] + [end for end in others if np.abs(end.place - best.place).max() > APART]
-        values, own = self.noisy(best.place, LAST)
+        best, *others = search(self, self._make_objective, np.clip(places, 0.02, 0.98), STAGES)[-1]
+        ends = [best] + [end for end in others if np.abs(end.state - best.state).max() > APART]
+        values, own = self.evaluate_with_covariance(best.state, LAST)
         least, most = JACOBIANS
-        jacobians = [self.slopes(best.place, LAST, self.seed + 1 + n) for n in range(least)]
-        while self.measurement.told and len(jacobians) < most:
+        jacobians = [self.compute_jacobian(best.state, LAST, self.seed + 1 + n) for n in range(least)]
+        while self.measurement.noise_known and len(jacobians) < most:
             if not doubtful(jacobians, self.measurement.covariance + own):
                 break
             seed = self.seed + 1 + len(jacobians)
-            jacobians.append(self.slopes(best.place, LAST, seed))
+            jacobians.append(self.compute_jacobian(best.state, LAST, seed))
         return Settled(ends, values, own, jacobians)
 
 
@@ -220,46 +220,46 @@ class Way:
     parameters : int
     """
 
-    def __init__(self, report: Report, error: float, parameters: int) -> None:
-        self.report, self.error = report, error
-        fine, slopes = _cost(error), _runs(parameters) * _cost(max(error, SLOPES))
+    def __init__(self, report: Report, max_stderr: float, n_parameters: int) -> None:
+        self.report, self.max_stderr = report, max_stderr
+        fine, slopes = _cost(max_stderr), _runs(n_parameters) * _cost(max(max_stderr, SLOPES))
         # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
         # end.  Then come Jacobians, and runs that tell how far light is off a straight line.
-        rough = SURVEY + STAGES[0].starts * 2 * (2 + _runs(parameters))
-        last = STAGES[1].starts * (4 * fine + slopes)
-        self.whole = rough + last + float(np.mean(JACOBIANS)) * slopes + 2 * parameters * fine
-        self.done, self.begun = 0.0, time.perf_counter()
+        rough = SURVEY + STAGES[0].n_starts * 2 * (2 + _runs(n_parameters))
+        last = STAGES[1].n_starts * (4 * fine + slopes)
+        self.total_cost = rough + last + float(np.mean(JACOBIANS)) * slopes + 2 * n_parameters * fine
+        self.spent_cost, self.start_time = 0.0, time.perf_counter()
 
-    def run(self, error: float, runs: int) -> Report:
+    def track_run(self, max_stderr: float, n_runs: int) -> Report:
         """Return what receives the progress of so many runs of an error."""
         if not callable(self.report):
             return None
-        cost, before, report = runs * _cost(error), self.done, self.report
-        self.done += cost
+        cost, before, report = n_runs * _cost(max_stderr), self.spent_cost, self.report
+        self.spent_cost += cost
 
         def show(one: Progress) -> None:
-            spent = time.perf_counter() - self.begun
-            done = before + one.share * cost
-            left = max(self.whole - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
-            report(Progress(one.rays, one.stderr, self.error, spent, max(left, one.seconds_left)))
+            spent = time.perf_counter() - self.start_time
+            done = before + one.fraction_done * cost
+            left = max(self.total_cost - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
+            report(Progress(one.rays, one.stderr, self.max_stderr, spent, max(left, one.seconds_left)))
 
         return show
 
 
-def _runs(parameters: int) -> int:
+def _runs(n_parameters: int) -> int:
     """Return how many runs a spectrum and its derivatives take, at most as a rule."""
-    return 1 + 5 * parameters
+    return 1 + 5 * n_parameters
 
 
-def _cost(error: float) -> float:
+def _cost(max_stderr: float) -> float:
     """Return what a run of an error costs, in rough ones."""
-    return (ROUGHLY / error) ** 2
+    return (ROUGHLY / max_stderr) ** 2
 
 
 def wavelengths_of(measurement: Measurement) -> np.ndarray:
     """Return the wavelengths (nm) to run: those measured, or some across all bands."""
     if not measurement.bands:
         return np.unique(measurement.wavelength_nm)
-    ends = np.array([band.ends for band in measurement.bands.values()])
+    ends = np.array([band.limits_nm for band in measurement.bands.values()])
     low, high = float(ends.min()), float(ends.max())
     return np.linspace(low, high, 1 + int(np.ceil((high - low) / STEP_NM)))

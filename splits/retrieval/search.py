@@ -36,14 +36,14 @@ class Runs(Protocol):
         Places stay so far away from the ends.
     """
 
-    free: Free
-    margin: float
+    state_vector: Free
+    bound_margin: float
 
-    def values(self, place: np.ndarray, stage: int) -> np.ndarray:
+    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return what would be measured, shape (n,), with the random numbers of a stage."""
         ...
 
-    def slopes(self, place: np.ndarray, stage: int) -> np.ndarray:
+    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return its derivatives to the coordinates, shape (n, parameters)."""
         ...
 
@@ -61,9 +61,9 @@ class Stage(NamedTuple):
         By how much more than the best a sum of squares may be for a place to be one of these.
     """
 
-    starts: int
-    evaluations: int
-    within: float = np.inf
+    n_starts: int
+    max_evaluations: int
+    max_cost_increase: float = np.inf
 
 
 class Aim(NamedTuple):
@@ -78,41 +78,41 @@ class Aim(NamedTuple):
         With the priors that count.
     """
 
-    wanted: np.ndarray
-    lower: np.ndarray
-    free: Free
+    measured: np.ndarray
+    cholesky: np.ndarray
+    state_vector: Free
 
     @classmethod
-    def least_squares(cls, wanted: np.ndarray, free: Free) -> Aim:
+    def least_squares(cls, measured: np.ndarray, state_vector: Free) -> Aim:
         """Return the aim of a misfit as small as can be, where nothing is known of noise."""
-        return cls(wanted, np.eye(len(wanted)), free)
+        return cls(measured, np.eye(len(measured)), state_vector)
 
-    def off(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def compute_residuals(self, modelled: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Return how far values and the place are off, in standard deviations."""
-        free = self.free
+        free = self.state_vector
         known = np.isfinite(free.prior_sd)
-        prior = (place - free.prior_mean)[known] / free.prior_sd[known]
-        return np.concatenate([np.linalg.solve(self.lower, values - self.wanted), prior])
+        prior = (state - free.prior_mean)[known] / free.prior_sd[known]
+        return np.concatenate([np.linalg.solve(self.cholesky, modelled - self.measured), prior])
 
-    def along(self, slopes: np.ndarray) -> np.ndarray:
+    def compute_residual_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
         """Return the derivatives of `off` to the coordinates."""
-        pull = np.diag(1.0 / self.free.prior_sd)[np.isfinite(self.free.prior_sd)]
-        return np.vstack([np.linalg.solve(self.lower, slopes), pull])
+        pull = np.diag(1.0 / self.state_vector.prior_sd)[np.isfinite(self.state_vector.prior_sd)]
+        return np.vstack([np.linalg.solve(self.cholesky, jacobian), pull])
 
 
 class End(NamedTuple):
     """Where a descent ended, and the sum of squares there."""
 
     cost: float
-    place: np.ndarray
+    state: np.ndarray
 
 
 def search(
-    runs: Runs,
-    aim: Callable[[np.ndarray, int], Aim],
-    places: np.ndarray,
+    model: Runs,
+    make_objective: Callable[[np.ndarray, int], Aim],
+    survey_states: np.ndarray,
     stages: Sequence[Stage],
-    say: Callable[[int, float], None] = lambda stage, cost: None,
+    log: Callable[[int, float], None] = lambda stage, cost: None,
 ) -> list[list[End]]:
     """Return where the descents of every stage ended, best first.
 
@@ -127,35 +127,35 @@ def search(
     say : callable
         Receives the number of every stage that begins, from 1 on, and the least sum of squares.
     """
-    places = np.clip(places, runs.margin, 1.0 - runs.margin)
-    first = aim(places[0], 0)
-    found = [End(_square(first.off(runs.values(x, 0), x)), x) for x in places]
+    survey_states = np.clip(survey_states, model.bound_margin, 1.0 - model.bound_margin)
+    first = make_objective(survey_states[0], 0)
+    found = [End(_square(first.compute_residuals(model.evaluate(x, 0), x)), x) for x in survey_states]
     ends: list[list[End]] = []
     for number, stage in enumerate(stages, 1):
         found = _different(found, stage, FAR if number == 1 else 0.0)
-        say(number, found[0].cost)
+        log(number, found[0].cost)
         # A later stage begins near its goal: it may trust its linear model less far.
         radius = FIRST_RADIUS / 2 ** (number - 1)
-        near = aim(found[0].place, number)
-        found = [descend(runs, number, end.place, near, stage.evaluations, radius) for end in found]
+        near = make_objective(found[0].state, number)
+        found = [descend(model, number, end.state, near, stage.max_evaluations, radius) for end in found]
         found.sort(key=lambda end: end.cost)
         ends.append(found)
     return ends
 
 
-def _different(found: Sequence[End], stage: Stage, apart: float) -> list[End]:
+def _different(minima: Sequence[End], stage: Stage, min_separation: float) -> list[End]:
     """Return the best of so many ends that are apart."""
     kept: list[End] = []
-    for end in sorted(found, key=lambda end: end.cost):
-        if len(kept) == stage.starts or (kept and end.cost > kept[0].cost + stage.within):
+    for end in sorted(minima, key=lambda end: end.cost):
+        if len(kept) == stage.n_starts or (kept and end.cost > kept[0].cost + stage.max_cost_increase):
             break
-        if all(np.abs(end.place - one.place).max() > apart for one in kept):
+        if all(np.abs(end.state - one.state).max() > min_separation for one in kept):
             kept.append(end)
     return kept
 
 
 def descend(
-    runs: Runs, stage: int, start: np.ndarray, aim: Aim, evaluations: int, radius: float
+    model: Runs, stage: int, start: np.ndarray, objective: Aim, max_evaluations: int, radius: float
 ) -> End:
     """Return the nearest place found, by Gauss-Newton steps in a box.
 
@@ -175,16 +175,16 @@ def descend(
     """
     lsq_linear = optional("scipy.optimize", "retrieval", "retrievals need").lsq_linear
 
-    least, most = runs.margin, 1.0 - runs.margin
+    least, most = model.bound_margin, 1.0 - model.bound_margin
     x = np.clip(start, least, most)
-    off = aim.off(runs.values(x, stage), x)
+    off = objective.compute_residuals(model.evaluate(x, stage), x)
     best = _square(off)
     used, stale = 1, True
     slopes = np.empty((len(off), len(x)))
-    while used < evaluations and radius >= LEAST_RADIUS:
+    while used < max_evaluations and radius >= LEAST_RADIUS:
         fresh = stale
         if stale:
-            slopes = aim.along(runs.slopes(x, stage))
+            slopes = objective.compute_residual_jacobian(model.compute_jacobian(x, stage))
             used += len(x)
             stale = False
         low, high = np.maximum(least - x, -radius), np.minimum(most - x, radius)
@@ -196,7 +196,7 @@ def descend(
                 break
             stale = True
             continue
-        there = aim.off(runs.values(x + step, stage), x + step)
+        there = objective.compute_residuals(model.evaluate(x + step, stage), x + step)
         used += 1
         gained = best - _square(there)
         slopes += np.outer(there - off - slopes @ step, step) / (step @ step)
@@ -210,5 +210,5 @@ def descend(
     return End(best, x)
 
 
-def _square(off: np.ndarray) -> float:
-    return float(off @ off)
+def _square(residuals: np.ndarray) -> float:
+    return float(residuals @ residuals)

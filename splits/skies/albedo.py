@@ -79,7 +79,7 @@ def albedo(
     w = asked(wavelength_nm, light, 2)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     seed, threads = check_whole("seed", seed, 0), check_threads(threads)
-    named = light.bands(bands)
+    named = light.make_bands(bands)
     light.check_bands(named, w)
 
     many = isinstance(medium, Mapping)
@@ -103,7 +103,7 @@ def albedo(
     dims = ("medium", "wavelength") if many else ("wavelength",)
     spectrum = xr.Dataset(_named("albedo", dims, found, "albedo under this sky"), axes, facts)
     about = {"long_name": "part of the light that comes straight from the sun", "units": "1"}
-    spectrum["direct_share"] = ("wavelength", light.direct_share(w), about)
+    spectrum["direct_share"] = ("wavelength", light.compute_direct_fraction(w), about)
     return spectrum.assign(_over_bands(spectrum, light, named)).assign_coords(band=list(named))
 
 
@@ -111,20 +111,20 @@ def _first(medium: Medium | Mapping[str, Medium]) -> Medium:
     return next(iter(medium.values())) if isinstance(medium, Mapping) else medium
 
 
-def _named(name: str, dims: tuple[str, ...], found: xr.Dataset, label: str) -> dict[str, Any]:
+def _named(name: str, dims: tuple[str, ...], reflectance: xr.Dataset, label: str) -> dict[str, Any]:
     """Return what was found of reflectance under another name: values, errors and groups."""
-    value, error = (found[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr"))
-    groups = found.reflectance_groups.transpose("group", *dims).values
+    value, error = (reflectance[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr"))
+    groups = reflectance.reflectance_groups.transpose("group", *dims).values
     return quantity(name, dims, value, error, label) | deviations(name, dims, groups, label)
 
 
-def _over_bands(spectrum: xr.Dataset, light: Sky, bands: Mapping[str, Band]) -> dict[str, Any]:
+def _over_bands(spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, Band]) -> dict[str, Any]:
     """Return the albedo of every band, its error, and how much of the band's light is known."""
     w = spectrum.wavelength.values
     value, error, groups, covered = [], [], [], []
     for band in bands.values():
-        weights = light.weights(w, band)
-        all_light = light.weights(light.wavelength_nm, band).sum()
+        weights = sky.compute_weights(w, band)
+        all_light = sky.compute_weights(sky.wavelength_nm, band).sum()
         normal = xr.DataArray(weights / weights.sum(), {"wavelength": w}, ("wavelength",))
         value.append((normal * spectrum.albedo).sum("wavelength").values)
         error.append(weighted_error(spectrum, "albedo", normal).values)

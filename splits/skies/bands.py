@@ -48,12 +48,12 @@ class Band(ByContent):
     sha256: str = ""
 
     @classmethod
-    def between(cls, low: float, high: float) -> Band:
+    def from_limits(cls, low: float, high: float) -> Band:
         """Return the band in which all light counts alike, from low to high (nm)."""
         return cls(np.array([low, high]), np.ones(2))
 
     @classmethod
-    def of(cls, key: str, given: Any) -> Band:
+    def from_input(cls, key: str, value: Any) -> Band:
         """Return the band that a user's value stands for, or refuse it.
 
         Parameters
@@ -69,19 +69,19 @@ class Band(ByContent):
         ValueError
             For a malformed band.
         """
-        digest, given = "", columns_of(given)
-        if isinstance(given, str | Path):
-            columns, digest = user_table(key, given, COLUMNS)
-        elif isinstance(given, Mapping):
-            if set(given) != set(COLUMNS):
+        digest, value = "", columns_of(value)
+        if isinstance(value, str | Path):
+            columns, digest = user_table(key, value, COLUMNS)
+        elif isinstance(value, Mapping):
+            if set(value) != set(COLUMNS):
                 allowed = "its ends (nm), or a mapping of " + ", ".join(COLUMNS)
-                raise refuse(key, sorted(map(str, given)), allowed)
-            columns = [given[name] for name in COLUMNS]
+                raise refuse(key, sorted(map(str, value)), allowed)
+            columns = [value[name] for name in COLUMNS]
         else:
-            low, high = numbers(key, given, ("low", "high"))
+            low, high = numbers(key, value, ("low", "high"))
             if not 0.0 < low < high:
-                raise refuse(key, given, "0 < low < high (nm)")
-            return cls.between(low, high)
+                raise refuse(key, value, "0 < low < high (nm)")
+            return cls.from_limits(low, high)
         w, response = read_columns(key, dict(zip(COLUMNS, columns, strict=True)))
         increasing(f"{key}.wavelength_nm", w)
         if not w.size == response.size >= 2:
@@ -96,10 +96,10 @@ class Band(ByContent):
 
     def __repr__(self) -> str:
         """Return the band on one line."""
-        return f"Band({self.ends[0]:g} to {self.ends[1]:g} nm)"
+        return f"Band({self.limits_nm[0]:g} to {self.limits_nm[1]:g} nm)"
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def limits_nm(self) -> tuple[float, float]:
         """First and last wavelength (nm)."""
         return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
 
@@ -154,15 +154,15 @@ def sensor(name: str) -> dict[str, dict[str, np.ndarray]]:
     return bands
 
 
-def bands_of(given: Any) -> dict[str, Band]:
+def bands_of(bands: Any) -> dict[str, Band]:
     """Return all bands that a user names, or refuse them."""
-    if given is None:
+    if bands is None:
         return {}
-    if isinstance(given, str):
-        one_of("bands", given, SENSORS)
-        given = sensor(given)
-    if not isinstance(given, Mapping):
+    if isinstance(bands, str):
+        one_of("bands", bands, SENSORS)
+        bands = sensor(bands)
+    if not isinstance(bands, Mapping):
         allowed = "a mapping of names to bands, or one of " + listed(SENSORS)
-        raise refuse("bands", given, allowed)
-    named = name_as_texts("bands", given)
-    return {name: Band.of(f"bands.{name}", band) for name, band in named.items()}
+        raise refuse("bands", bands, allowed)
+    named = name_as_texts("bands", bands)
+    return {name: Band.from_input(f"bands.{name}", band) for name, band in named.items()}

@@ -108,22 +108,22 @@ def light_inside(
     ('band', 'interval')
     """
     begun = time.perf_counter()
-    light = light_of(sky).scaled_to(total_w_m2)
+    light = light_of(sky).scale_to(total_w_m2)
     w = asked(wavelength_nm, light, 2)
     max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
     one_of("error_of", error_of, ERROR_OF)
     seed, threads = check_whole("seed", seed, 0), check_threads(threads)
     max_rays = check_whole("max_rays", max_rays, 1)
-    named = light.bands(bands)
+    named = light.make_bands(bands)
     light.check_bands(named, w)
-    weights = np.array([light.weights(w, band) for band in named.values()])
-    goals = _goals(light.direct_share(w), weights, max_stderr, error_of == ERROR_OF[1])
+    weights = np.array([light.compute_weights(w, band) for band in named.values()])
+    goals = _goals(light.compute_direct_fraction(w), weights, max_stderr, error_of == ERROR_OF[1])
     axes: dict[str, Any] = {}
     runs: list[dict[str, Any]] = []
 
     def run(incidence: float | str, number: int) -> xr.Dataset:
         given = (medium, w, depth_m, incidence, seed + number, max_rays, threads, "auto", progress)
-        found = measure(Inquiry(*given).checked(), goals[number])
+        found = measure(Inquiry(*given).validate(), goals[number])
         runs.append(found.attrs)
         axes.update({name: found[name] for name in ("depth", "interval_top", "interval_bottom")})
         return found
@@ -140,7 +140,7 @@ def light_inside(
             label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
             "W m-2",
         )  # fmt: skip
-    whole = [light.weights(light.wavelength_nm, band).sum() for band in named.values()]
+    whole = [light.compute_weights(light.wavelength_nm, band).sum() for band in named.values()]
     about = {"long_name": "part of the band's light within the wavelengths", "units": "1"}
     variables["irradiance_covered"] = ("band", weights.sum(axis=1) / whole, about)
     facts = {
@@ -157,7 +157,7 @@ def light_inside(
 
 
 def _goals(
-    direct: np.ndarray, weights: np.ndarray, max_stderr: float, irradiance: bool
+    direct_fraction: np.ndarray, band_weights: np.ndarray, max_stderr: float, limit_irradiance: bool
 ) -> list[Goal]:
     """Return what is asked of the light of the sun, and of diffuse light.
 
@@ -173,10 +173,10 @@ def _goals(
     irradiance : bool
         Whether errors are asked of irradiances, too.
     """
-    parts = weights / weights.sum(axis=1, keepdims=True)
+    parts = band_weights / band_weights.sum(axis=1, keepdims=True)
     goals = []
-    for part in (direct, 1.0 - direct):
+    for part in (direct_fraction, 1.0 - direct_fraction):
         lit = (parts * part).sum(axis=1)
         share = np.where(lit > 0.0, lit, 1.0)
-        goals.append(Goal(max_stderr, irradiance, parts * part, share))
+        goals.append(Goal(max_stderr, limit_irradiance, parts * part, share))
     return goals

@@ -99,7 +99,7 @@ class Sky(ByContent):
         """Direct and diffuse irradiance together."""
         return self.direct + self.diffuse
 
-    def scaled_to(self, total_w_m2: float | None) -> Sky:
+    def scale_to(self, total_w_m2: float | None) -> Sky:
         """Return this sky with an irradiance over all its wavelengths (W m⁻²), direct and diffuse.
 
         Raises
@@ -113,18 +113,18 @@ class Sky(ByContent):
                 raise refuse("total_w_m2", None, "given: the irradiance of all light (W m-2)", hint)
             return self
         total = in_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
-        factor = total / self.weights(self.wavelength_nm, self.bands(None)[ALL]).sum()
+        factor = total / self.compute_weights(self.wavelength_nm, self.make_bands(None)[ALL]).sum()
         direct, diffuse = factor * self.direct, factor * self.diffuse
         return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
-    def check_covers(self, wavelength_nm: np.ndarray) -> None:
+    def check_coverage(self, wavelength_nm: np.ndarray) -> None:
         """Refuse wavelengths (nm) at which nothing is known of this sky."""
         first, last = self.wavelength_nm[[0, -1]]
         within(wavelength_nm, first, last, f"the sky {self.name}")
 
-    def direct_share(self, wavelength_nm: np.ndarray) -> np.ndarray:
+    def compute_direct_fraction(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the part of the light that comes straight from the sun, by wavelength (nm)."""
-        self.check_covers(wavelength_nm)
+        self.check_coverage(wavelength_nm)
         direct, total = (
             np.interp(wavelength_nm, self.wavelength_nm, values)
             for values in (self.direct, self.total)
@@ -132,7 +132,7 @@ class Sky(ByContent):
         # Where there is no light at all, nothing depends on it.
         return np.divide(direct, total, out=np.zeros_like(total), where=total > 0.0)
 
-    def bands(self, given: Any) -> dict[str, Band]:
+    def make_bands(self, bands: Any) -> dict[str, Band]:
         """Return the bands that a user names, after the one of all light.
 
         Raises
@@ -140,27 +140,27 @@ class Sky(ByContent):
         ValueError
             For a malformed band, or one named like that of all light.
         """
-        own = bands_of(given)
+        own = bands_of(bands)
         if ALL in own:
-            raise refuse(f"bands.{ALL}", own[ALL].ends, "left out: it is there always")
-        return {ALL: Band.between(*self.wavelength_nm[[0, -1]]), **own}
+            raise refuse(f"bands.{ALL}", own[ALL].limits_nm, "left out: it is there always")
+        return {ALL: Band.from_limits(*self.wavelength_nm[[0, -1]]), **own}
 
-    def check_bands(self, named: Mapping[str, Band], wavelength_nm: np.ndarray) -> None:
+    def check_bands(self, bands: Mapping[str, Band], wavelength_nm: np.ndarray) -> None:
         """Refuse bands of which no light lies within the wavelengths (nm)."""
-        for name, band in named.items():
-            if not self.weights(wavelength_nm, band).any():
+        for name, band in bands.items():
+            if not self.compute_weights(wavelength_nm, band).any():
                 first, last = wavelength_nm[[0, -1]]
                 allowed = f"bands with light between {first:g} and {last:g} nm"
                 hint = "ask for more wavelengths, or for some bands of a sensor alone"
-                raise refuse(f"bands.{name}", band.ends, allowed, hint)
+                raise refuse(f"bands.{name}", band.limits_nm, allowed, hint)
 
-    def weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
+    def compute_weights(self, wavelength_nm: np.ndarray, band: Band) -> np.ndarray:
         """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.
 
         Between wavelengths an albedo is taken as linear, beyond them as nothing: weights are the
         integrals of irradiance times response times hats.
         """
-        low, high = band.ends
+        low, high = band.limits_nm
         nodes = np.concatenate([wavelength_nm, self.wavelength_nm, band.wavelength_nm])
         inside = (nodes >= max(low, wavelength_nm[0])) & (nodes <= min(high, wavelength_nm[-1]))
         nodes = np.unique(nodes[inside])

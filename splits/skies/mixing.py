@@ -22,7 +22,7 @@ def light_of(given: Sky | str | Mapping[str, Any]) -> Sky:
     return given if isinstance(given, Sky) else sky(given)
 
 
-def asked(wavelength_nm: Any, light: Sky, least: int) -> np.ndarray:
+def asked(wavelength_nm: Any, sky: Sky, min_count: int) -> np.ndarray:
     """Return the wavelengths (nm) asked for, at least so many, or those by default.
 
     Raises
@@ -31,19 +31,19 @@ def asked(wavelength_nm: Any, light: Sky, least: int) -> np.ndarray:
         For wavelengths that the sky does not have.
     """
     if wavelength_nm is None:
-        last = min(LAST_NM, float(light.wavelength_nm[-1]))
-        wavelength_nm = np.arange(float(light.wavelength_nm[0]), last + 0.5, STEP_NM)
+        last = min(LAST_NM, float(sky.wavelength_nm[-1]))
+        wavelength_nm = np.arange(float(sky.wavelength_nm[0]), last + 0.5, STEP_NM)
     w = check_wavelengths(wavelength_nm)
-    if w.size < least:
-        raise refuse("wavelength_nm", w.tolist(), f"at least {least} wavelengths")
-    light.check_covers(w)
+    if w.size < min_count:
+        raise refuse("wavelength_nm", w.tolist(), f"at least {min_count} wavelengths")
+    sky.check_coverage(w)
     return w
 
 
 def mixed(
-    light: Sky,
+    sky: Sky,
     wavelength_nm: np.ndarray,
-    run: Callable[[float | str, int], xr.Dataset],
+    instrument: Callable[[float | str, int], xr.Dataset],
     names: Sequence[str],
 ) -> xr.Dataset:
     """Return what an instrument finds under a sky: values, errors, and groups if there are any.
@@ -59,20 +59,20 @@ def mixed(
         Variables over wavelength and any other dimensions.
     """
     share = xr.DataArray(
-        light.direct_share(wavelength_nm), {"wavelength": wavelength_nm}, ("wavelength",)
+        sky.compute_direct_fraction(wavelength_nm), {"wavelength": wavelength_nm}, ("wavelength",)
     )
     values: dict[str, Any] = {}
     groups: dict[str, list[xr.DataArray]] = {name: [] for name in names}
     squares: dict[str, Any] = dict.fromkeys(names, 0.0)
     missed: dict[str, Any] = dict.fromkeys(names, 0.0)
     ways: list[tuple[xr.DataArray, float | str]] = [
-        (share, light.zenith_deg),
+        (share, sky.zenith_deg),
         (1.0 - share, "diffuse"),
     ]
     for number, (part, incidence) in enumerate(ways):
         if not part.any():
             continue
-        found = run(incidence, number)
+        found = instrument(incidence, number)
         for name in names:
             values[name] = values.get(name, 0.0) + part * found[name]
             square: Any = (part * found[f"{name}_stderr"]) ** 2
@@ -90,7 +90,7 @@ def mixed(
     return xr.Dataset(values)
 
 
-def sky_facts(light: Sky) -> dict[str, Any]:
+def sky_facts(sky: Sky) -> dict[str, Any]:
     """Return what a sky is, for a dataset's attributes."""
-    facts = {"sky": light.name, "sky_source": light.source, "zenith_deg": light.zenith_deg}
-    return facts | ({"sky_sha256": light.sha256} if light.sha256 else {})
+    facts = {"sky": sky.name, "sky_source": sky.source, "zenith_deg": sky.zenith_deg}
+    return facts | ({"sky_sha256": sky.sha256} if sky.sha256 else {})

@@ -69,9 +69,9 @@ class Case(NamedTuple):
     instrument: str
     medium: str
     run: Callable[[int], xr.Dataset]
-    groups: Mapping[str, Reader]
-    seeds: int = 200
-    reference: Callable[[], xr.Dataset] | None = None
+    readers: Mapping[str, Reader]
+    n_seeds: int = 200
+    reference_run: Callable[[], xr.Dataset] | None = None
 
 
 def stated(*names: str, **at: object) -> Reader:

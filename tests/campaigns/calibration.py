@@ -48,7 +48,7 @@ def off(runs: Sequence[Told], reference: Told | None = None) -> np.ndarray:
     return (values - others) / errors * np.sqrt((n - 1) / n)
 
 
-def squares(case: Case, seeds: Iterable[int], against: bool = True) -> dict[str, np.ndarray]:
+def squares(case: Case, seeds: Iterable[int], use_reference: bool = True) -> dict[str, np.ndarray]:
     """Return mean squares of what every seed is off, by group of quantities.
 
     Parameters
@@ -58,17 +58,17 @@ def squares(case: Case, seeds: Iterable[int], against: bool = True) -> dict[str,
     against : bool
         Whether runs are held against the reference of the case, if it has one.
     """
-    told: dict[str, list[Told]] = {name: [] for name in case.groups}
+    told: dict[str, list[Told]] = {name: [] for name in case.readers}
     for seed in seeds:
         dataset = case.run(seed)
         if dataset.attrs.get("interpolation_error_bound"):
             raise ValueError(f"{case.instrument}, {case.medium}: seeds do not show all of an error")
-        for name, read in case.groups.items():
+        for name, read in case.readers.items():
             told[name].append(read(dataset))
-    long_run = case.reference() if against and case.reference else None
+    long_run = case.reference_run() if use_reference and case.reference_run else None
     found = {}
     for name, runs in told.items():
-        z = off(runs, None if long_run is None else case.groups[name](long_run))
+        z = off(runs, None if long_run is None else case.readers[name](long_run))
         if z.shape[1]:
             found[name] = (z**2).mean(axis=1)
     return found
@@ -80,9 +80,9 @@ def ratio(square: np.ndarray) -> tuple[float, float]:
     return root, float(square.std(ddof=1) / np.sqrt(square.size) / (2.0 * root))
 
 
-def rows_of(case: Case, found: Mapping[str, np.ndarray]) -> list[dict[str, object]]:
+def rows_of(case: Case, mean_squares: Mapping[str, np.ndarray]) -> list[dict[str, object]]:
     """Return the rows of a case: one for each group of quantities, and one for all of them."""
-    groups = dict(found) | {ALL: np.mean(list(found.values()), axis=0)}
+    groups = dict(mean_squares) | {ALL: np.mean(list(mean_squares.values()), axis=0)}
     rows = []
     for name, square in groups.items():
         value, error = ratio(square)
@@ -116,7 +116,7 @@ def calibration(cases: Sequence[Case], seeds: int | None = None, first: int = 1)
     rows: list[dict[str, object]] = []
     for case in cases:
         begun = time.process_time()
-        last = first + (seeds or case.seeds) - 1
+        last = first + (seeds or case.n_seeds) - 1
         found = squares(case, range(first, last + 1))
         new = rows_of(case, found)
         spent = time.process_time() - begun

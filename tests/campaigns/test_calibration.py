@@ -35,7 +35,7 @@ INSTRUMENTS = {case.instrument: case for case in reversed(CASES)}
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_few_seeds_are_not_off_by_more_than_they_may_be(instrument):
     """Quantities of a seed share its rays: they count as one."""
-    found = squares(INSTRUMENTS[instrument], range(1, FEW + 1), against=False)
+    found = squares(INSTRUMENTS[instrument], range(1, FEW + 1), use_reference=False)
     assert found
     each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(INSTRUMENTS) / len(found))
     most = float(stats.chi2.isf(each, FEW - 1) / (FEW - 1))

@@ -65,7 +65,7 @@ def time_limit(seconds: float):
 
 
 def each(
-    strategy: st.SearchStrategy, count: int, accepted: int, judge: Callable[[str], str]
+    strategy: st.SearchStrategy, count: int, min_accepted: int, judge: Callable[[str], str]
 ) -> list[tuple]:
     """Return (verdict, text) of generated texts: all of them, not only up to the first failure.
 
@@ -76,7 +76,7 @@ def each(
 
     def is_enough() -> bool:
         taken = sum(verdict not in NOT_ACCEPTED for verdict, _ in found)
-        return len(found) >= count and taken >= accepted
+        return len(found) >= count and taken >= min_accepted
 
     for batch in range(MOST_BATCHES):
 
@@ -96,11 +96,11 @@ def each(
         collect()
         if is_enough():
             return found
-    told = f"{accepted} accepted of {count} or more, up to {len(found)}"
+    told = f"{min_accepted} accepted of {count} or more, up to {len(found)}"
     raise AssertionError(f"{told}: generated files are hardly accepted any more")
 
 
-def report(found: list[tuple], fine: tuple[str, ...]) -> str:
+def report(found: list[tuple], accepted_verdicts: tuple[str, ...]) -> str:
     """Print how often each verdict was given; return the worst with the shortest text of each."""
     shortest: dict[str, str] = {}
     counts: dict[str, int] = {}
@@ -109,7 +109,7 @@ def report(found: list[tuple], fine: tuple[str, ...]) -> str:
         shortest.setdefault(verdict, text)
     told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     print(f"{len(found)} generated: {told}")
-    bad = [verdict for verdict in counts if verdict not in fine]
+    bad = [verdict for verdict in counts if verdict not in accepted_verdicts]
     return "\n".join(f"{counts[v]} × {v}: {shortest[v][:1000]!r}" for v in bad)
 
 
@@ -215,7 +215,7 @@ def running(folder: Path) -> Callable[[str], str]:
                 return "a fit, not run"
             dataset = run(limited(experiment), TINY, threads=1)
             with matplotlib.rc_context({"figure.max_open_warning": 0}):
-                figure = draw(dataset, experiment.drawing())
+                figure = draw(dataset, experiment.resolve_figure())
                 figure.canvas.draw()
                 figure.clear()
         except Exception as error:

@@ -136,11 +136,11 @@ def finished(make_project, tmp_path_factory):
 
 
 @pytest.mark.parametrize("number", range(WORKFLOWS))
-def test_a_killed_workflow_leaves_nothing_half(finished, tmp_path, number, counted):
+def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, number, counted):
     chance = random.Random(number)
     stage = list(STAGES)[number % len(STAGES)]
     missing, appears = STAGES[stage]
-    before, whole_run = finished
+    before, whole_run = finished_project
     project = before.copy(tmp_path / "project")
     results = project.folder / RESULTS
     if stage == "any moment":
@@ -189,11 +189,11 @@ def done(folder):
 
 
 @pytest.mark.parametrize("number", range(KILLS - WORKFLOWS))
-def test_a_killed_process_leaves_nothing_half(worked, tmp_path, number, counted):
+def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number, counted):
     chance = random.Random(number)
     step = list(STEPS)[number % len(STEPS)]
     missing, appears = STEPS[step]
-    before, longest = worked
+    before, longest = finished_folder
     folder = tmp_path / "folder"
     shutil.copytree(before, folder)
     for name in missing:

@@ -47,7 +47,7 @@ def interact(state, dx, dy, dz, nx, ny, nz, facetness, n1, k1, n2, k2, rules):
     d : 3 float
         New direction, on the side that `passed` names.
     """
-    mx, my, mz, cos_i = struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rules.facets)
+    mx, my, mz, cos_i = struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rules.facet_sampling)
     reflectance, ratio, cos_t = between(n1, k1, n2, k2, cos_i)
     if reflectance > 0.0 and uniform(state) < reflectance:
         dx, dy, dz = mirrored(dx, dy, dz, mx, my, mz)

@@ -149,24 +149,24 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         minor = ratio * major
         axial = axial_position(state, flattening)
         facing = uniform(state)
-        if rules.entry == PROJECTED:
+        if rules.entry_sampling == PROJECTED:
             facing = math.sqrt(facing)
         ca, sa = unit_circle(state)
         ct, st = unit_circle(state)
         q1, q2, q3, w1, w2, w3, n1, n2, n3 = entry_point(
             dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
         )
-        if rules.across_boundary != KEPT and crosses(
+        if rules.boundary_overlap != KEPT and crosses(
             z + leg * dz, q3, w3, axial, minor, major, slab.depth
         ):
-            if rules.across_boundary == SKIPPED:
+            if rules.boundary_overlap == SKIPPED:
                 skipped = leg
             continue
-        if rules.on_last_leg != KEPT and last > 0.0 and cuts_segment(
+        if rules.segment_overlap != KEPT and last > 0.0 and cuts_segment(
             q1, q2, q3, w1, w2, w3, minor, flattening,
             -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
         ):  # fmt: skip
-            if rules.on_last_leg == SKIPPED:
+            if rules.segment_overlap == SKIPPED:
                 skipped = leg
             continue
         return leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3

@@ -99,12 +99,12 @@ class Rules(NamedTuple):
     turned into weights when the ray leaves.
     """
 
-    entry: int
-    facets: int
+    entry_sampling: int
+    facet_sampling: int
     wrong_side: int
     boundary_fresnel: bool
-    on_last_leg: int
-    across_boundary: int
+    segment_overlap: int
+    boundary_overlap: int
     analog: bool
 
 

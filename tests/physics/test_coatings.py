@@ -37,8 +37,8 @@ def _walk(state, psi, facetness, scene, optics, true_absorption, length):
     score = weight_after(state, walk)
     if not scene.rules.analog:
         score *= math.exp(-(true_absorption * length).sum())
-    pore = float(pore_drawn(walk.beam.u, scene))
-    return dot(d, walk.beam.d), length[2], length[3:].sum(), score, pore
+    pore = float(pore_drawn(walk.payload.pore_variate, scene))
+    return dot(d, walk.payload.direction), length[2], length[3:].sum(), score, pore
 
 
 def layered(thickness, materials=None):
@@ -200,12 +200,12 @@ def test_pure_magnetite_reflects_its_fresnel_share(entry):
     )
     z = []
     for number, wavelength in enumerate((400.0, 700.0, 1000.0)):
-        index = complex(sand.indices([wavelength])[0, CORE])
+        index = complex(sand.compute_refractive_indices([wavelength])[0, CORE])
         absorption = 4.0 * math.pi * index.imag / (wavelength * 1e-9)
         expected = over_impacts(lambda i, m=index: fresnel(1.0 + 0j, m, i)[0], entry)
         for analog in (False, True):
             score = walk(
-                sand.grains(), [index], [absorption],
+                sand.make_grain_population(), [index], [absorption],
                 entry=entry, analog=analog, ray=60 + 2 * number + analog,
             )[:, 3]  # fmt: skip
             assert analog or set(np.unique(score[score > 1e-12])) == {1.0}

@@ -42,7 +42,7 @@ def always(monkeypatch):
 def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
     """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
     pack = PACKS[name]
-    cut = cut_of(Family.of_one_size([pack]), WAVELENGTHS, 0.02, 1, 2)
+    cut = cut_of(Family.from_media([pack]), WAVELENGTHS, 0.02, 1, 2)
     assert cut is not None
     assert cut.depth_m < 0.7 * pack.depth_m
     monkeypatch.setattr(deep_packs, "LEAST", math.inf)
@@ -52,8 +52,8 @@ def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
             for one in (cut.media[0], pack)
         )
         kept = part.transmittance.values
-        doubts = {"reflectance": DOUBT * kept * cut.escape[0], "transmittance": DOUBT * kept}
-        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.passed[0]}
+        doubts = {"reflectance": DOUBT * kept * cut.escape_probability[0], "transmittance": DOUBT * kept}
+        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.transmitted_fraction[0]}
         for quantity, doubt in doubts.items():
             noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
             off = np.abs(guessed[quantity] - whole[quantity].values)
@@ -73,15 +73,15 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [cut_of(Family.of_one_size([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    decided = [cut_of(Family.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     monkeypatch.setattr(deep_packs, "CLEARLY", math.inf)
-    better = [cut_of(Family.of_one_size([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    better = [cut_of(Family.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
     monkeypatch.setattr(deep_packs, "pooled_by_type", lambda *_: looked.append(1))
-    assert cut_of(Family.of_one_size([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
+    assert cut_of(Family.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
     assert not looked
 
 
@@ -131,9 +131,9 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
 def test_rare_dark_grains_are_not_overlooked():
     """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
-    cut = cut_of(Family.of_one_size([sand]), np.array([600.0]), 0.005, 1, 2)
+    cut = cut_of(Family.from_media([sand]), np.array([600.0]), 0.005, 1, 2)
     assert cut is not None
-    assert cut.passed[0, 0] < 0.5
+    assert cut.transmitted_fraction[0, 0] < 0.5
 
 
 @NEEDS_JIT
@@ -209,17 +209,17 @@ def test_diffusion_below_a_cut_has_its_limits():
     rate = 1e-8
     black = Rest(rate * diffusion * one, rate * height * one, 0.5 * one)
     expected = 1.0 / (2.0 + height / diffusion)
-    assert black.entering() == pytest.approx(expected, rel=1e-9)
-    assert black.passed() == pytest.approx(1.0, rel=1e-9)
+    assert black.compute_flux_ratio() == pytest.approx(expected, rel=1e-9)
+    assert black.compute_transmitted_fraction() == pytest.approx(1.0, rel=1e-9)
     white = Rest(rate * diffusion * one, rate * height * one, 0.0 * one)
-    assert white.sent() == pytest.approx(1.0, abs=1e-9)
+    assert white.compute_reflected_fraction() == pytest.approx(1.0, abs=1e-9)
     endless = Rest(0.3 * one, math.inf * one, 0.5 * one)
-    assert endless.entering() == pytest.approx(0.3)
-    assert endless.passed() == 0.0
+    assert endless.compute_flux_ratio() == pytest.approx(0.3)
+    assert endless.compute_transmitted_fraction() == 0.0
     thick, thin = (Rest(0.3 * one, h * one, 0.5 * one) for h in (30.0, 1e-12))
-    assert thick.sent() == pytest.approx(endless.sent())
-    assert thin.sent() == pytest.approx(0.0, abs=1e-9)
-    assert thin.passed() == pytest.approx(1.0)
+    assert thick.compute_reflected_fraction() == pytest.approx(endless.compute_reflected_fraction())
+    assert thin.compute_reflected_fraction() == pytest.approx(0.0, abs=1e-9)
+    assert thin.compute_transmitted_fraction() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def formula(make, noise):
 def test_one_sided_differences_say_how_far_they_are_off(law, noise):
     """Where a range begins, without noise in the means: what is left is the rule's own."""
     make, slope = LAWS[law]
-    found = difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").slopes
+    found = difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").derivatives
     assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3
 
 
@@ -160,7 +160,7 @@ def test_a_root_has_its_slope_wherever_it_has_one(saturation):
         return 0.5 - 0.2 * np.sqrt(2.0 * s)
 
     snow = splits.Snow(saturation=saturation)
-    found = difference(formula(root, 1e-4), snow, 0.0, "saturation").slopes
+    found = difference(formula(root, 1e-4), snow, 0.0, "saturation").derivatives
     slope = -0.2 / np.sqrt(2.0 * saturation)
     assert found.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
     with pytest.raises(Refusal, match=r"saturation\) = 0\.0: must be where .* is finite"):
@@ -180,7 +180,7 @@ def test_an_albedo_near_one_has_its_slope():
         value = make(medium.single_scattering_albedo)
         return formula(lambda _: value, 1e-4)(known, incidence)
 
-    found = difference(measure, layer, 0.0, "single_scattering_albedo").slopes
+    found = difference(measure, layer, 0.0, "single_scattering_albedo").derivatives
     exact = make(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
     off = abs(found.mean[0, 0, 0] - exact)
     assert off < 2.0 * found.stderr[0, 0, 0] + 1e-2 * exact

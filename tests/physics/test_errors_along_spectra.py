@@ -41,7 +41,7 @@ def combined(run):
     few = np.isin(w, FEW)
     signs = np.zeros(w.size)
     signs[few] = np.where(np.arange(few.sum()) % 2, -1.0, 1.0)
-    sun = splits.sky("midlatitude_winter").weights(w, Band.between(w[0], w[-1]))
+    sun = splits.sky("midlatitude_winter").compute_weights(w, Band.from_limits(w[0], w[-1]))
     long = 1240.0 if 1240.0 in w else 1000.0
     one, other = w == 860.0, w == long
     a, b = float(r[one][0]), float(r[other][0])

@@ -203,7 +203,7 @@ def test_mean_chord_is_the_inverse_attenuation():
     z = []
     for settings in MEDIA.values():
         snow = splits.Snow(**settings)
-        chords = draw(_struck_chord, 400_000, snow.grains().types, spheroid.PROJECTED)
+        chords = draw(_struck_chord, 400_000, snow.make_grain_population().types, spheroid.PROJECTED)
         error = chords.std() / np.sqrt(chords.size)
         z.append((chords.mean() - 1.0 / snow.attenuation_per_m) / error)
     judge_z(z, "mean chord")
@@ -214,6 +214,6 @@ def test_mean_chord_is_the_inverse_attenuation():
 def test_uniform_entry_shortens_the_chord_of_a_sphere():
     # Entry even over the facing half: cos even, chord s cos, so s/2 instead of 2s/3.
     snow = splits.Snow(**MEDIA["one sphere"])
-    chords = draw(_struck_chord, 400_000, snow.grains().types, spheroid.UNIFORM)
+    chords = draw(_struck_chord, 400_000, snow.make_grain_population().types, spheroid.UNIFORM)
     error = chords.std() / np.sqrt(chords.size)
     judge_z([(chords.mean() - 250e-6) / error], "uniform entry")

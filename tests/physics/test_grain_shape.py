@@ -50,7 +50,7 @@ def test_smooth_spheres_are_those_of_theory():
     assert b == pytest.approx(1.25, abs=0.01)
     assert g == pytest.approx(0.79, abs=0.005)
     shape = optical_shape(snow, rays=131_072)
-    for found, exact in ((shape.enhancement, b), (shape.asymmetry, g)):
+    for found, exact in ((shape.absorption_enhancement, b), (shape.asymmetry_parameter, g)):
         assert abs(found.value - exact) < 3.0 * found.stderr, (found, exact)
         assert found.stderr < 0.005
 

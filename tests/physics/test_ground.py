@@ -42,7 +42,7 @@ MEDIA = {
 def over(medium, ground):
     """Return a medium over a ground."""
     if isinstance(medium, splits.Stack):
-        return splits.Stack(medium.layers, ground=ground, readings=medium.readings)
+        return splits.Stack(medium.layers, ground=ground, readings=medium.interpretation)
     settings = {name: getattr(medium, name) for name in ("depth_m", "saturation")}
     if isinstance(medium, splits.Sand):
         settings["partition"] = medium.partition
@@ -115,10 +115,10 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     else:
         told = granular.batch(1, work[0], scene, optics, exits, None, None)
     kept = np.zeros(len(exits))
-    weights = told.notes[:, NOTE_WEIGHT] * np.exp(-told.notes[:, NOTE_LENGTH:] @ absorption[0])
-    np.add.at(kept, told.notes[:, NOTE_RAY].astype(int), (1.0 - 0.6) * weights)
+    weights = told.crossings[:, NOTE_WEIGHT] * np.exp(-told.crossings[:, NOTE_LENGTH:] @ absorption[0])
+    np.add.at(kept, told.crossings[:, NOTE_RAY].astype(int), (1.0 - 0.6) * weights)
     left = exits[:, EXIT_SIDE] == 0.0
-    assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(told.notes) > len(exits) / 4
+    assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(told.crossings) > len(exits) / 4
     back = exits[left, EXIT_WEIGHT] * np.exp(-exits[left, EXIT_LENGTH:] @ absorption[0])
     assert left.sum() > 400 and (back < 0.5).any()
     np.testing.assert_allclose(kept[left] + back, 1.0, rtol=0.0, atol=1e-12)

@@ -37,7 +37,7 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 def _centred(grain):
     """Return the point at which a ray is, relative to the grain's centre (m)."""
     stretch = grain.flattening / (1.0 - grain.flattening)
-    return scaled(grain.minor, along(stretch * dot(grain.q, grain.w), grain.w, grain.q))
+    return scaled(grain.semi_minor, along(stretch * dot(grain.q, grain.w), grain.w, grain.q))
 
 
 @njit
@@ -48,8 +48,8 @@ def _trapped(state, steps, size, facetness, rules):
     that q stands for, in semi-minor axes, and the least and the largest leg in diameters.
     """
     d = Vector(-0.48, 0.64, -0.6)
-    grain = struck(state, d, size, rules.entry).grain
-    minor, flattening, w = grain.minor, grain.flattening, grain.w
+    grain = struck(state, d, size, rules.entry_sampling).grain
+    minor, flattening, w = grain.semi_minor, grain.flattening, grain.w
     p = _centred(grain)
     # An index of 1e9 inside: every angle that occurs is beyond the critical one.
     media = contrast(Index(1e9, 0.0), Index(1.0, 0.0))
@@ -60,10 +60,10 @@ def _trapped(state, steps, size, facetness, rules):
         stand = Stand(1.0, -1.0, False, False)
         while True:
             after = trial(state, d, stand, grain, 0.5 * facetness, media, rules)
-            if after.done:
+            if after.accepted:
                 break
-            stand = Stand(1.0, -1.0, after.to_lobe, after.passed)
-        d = after.d
+            stand = Stand(1.0, -1.0, after.needs_lobe, after.transmitted)
+        d = after.direction
         norm = max(norm, abs(dot(d, d) - 1.0))
         sphere = max(sphere, abs(dot(grain.q, grain.q) - 1.0))
         axial = dot(p, w)
@@ -73,7 +73,7 @@ def _trapped(state, steps, size, facetness, rules):
         surface = max(surface, abs(square - 1.0))
         leg *= 0.5 * (1.0 - flattening) / minor
         shortest, longest = min(shortest, leg), max(longest, leg)
-        escaped += after.passed
+        escaped += after.transmitted
     gap = along(-1.0, _centred(grain), p)
     apart = math.sqrt(dot(gap, gap)) / minor
     return norm, sphere, surface, apart, shortest, longest, escaped
@@ -103,10 +103,10 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     snow = splits.Snow(saturation=0.0, depth_m=depth)
     scene = medium_scene(snow, 30.0)
     ray, length = trace(stream(), scene, optics_of(np.ones(3)))
-    (x, y, z), d, legs = ray.flier.place, ray.beam.d, ray.legs
+    (x, y, z), d, legs = ray.geometry.position, ray.payload.direction, ray.n_segments
     assert legs >= MANY
     assert ray.order == legs - 1
-    assert (ray.fate, z) == (granular.TRANSMITTED, -depth)
+    assert (ray.status, z) == (granular.TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
     assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < DRIFT
     assert abs(math.hypot(*d) - 1.0) < DRIFT
@@ -126,14 +126,14 @@ def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
     # The first of these rays is long enough today; with other random numbers a later one is.
     for number in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
         ray, length = trace(stream(number), scene, optics)
-        if ray.legs >= MANY:
+        if ray.n_segments >= MANY:
             break
-    print(f"ray {number} has {ray.legs} legs")
-    assert ray.legs >= MANY
-    assert ray.fate in (granular.REFLECTED, granular.TRANSMITTED)
-    place, d = ray.flier.place, ray.beam.d
-    assert place.z == (0.0 if ray.fate == granular.REFLECTED else -snow.depth_m)
-    assert (d.z > 0.0) == (ray.fate == granular.REFLECTED)
+    print(f"ray {number} has {ray.n_segments} legs")
+    assert ray.n_segments >= MANY
+    assert ray.status in (granular.REFLECTED, granular.TRANSMITTED)
+    place, d = ray.geometry.position, ray.payload.direction
+    assert place.z == (0.0 if ray.status == granular.REFLECTED else -snow.depth_m)
+    assert (d.z > 0.0) == (ray.status == granular.REFLECTED)
     assert abs(math.hypot(*d) - 1.0) < DRIFT
     assert np.isfinite([*place, *length]).all() and length.min() >= 0.0
 
@@ -218,8 +218,8 @@ def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
     n, d = Vector(*axis), Vector(*-axis)
     for ray in range(50):
         facet = facet_struck(stream(ray), d, n, facetness, rule)
-        assert 0.0 < facet.cos <= 1.0
-        assert facet.cos == pytest.approx(abs(facet.leaned.cos), rel=1e-9)
+        assert 0.0 < facet.cos_facet <= 1.0
+        assert facet.cos_facet == pytest.approx(abs(facet.tilt.cos), rel=1e-9)
         passed, out = interact(stream(ray), d, n, facetness, *AIR_TO_ICE, rules)
         assert abs(math.hypot(*out) - 1.0) < 1e-14
         assert (np.dot(out, axis) < 0.0) == passed
@@ -299,7 +299,7 @@ def test_frames_mirrors_and_refraction_along_the_axes(axis):
 def _bubble(state, scene, optics, length):
     d = Vector(0.0, 0.0, -1.0)
     walk, _ = walked(state, d, Size(1e-4, 0.0), 0.0, True, scene, optics, length)
-    return -walk.beam.d.z, length[2]
+    return -walk.payload.direction.z, length[2]
 
 
 @NEEDS_JIT
@@ -307,7 +307,7 @@ def _bubble(state, scene, optics, length):
 def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
     # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
     rules = splits.Readings(entry="projected").rules()
-    scene = scene_of(splits.Snow().grains(), saturation=1.0, rules=rules)
+    scene = scene_of(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
     out = draw(_bubble, 300_000, scene, optics_of([1.0, pore, 1.0]), np.zeros(3), width=2)
 
     def orders(i):

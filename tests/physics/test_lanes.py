@@ -43,11 +43,11 @@ MEDIA = {
 
 def ensembles(medium, wavelengths, attenuation):
     """Return an ensemble of paths for each wavelength by itself."""
-    index = medium.indices(wavelengths)
+    index = medium.compute_refractive_indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     one = np.ones(1, dtype=bool)
     return [
-        Ensemble(number, m, alpha[np.newaxis], one, Manner(attenuation), levels=EVERY_RAY)
+        Ensemble(number, m, alpha[np.newaxis], one, Manner(attenuation), strata=EVERY_RAY)
         for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
     ]
 
@@ -55,12 +55,12 @@ def ensembles(medium, wavelengths, attenuation):
 def spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds that it took on two threads."""
     runner = Runner(medium, incidence, seed, 2, False, kernel)
-    work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
+    work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
     begun = time.perf_counter()
-    runner.trace([(e, e.levels[0], rays) for e in work], 1.0, 0.0)
+    runner.trace([(e, e.strata[0], rays) for e in work], 1.0, 0.0)
     seconds = time.perf_counter() - begun
-    mean = np.stack([e.means()[:, 0] for e in work], axis=1)
-    error = np.stack([np.sqrt(e.variances()[:2, 0] / e.count[0]) for e in work], axis=1)
+    mean = np.stack([e.compute_means()[:, 0] for e in work], axis=1)
+    error = np.stack([np.sqrt(e.compute_variances()[:2, 0] / e.n_rays[0]) for e in work], axis=1)
     return mean, error, seconds
 
 
@@ -95,9 +95,9 @@ def test_lanes_agree_with_the_scalar_kernel():
 
 def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
-    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.manner.attenuation)
-    each = [e.levels[0].optics for e in work]
-    features = runner.tracer.features(work[0].levels[0])
+    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.attenuation)
+    each = [e.strata[0].optics for e in work]
+    features = runner.tracer.get_features(work[0].strata[0])
     scene = runner.tracer.scene
 
     def exits(items, optics):
@@ -122,9 +122,9 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 def test_a_path_does_not_depend_on_lane_or_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.manner.attenuation)
-    optics = ensemble.levels[0].optics
-    features = runner.tracer.features(ensemble.levels[0])
+    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.traits.attenuation)
+    optics = ensemble.strata[0].optics
+    features = runner.tracer.get_features(ensemble.strata[0])
 
     def exits(first, rays):
         rows = exit_rows(rays, 3)
@@ -147,9 +147,9 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
 
     def moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
-        runner.prepare(work)
-        runner.trace([(e, e.levels[0], batches * BATCH) for e in work], 1.0, 0.0)
+        work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+        runner.share_kernel(work)
+        runner.trace([(e, e.strata[0], batches * BATCH) for e in work], 1.0, 0.0)
         return np.stack([e.moments for e in work])
 
     def merged(jobs):
@@ -157,15 +157,15 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
         parts = {}
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
-            runner.prepare(work)
+            work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+            runner.share_kernel(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
-                    ((tally,), _), *_ = runner.tallies([(e, e.levels[0], batch * BATCH, 1)])
+                    ((tally,), _), *_ = runner.trace_job([(e, e.strata[0], batch * BATCH, 1)])
                     parts[number, batch] = tally
-        work = ensembles(medium, wavelengths, runner.tracer.manner.attenuation)
+        work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
-            work[number].add(work[number].levels[0], [tally])
+            work[number].add_scores(work[number].strata[0], [tally])
         return np.stack([e.moments for e in work])
 
     expected = moments(1)
@@ -178,9 +178,9 @@ def test_light_is_neither_lost_nor_made():
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     runner = Runner(medium, 60.0, 5, 1, False, "lanes")
-    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.manner.attenuation)
-    optics = ensemble.levels[0].optics
-    features = runner.tracer.features(ensemble.levels[0])
+    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
+    optics = ensemble.strata[0].optics
+    features = runner.tracer.get_features(ensemble.strata[0])
     rows = exit_rows(3000, 3)
     work = np.array([[0, 0, 3000, UNLIMITED]])
     _, lost, _ = lanes.batch(5, work, runner.tracer.scene, alone(optics), rows, features)

@@ -36,9 +36,9 @@ def moments_of(layer: splits.Layer, count: int = 1000) -> np.ndarray:
     if isinstance(layer.phase_function, str):
         return layer.asymmetry ** np.arange(count)
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    low, high = layer.phase.cosines[:-1, np.newaxis], layer.phase.cosines[1:, np.newaxis]
+    low, high = layer.kernel_phase_function.cosines[:-1, np.newaxis], layer.kernel_phase_function.cosines[1:, np.newaxis]
     x = (0.5 * (high + low) + 0.5 * (high - low) * nodes).ravel()
-    density = np.interp(x, layer.phase.cosines, layer.phase.density)
+    density = np.interp(x, layer.kernel_phase_function.cosines, layer.kernel_phase_function.density)
     share = math.pi * ((high - low) * weights).ravel() * density
     before, last, moments = np.ones_like(x), x, [share.sum(), share @ x]
     for order in range(2, count):
@@ -154,13 +154,13 @@ def test_peaks_take_what_is_above_a_limit_and_nothing_else():
         *(splits.Layer(asymmetry=g) for g in (0.95, -0.95)),
     ]
     for layer in functions:
-        narrow = peak.separate_peak(layer.phase)
-        total = np.array([phase_density(layer.phase, x) for x in cosine])
-        above = narrow.share * np.array([phase_density(narrow.phase, x) for x in cosine])
+        narrow = peak.separate_peak(layer.kernel_phase_function)
+        total = np.array([phase_density(layer.kernel_phase_function, x) for x in cosine])
+        above = narrow.fraction * np.array([phase_density(narrow.phase, x) for x in cosine])
         np.testing.assert_allclose(above, np.maximum(total - peak.LIMIT, 0.0), rtol=0.02, atol=0.02)
-        assert 0.4 < narrow.share < 0.7
+        assert 0.4 < narrow.fraction < 0.7
     for layer in (splits.Layer(asymmetry=0.9), splits.Layer(phase_function="rayleigh")):
-        assert peak.separate_peak(layer.phase) is None
+        assert peak.separate_peak(layer.kernel_phase_function) is None
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-9])

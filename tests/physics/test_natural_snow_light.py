@@ -40,8 +40,8 @@ def snow(area=20.0, **settings):
 def test_grains_have_the_shape_of_natural_snow(area):
     shape = optical_shape(snow(area), rays=131_072)
     for found, measured, kept, error in (
-        (shape.enhancement, B, SHAPE.enhancement, SHAPE.enhancement_stderr),
-        (shape.asymmetry, G, SHAPE.asymmetry, SHAPE.asymmetry_stderr),
+        (shape.absorption_enhancement, B, SHAPE.absorption_enhancement, SHAPE.absorption_enhancement_stderr),
+        (shape.asymmetry_parameter, G, SHAPE.asymmetry_parameter, SHAPE.asymmetry_parameter_stderr),
     ):
         assert abs(found.value - measured[0]) < measured[1] + 3.0 * found.stderr
         # A coarse grain absorbs a little of what it is met by, which is beyond "little".
@@ -57,8 +57,8 @@ def test_deep_snow_follows_the_law_of_small_absorption(area):
     deep = snow(area)
     k = deep.refractive_index["ice"](wavelengths).imag
     gamma = 4.0 * np.pi * k / (wavelengths * 1e-9)
-    diffracted = 0.5 * (1.0 + SHAPE.asymmetry)
-    absorbed = 2.0 * SHAPE.enhancement * gamma / (ice_density(-1.0) * area)
+    diffracted = 0.5 * (1.0 + SHAPE.asymmetry_parameter)
+    absorbed = 2.0 * SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
     expected = np.exp(-4.0 * np.sqrt(absorbed / (3.0 * (1.0 - diffracted))))
     found = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015)
     away = found.reflectance.values - expected

@@ -41,7 +41,7 @@ ACCURACY = Accuracy(max_stderr=ERROR, relative_stderr=0.2)
 @pytest.fixture(scope="module")
 def together():
     lines = []
-    found = run(experiment(), ACCURACY, seed=5, threads=2, say=lines.append)
+    found = run(experiment(), ACCURACY, seed=5, threads=2, log=lines.append)
     return found, lines
 
 

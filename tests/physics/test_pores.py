@@ -124,8 +124,8 @@ def test_layers_may_hold_different_media():
 
 def test_a_medium_tells_what_is_in_its_pores():
     snow = splits.Snow(**MUDDY)
-    assert snow.materials() == ("air", "water", "brine", "oil", "ice")
-    index = snow.indices(np.array([600.0]))[0]
+    assert snow.list_materials() == ("air", "water", "brine", "oil", "ice")
+    index = snow.compute_refractive_indices(np.array([600.0]))[0]
     np.testing.assert_array_equal(index[[0, 2, 3]], [HAZE, BRINE, 1.47 + 1e-5j])
     facts = snow.describe()
     assert facts["pores_brine"] == 0.3 and facts["refractive_index_oil"] == "1.47+1e-05j"
@@ -187,6 +187,6 @@ def test_the_papers_distance_is_that_of_a_leg():
     paper = splits.Snow(**dry)
     other = splits.Snow(**dry, readings={"grain_distance": "leg_and_grain"})
     assert paper.mean_grain_distance_m == other.mean_grain_distance_m
-    legs = [1.0 / snow.grains().attenuation for snow in (paper, other)]
+    legs = [1.0 / snow.make_grain_population().attenuation for snow in (paper, other)]
     assert legs[0] == paper.mean_grain_distance_m
     assert legs[1] == pytest.approx(paper.porosity * legs[0])

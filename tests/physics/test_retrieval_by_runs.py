@@ -78,15 +78,15 @@ def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
     monkeypatch.setattr("splits.retrieval.runs.time.perf_counter", lambda: clock[0])
     way = Way(told.append, 0.005, 2)
     for _ in range(4):
-        show = way.run(0.01, 1)
+        show = way.track_run(0.01, 1)
         for half in (0.5, 1.0):
             clock[0] += 0.5
             show(Progress(100, 0.01, 0.01, half, 1.0 - half))
-    assert [one.seconds + one.seconds_left for one in told] == pytest.approx([way.whole] * 8)
+    assert [one.seconds + one.seconds_left for one in told] == pytest.approx([way.total_cost] * 8)
     assert told[-1].seconds == 4.0 and told[-1].target == 0.005
     # Beyond what was foretold, a run tells its own.
-    way.run(0.001, 10)
-    way.run(0.01, 1)(Progress(100, 0.01, 0.01, 0.5, 0.25))
+    way.track_run(0.001, 10)
+    way.track_run(0.01, 1)(Progress(100, 0.01, 0.01, 0.5, 0.25))
     assert told[-1].seconds_left == 0.25
 
 
@@ -109,11 +109,11 @@ def test_a_straight_line_is_read_as_one():
     seen = Seen(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
     line = Around(free, seen)
     place = np.array([0.4, 0.5])
-    value, slopes = line.with_slopes(place)
-    np.testing.assert_allclose(value, 1.0 + seen.slopes @ [0.1, -0.1])
-    np.testing.assert_array_equal(slopes, seen.slopes)
-    np.testing.assert_array_equal(line.values(place[np.newaxis])[0], value)
-    assert free.laws == ("logarithm", "itself")
+    value, slopes = line.evaluate_with_jacobian(place)
+    np.testing.assert_allclose(value, 1.0 + seen.jacobian @ [0.1, -0.1])
+    np.testing.assert_array_equal(slopes, seen.jacobian)
+    np.testing.assert_array_equal(line.evaluate(place[np.newaxis])[0], value)
+    assert free.transforms == ("logarithm", "itself")
 
 
 def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
@@ -127,7 +127,7 @@ def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
 
     covariance = np.diag(spread**2), np.diag(noise**2)
     assert bent(curved, line, place, *covariance) == pytest.approx(3.0 * spread[0] ** 2 / noise[2])
-    assert bent(lambda x: line.values(x[np.newaxis])[0], line, place, *covariance) < 1e-12
+    assert bent(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance) < 1e-12
 
 
 WRONG = {
@@ -160,5 +160,5 @@ def test_bad_input_is_refused(name):
 
 def test_wavelengths_of_bands_cover_them():
     bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
-    w = wavelengths_of(Measurement.of([0.5, 0.5], 0.01, bands))
+    w = wavelengths_of(Measurement.from_input([0.5, 0.5], 0.01, bands))
     assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

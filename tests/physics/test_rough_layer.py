@@ -154,4 +154,4 @@ def test_an_infinite_white_layer_has_room_for_its_surface():
         optical_thickness=math.inf, single_scattering_albedo=1.0, asymmetry=0.0, depth_m=0.02,
         surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0, "correlation": "gaussian"},
     )  # fmt: skip
-    assert layer.turbid(False).depth > 8.0
+    assert layer.make_scattering_layer(False).depth > 8.0

@@ -95,13 +95,13 @@ def difference(one, other):
 def test_one_type_of_ice_has_the_tables_of_snow():
     for settings in SAMPLES.values():
         snow, sand = pair(ONE_TYPE, settings)
-        assert sand.materials() == ("air", "water", "quartz")
-        ours, theirs = sand.grains(), snow.grains()
+        assert sand.list_materials() == ("air", "water", "quartz")
+        ours, theirs = sand.make_grain_population(), snow.make_grain_population()
         for one, other in zip(
             [*ours[:-1], *ours.types], [*theirs[:-1], *theirs.types], strict=True
         ):
             np.testing.assert_allclose(one, other, rtol=1e-12)
-        np.testing.assert_array_equal(sand.indices(ICE_WAVELENGTHS), snow.indices(ICE_WAVELENGTHS))
+        np.testing.assert_array_equal(sand.compute_refractive_indices(ICE_WAVELENGTHS), snow.compute_refractive_indices(ICE_WAVELENGTHS))
 
 
 @pytest.mark.parametrize("types", [ONE_TYPE, EIGHT_TYPES], ids=["one type", "eight types"])
@@ -109,13 +109,13 @@ def test_sand_of_ice_is_snow(types):
     z = []
     for number, settings in enumerate(SAMPLES.values()):
         snow, sand = pair(types, settings)
-        assert sand.grains().share.size == (1 if types is ONE_TYPE else 8)
+        assert sand.make_grain_population().type_cdf.size == (1 if types is ONE_TYPE else 8)
         measured = [
             splits.spectrophotometer(medium, ICE_WAVELENGTHS, 30.0, max_stderr=0.005, seed=seed)
             for medium, seed in ((snow, 10 + number), (sand, 20 + number))
         ]
         z.append(difference(*measured))
-    judge_z(z, f"sand against snow, types {sand.grains().share.size}", independent=len(SAMPLES))
+    judge_z(z, f"sand against snow, types {sand.make_grain_population().type_cdf.size}", independent=len(SAMPLES))
     assert np.abs(z).max() < 3.0
 
 
@@ -147,7 +147,7 @@ def test_nothing_is_lost_without_absorption(estimator, saturation):
         **ALL_TYPES, depth_m=0.005, saturation=saturation, refractive_index={**index, "water": 1.33}
     )
     wavelengths = [400.0, 1000.0]
-    assert (sand.indices(wavelengths).imag == 0.0).all()
+    assert (sand.compute_refractive_indices(wavelengths).imag == 0.0).all()
     ds = splits.spectrophotometer(sand, wavelengths, 30.0, max_stderr=0.03, estimator=estimator)
     assert np.abs(ds.reflectance + ds.transmittance - 1.0).max() < 1e-12
     assert np.abs(ds.absorptance).max() < 1e-12

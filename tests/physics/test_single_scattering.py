@@ -137,7 +137,7 @@ def test_extinction_is_grains_met_plus_absorption_by_pores():
     water = complex(1.33, alpha * 1500e-9 / (4.0 * math.pi))
     snow = splits.Snow(saturation=0.25, refractive_index={"ice": 1.31, "water": water})
     ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2)
-    grains = snow.grains().attenuation
+    grains = snow.make_grain_population().attenuation
     assert float(ds.extinction[0]) == pytest.approx(grains + 0.25 * alpha, rel=1e-12)
     assert float(ds.optical_thickness[0]) == pytest.approx(float(ds.extinction[0]) * snow.depth_m)
     # Ice and reflections absorb nothing: what is lost is lost between the grains.

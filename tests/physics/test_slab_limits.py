@@ -80,12 +80,12 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
             exits = exit_rows(rays, 3)
-            scene = scene_of(snow.grains(), depth, 0.0, snow.readings.rules(analog), mu)
+            scene = scene_of(snow.make_grain_population(), depth, 0.0, snow.interpretation.to_sampling_rules(analog), mu)
             work = np.array([ensemble, 0, rays, UNLIMITED])
             told = granular.batch(seed + 10 * analog, work, scene, optics, exits, None, None)
             assert not told.lost
             moments, least, _ = tally(
-                exits, told.notes, absorption[np.newaxis], not analog, NO_GROUND
+                exits, told.crossings, absorption[np.newaxis], not analog, NO_GROUND
             )
             assert least[0] == 0.0
             assert moments[0].max() < 1e-9
@@ -122,13 +122,13 @@ def test_hardly_any_grains_let_everything_through(incidence):
 @pytest.mark.parametrize("mu", [1.0, 0.5, 0.1])
 def test_a_ray_that_meets_no_grain_goes_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
-    scene = scene_of(snow.grains(), 0.12, rules=snow.readings.rules(), cos=mu)
+    scene = scene_of(snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu)
     ray, length = trace(stream(), scene, optics_of([1.0, 1.0, 1.31]))
-    place, d = ray.flier.place, ray.beam.d
+    place, d = ray.geometry.position, ray.payload.direction
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.fate, ray.beam.purse.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
-    assert (ray.legs, ray.order) == (1, 0)
+    assert (ray.n_segments, ray.order) == (1, 0)
     assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)
     assert length == pytest.approx([0.12 / mu, 0.0, 0.0], rel=1e-14)
 

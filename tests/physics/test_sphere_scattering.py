@@ -31,7 +31,7 @@ def _scatter(state, psi, facetness, scene, optics, length):
     """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
     size = Size(RADIUS, 1.0 - psi * psi)
     walk, entry = walked(state, DIRECTION, size, facetness, False, scene, optics, length)
-    q, w, g, e = entry.grain.q, entry.grain.w, walk.way, walk.beam.d
+    q, w, g, e = entry.grain.q, entry.grain.w, walk.displacement, walk.payload.direction
     return (
         dot(DIRECTION, e), length[2], 1.0 if walk.alive else 0.0,
         q.x, q.y, q.z, w.x, w.y, w.z, g.x, g.y, g.z, e.x, e.y, e.z,
@@ -40,7 +40,7 @@ def _scatter(state, psi, facetness, scene, optics, length):
 
 def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0):
     rules = splits.Readings(entry=entry).rules(analog)
-    scene = scene_of(splits.Snow().grains(), rules=rules)
+    scene = scene_of(splits.Snow().make_grain_population(), rules=rules)
     optics = optics_of([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
     out = draw(_scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray)
     alive = out[:, 2] == 1.0

@@ -45,7 +45,7 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_no_ray_gets_through_unseen_or_lost(name):
     surface, index, angle, rays = CASES[name]
-    fields = RoughSurface.of(surface).numbers()
+    fields = RoughSurface.from_input(surface).make_height_fields()
     mu = math.cos(math.radians(angle))
     counts, hits = crossings(SEED, 0, rays, fields, index, mu)
     print(f"{name}: {counts[CROSSINGS]} crossings, {counts[LEGS]} legs")
@@ -57,7 +57,7 @@ def test_no_ray_gets_through_unseen_or_lost(name):
 
 
 def test_rays_do_not_depend_on_how_they_are_shared_out():
-    fields = RoughSurface(SEA).numbers()
+    fields = RoughSurface(SEA).make_height_fields()
     whole = crossings(SEED, 0, 40, fields, 1.34, 0.5)
     parts = [crossings(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
     for i in range(2):
@@ -73,7 +73,7 @@ def _there_and_back(state, fields, room, side):
     surface = draw_waves(state, fields, room)
     dx, dy, dz = unit_sphere(state)
     d = Vector(dx, dy, -side * abs(dz))
-    place = Vector(0.0, 0.0, side * surface.reach * (1.0 - 2.0 * rng.uniform(state)))
+    place = Vector(0.0, 0.0, side * surface.max_height * (1.0 - 2.0 * rng.uniform(state)))
     if side * (place.z - relief_at(surface.waves, 0.0, 0.0).height) <= 0.0:
         return 0.0, 0.0, 0.0
     s, slope, _ = first_crossing(surface, place, d, side)
@@ -86,7 +86,7 @@ def _there_and_back(state, fields, room, side):
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
 def test_points_in_sight_see_where_they_are_seen_from(name, side):
-    fields = RoughSurface(CASES[name][0]).numbers()
+    fields = RoughSurface(CASES[name][0]).make_height_fields()
     out = draw(_there_and_back, sample_size(50_000), fields, room_for(fields), side, width=3)
     s, t, into = out[out[:, 0] != 0.0].T
     assert s.size > 0.3 * len(out) and s.min() > 0.0
@@ -103,8 +103,8 @@ def _met(state, fields, room, mu):
     """Return height and slopes where a ray from above first meets a surface."""
     surface = draw_waves(state, fields, room)
     d = Vector(math.sqrt(1.0 - mu * mu), 0.0, -mu)
-    s, slope, _ = first_crossing(surface, Vector(0.0, 0.0, surface.reach), d, 1.0)
-    return surface.reach - s * mu, slope.x, slope.y
+    s, slope, _ = first_crossing(surface, Vector(0.0, 0.0, surface.max_height), d, 1.0)
+    return surface.max_height - s * mu, slope.x, slope.y
 
 
 @njit
@@ -124,7 +124,7 @@ def _in_sight(state, fields, room, mu):
 
 
 def drawn(sampler, surface, mu, count, **of):
-    fields = RoughSurface(surface).numbers()
+    fields = RoughSurface(surface).make_height_fields()
     return draw(sampler, sample_size(count), fields, room_for(fields), mu, **of)
 
 

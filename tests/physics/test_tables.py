@@ -35,14 +35,14 @@ def pack(optical_radius_um=100.0, soot=0.0, water=0.0, **more):
 
 
 def plan_of(make, grid):
-    return Plan.of(make, Axes.of(grid), WAVELENGTHS)
+    return Plan.from_grid(make, Axes.from_mapping(grid), WAVELENGTHS)
 
 
 def test_axes_that_share_paths_are_found():
     plan = plan_of(pack, GRID)
-    assert plan.shared == ("optical_radius_um", "soot")
-    assert len(plan.ensembles) == 4
-    assert sorted(np.concatenate([e.places for e in plan.ensembles])) == list(range(36))
+    assert plan.path_sharing_axes == ("optical_radius_um", "soot")
+    assert len(plan.path_groups) == 4
+    assert sorted(np.concatenate([e.positions for e in plan.path_groups])) == list(range(36))
     assert str(plan) == (
         "2 of 4 axes share paths (optical_radius_um, soot): 4 ensembles for 36 spectra of 4 "
         "wavelengths"
@@ -51,9 +51,9 @@ def test_axes_that_share_paths_are_found():
 
 def test_a_ground_below_a_pack_without_end_is_no_medium_of_its_own():
     plan = plan_of(pack, {"ground": [0.1, 0.5], "soot": SOOT})
-    (ensemble,) = plan.ensembles
-    assert plan.shared == ("ground", "soot")
-    assert len(ensemble.family.media) == 3
+    (ensemble,) = plan.path_groups
+    assert plan.path_sharing_axes == ("ground", "soot")
+    assert len(ensemble.path_sharing.media) == 3
     # A soil that ends at 1000 nm says nothing about it.
     plan_of(pack, {"ground": ["camborthid"]})
 
@@ -75,7 +75,7 @@ def test_what_has_paths_of_its_own(grid, more, shared):
             point["ground"] = 0.5
         return pack(**more, **point)
 
-    assert plan_of(make, grid).shared == shared
+    assert plan_of(make, grid).path_sharing_axes == shared
 
 
 def test_depths_that_go_with_sizes_share_paths():
@@ -84,7 +84,7 @@ def test_depths_that_go_with_sizes_share_paths():
             grain_size_um=(300.0 * by, 750.0 * by), depth_m=0.1 * by, saturation=0.0, ground=0.3
         )
 
-    assert plan_of(scaled, {"by": [1.0, 1.7, 3.0]}).shared == ("by",)
+    assert plan_of(scaled, {"by": [1.0, 1.7, 3.0]}).path_sharing_axes == ("by",)
     assert likeness(scaled(1.0))[0] != likeness(splits.Snow(depth_m=0.1, saturation=0.0))[0]
 
 
@@ -93,7 +93,7 @@ def test_stacks_and_rough_tops():
         snow = [pack(100.0 * by, soot, depth_m=0.02 * by), pack(200.0 * by)]
         return splits.Stack([lid, *snow] if lid else snow)
 
-    assert plan_of(packs, {"by": [1.0, 2.0], "soot": SOOT}).shared == ("by", "soot")
+    assert plan_of(packs, {"by": [1.0, 2.0], "soot": SOOT}).path_sharing_axes == ("by", "soot")
     surface = splits.RoughSurface(
         {"rms_height_m": 1e-3, "wave_number_per_m": 100.0, "waves": 4, "correlation": "gaussian"}
     )
@@ -106,7 +106,7 @@ def test_stacks_and_rough_tops():
         return packs(by, lid=lid)
 
     # The waves of a surface do not grow with the grains.
-    assert plan_of(lidded, {"by": [1.0, 2.0]}).shared == ()
+    assert plan_of(lidded, {"by": [1.0, 2.0]}).path_sharing_axes == ()
 
     def in_ice(index, wave_number=100.0, depth_m=0.01):
         top = splits.RoughSurface(
@@ -118,10 +118,10 @@ def test_stacks_and_rough_tops():
             surface=top,
         ))  # fmt: skip
 
-    assert plan_of(in_ice, {"index": [1.2, 1.31]}).shared == ()
+    assert plan_of(in_ice, {"index": [1.2, 1.31]}).path_sharing_axes == ()
     assert plan_of(
         lambda wave_number: in_ice(1.31, wave_number), {"wave_number": [100.0, 100.1]}
-    ).shared == ()  # fmt: skip
+    ).path_sharing_axes == ()  # fmt: skip
     alone = {
         index: splits.Stack(
             [splits.Layer(refractive_index=index, bottom_albedo=None, depth_m=0.01)]
@@ -163,13 +163,13 @@ def test_light_takes_the_same_paths_among_larger_grains(by, part, saturation):
 @NEEDS_JIT
 @pytest.mark.parametrize("water", [0.0, 0.04])
 def test_members_of_a_family_are_what_runs_of_their_own_give(water):
-    run = Run.checked(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
+    run = Run.from_arguments(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
     radii = np.array([60.0, 130.0, 400.0])
     media = tuple(pack(radius, 20.0, water) for radius in radii)
-    told = run.estimated(Family(media, radii / radii[0])).result
+    told = run.estimate(Family(media, radii / radii[0])).estimate
     z = []
     for number, medium in enumerate(media):
-        own = run._replace(seed=100 + number).estimated(Family.of_one_size([medium])).result
+        own = run._replace(seed=100 + number).estimate(Family.from_media([medium])).estimate
         rows = slice(number * WAVELENGTHS.size, (number + 1) * WAVELENGTHS.size)
         error = np.hypot(told.stderr[0, rows], own.stderr[0])
         z.append((told.mean[0, rows] - own.mean[0]) / error)
@@ -185,7 +185,7 @@ def test_every_cell_is_what_a_run_of_its_own_gives():
     found = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.01)
     assert found.attrs["max_stderr_reached"] <= 0.01
     random = np.random.default_rng(3)
-    points = list(Axes.of(GRID).points())
+    points = list(Axes.from_mapping(GRID).iterate_points())
     z = []
     for number in random.choice(len(points), 10, replace=False):
         point = dict(points[number])
@@ -239,21 +239,21 @@ def test_blocks_of_other_tables_are_none_of_this_one(other):
         "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
         "water": [0.0],
     }  # fmt: skip
-    run = Run.checked(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
+    run = Run.from_arguments(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
     order = Order(run, ("reflectance",), False)
     one, two = (
-        [measuring.digest_of(e, order) for e in plan_of(pack, g).ensembles]
+        [measuring.digest_of(e, order) for e in plan_of(pack, g).path_groups]
         for g in (grid, grid | other)
     )
     assert one[-1] != two[-1]
     assert len(set(one)) == len(one)
     for changed in (
         order._replace(covariance=True), order._replace(quantities=("transmittance",)),
-        order._replace(run=run._replace(seed=2)), order._replace(run=run._replace(max_stderr=0.02)),
+        order._replace(spectral_request=run._replace(seed=2)), order._replace(spectral_request=run._replace(max_stderr=0.02)),
     ):  # fmt: skip
-        assert measuring.digest_of(plan_of(pack, grid).ensembles[0], changed) != one[0]
-    threads = order._replace(run=run._replace(threads=7))
-    assert measuring.digest_of(plan_of(pack, grid).ensembles[0], threads) == one[0]
+        assert measuring.digest_of(plan_of(pack, grid).path_groups[0], changed) != one[0]
+    threads = order._replace(spectral_request=run._replace(threads=7))
+    assert measuring.digest_of(plan_of(pack, grid).path_groups[0], threads) == one[0]
 
 
 @NEEDS_JIT

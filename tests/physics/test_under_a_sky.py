@@ -91,12 +91,12 @@ def test_stated_errors_of_light_inside_follow_the_one_asked_for():
 
 def test_skies_in_relative_units_ask_for_their_total():
     with pytest.raises(ValueError, match="total_w_m2 = None"):
-        splits.sky("midlatitude_winter").scaled_to(None)
+        splits.sky("midlatitude_winter").scale_to(None)
     with pytest.raises(ValueError, match="total_w_m2"):
-        splits.sky(MINE, 50.0).scaled_to(-3.0)
-    scaled = splits.sky("midlatitude_winter").scaled_to(800.0)
+        splits.sky(MINE, 50.0).scale_to(-3.0)
+    scaled = splits.sky("midlatitude_winter").scale_to(800.0)
     assert np.trapezoid(scaled.total, scaled.wavelength_nm) == pytest.approx(800.0)
-    assert splits.sky(MINE, 50.0).scaled_to(None).total[0] == 2.0
+    assert splits.sky(MINE, 50.0).scale_to(None).total[0] == 2.0
 
 
 @NEEDS_JIT
@@ -132,7 +132,7 @@ def test_the_reflectance_factor_under_a_sky_mixes_both():
     found = splits.hdrf(snow, mine, W, seed=5, **asked)
     sun = splits.goniophotometer(snow, W, 50.0, seed=5, **asked).reflectance_factor
     rest = splits.goniophotometer(snow, W, "diffuse", seed=6, **asked).reflectance_factor
-    share = xr.DataArray(mine.direct_share(W), {"wavelength": W}, ("wavelength",))
+    share = xr.DataArray(mine.compute_direct_fraction(W), {"wavelength": W}, ("wavelength",))
     np.testing.assert_allclose(
         found.reflectance_factor, share * sun + (1.0 - share) * rest, rtol=1e-12
     )

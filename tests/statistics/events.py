@@ -62,10 +62,10 @@ def lane_words(ray=0):
 
 
 @njit
-def struck(state, d, size, entry):
+def struck(state, d, size, entry_rule):
     """Return where a ray along d strikes a grain."""
     aim = scalar.aim_of(state, size.flattening)
-    return spheroid.strike(d, size, aim, entry)
+    return spheroid.strike(d, size, aim, entry_rule)
 
 
 @njit
@@ -75,7 +75,7 @@ def walked(state, d, size, facetness, wet, scene, optics, length):
     Lengths are set.
     """
     length[:] = 0.0
-    entry = struck(state, d, size, scene.rules.entry)
+    entry = struck(state, d, size, scene.rules.entry_sampling)
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE
     candidate = Candidate(0, size, 0.5 * facetness)
     found = Found(candidate, Meeting(0.0, 0.0, entry, False, True, 0.0), 0, False)
@@ -83,10 +83,10 @@ def walked(state, d, size, facetness, wet, scene, optics, length):
 
 
 @njit
-def weight_after(state, left):
+def weight_after(state, grain_path):
     """Return the weight of a ray after a grain and the roulette that follows it, 0 for none."""
-    payment = granular.played(state, left.beam.purse)
-    return payment.purse.weight if left.alive and payment.alive else 0.0
+    payment = granular.played(state, grain_path.payload.roulette)
+    return payment.roulette.weight if grain_path.alive and payment.alive else 0.0
 
 
 # --- surfaces ---------------------------------------------------------------------------------
@@ -130,26 +130,26 @@ def facet_struck_by_lane(words, d, normal, sigma, rule):
 @njit
 def facet_normal_of(d, facet):
     """Return a facet's normal on the side of the ray, as `surface.outcome` takes it."""
-    normal = surface.facet_normal(d, facet.normal, facet.cos_i, facet.leaned, facet.azimuth)
-    sign = -1.0 if facet.turned else 1.0
+    normal = surface.facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
+    sign = -1.0 if facet.back_side else 1.0
     return Vector(sign * normal.x, sign * normal.y, sign * normal.z)
 
 
 @njit
-def tried(state, d, stand, normal, facetness, media, rules):
+def tried(state, d, interface_state, normal, facetness, media, rules):
     """Return what a trial at a surface leads to."""
-    return trial(state, d, stand, flat(normal), 0.5 * facetness, media, rules)
+    return trial(state, d, interface_state, flat(normal), 0.5 * facetness, media, rules)
 
 
 @njit
-def tried_by_lane(words, d, stand, normal, sigma, media, rules):
+def tried_by_lane(words, d, interface_state, normal, sigma, media, rules):
     """Return what a trial at a surface leads to, drawn as the lanes' `trial` does."""
     numbers = numbers_at(words, 0, True, True)
-    facet = facets.facing(d, flat_by_lane(normal), stand.side)
+    facet = facets.facing(d, flat_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
-        facet = facets.rough(d, facet, sigma, numbers, stand.lobe, rules.facets)
+        facet = facets.rough(d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling)
     mirrored = rules.wrong_side != LOBE
-    return surface.outcome(d, stand, facet, media, numbers.fresnel, mirrored, EVERYTHING)
+    return surface.outcome(d, interface_state, facet, media, numbers.u_fresnel, mirrored, EVERYTHING)
 
 
 @njit
@@ -159,9 +159,9 @@ def interact(state, d, normal, facetness, near, far, rules):
     media = surface.contrast(near, far)
     while True:
         after = tried(state, d, stand, normal, facetness, media, rules)
-        if after.done:
-            return Crossing(after.passed, after.d)
-        stand = Stand(0.0, 1.0, after.to_lobe, after.passed)
+        if after.accepted:
+            return Crossing(after.transmitted, after.direction)
+        stand = Stand(0.0, 1.0, after.needs_lobe, after.transmitted)
 
 
 @njit
@@ -172,6 +172,6 @@ def interact_by_lane(words, d, normal, sigma, near, far, rules):
     media = surface.contrast(near, far)
     while True:
         after = tried_by_lane(words, d, stand, normal, sigma, media, rules)
-        if after.done:
-            return Crossing(after.passed, after.d)
-        stand = Stand(zero, one, after.to_lobe, after.passed)
+        if after.accepted:
+            return Crossing(after.transmitted, after.direction)
+        stand = Stand(zero, one, after.needs_lobe, after.transmitted)

@@ -55,7 +55,7 @@ def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0
     rules = splits.Readings().rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
-        grains.share[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),
+        grains.type_cdf[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),
         np.array([GRAINS]),
     )  # fmt: skip
     return Scene(
@@ -74,7 +74,7 @@ def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=Non
     scene = granular_scene(medium, incidence, analog)
     layers = scene.layers
     if depth is not None:
-        layers = layers._replace(face=np.array([0.0, -float(depth)]))
+        layers = layers._replace(boundaries=np.array([0.0, -float(depth)]))
     if saturation is not None:
         layers = layers._replace(saturation=np.array([float(saturation)]))
     return scene._replace(layers=layers)
@@ -82,10 +82,10 @@ def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=Non
 
 def oracle_slab(medium, incidence):
     """Return grains, slab and rules of a medium as the oracle wants them."""
-    grains, rules = medium.grains(), medium.readings.rules(False)
-    cos = medium_scene(medium, incidence).light.cos
+    grains, rules = medium.make_grain_population(), medium.interpretation.to_sampling_rules(False)
+    cos = medium_scene(medium, incidence).source.cos_incidence
     slab = oracle_scene.Slab(medium.depth_m, medium.saturation, cos, incidence == "diffuse")
-    return oracle_scene.Grains(grains.attenuation, grains.share, *grains.types), slab, rules
+    return oracle_scene.Grains(grains.attenuation, grains.type_cdf, *grains.types), slab, rules
 
 
 def optics_of(n, k=None, absorption=None):
@@ -98,7 +98,7 @@ def optics_of(n, k=None, absorption=None):
 
 def optics_at(medium, wavelength_nm):
     """Return the optics of a medium at one wavelength."""
-    index = medium.indices(np.array([wavelength_nm]))[0]
+    index = medium.compute_refractive_indices(np.array([wavelength_nm]))[0]
     return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
@@ -114,7 +114,7 @@ def passing(scene):
 
 def boundless(scene):
     """Return a scene in which every grain fits."""
-    return scene._replace(rules=scene.rules._replace(on_last_leg=KEPT, across_boundary=KEPT))
+    return scene._replace(rules=scene.rules._replace(segment_overlap=KEPT, boundary_overlap=KEPT))
 
 
 @njit
@@ -142,28 +142,28 @@ def starting(z, d):
 
 
 @njit
-def coming(z, way, d, back, length):
+def coming(z, displacement, d, direction_back, length):
     """Return a ray at a height, some way from the end of the leg that it travelled last."""
-    place = Vector(-way.x, -way.y, z - way.z)
-    return Flier(place, way, d, Segment(ORIGIN, back, length), 0.0)
+    place = Vector(-displacement.x, -displacement.y, z - displacement.z)
+    return Flier(place, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
 
 
 @njit
 def next_of(state, flier, scene, optics):
     """Return what a ray meets next."""
-    return granular.find(state, flier, carried(flier.d), scene, optics)
+    return granular.find(state, flier, carried(flier.direction), scene, optics)
 
 
 @njit
-def _traced(state, scene, optics, length, most):
+def _traced(state, scene, optics, length, max_order):
     length[:] = 0.0
-    ray = granular.launch(state, scene, optics, None, most)
-    if ray.fate == granular.TRAVELS:
+    ray = granular.launch(state, scene, optics, None, max_order)
+    if ray.status == granular.TRAVELS:
         ray = granular.follow(state, ray, scene, optics, length, None, None, None)
     return ray
 
 
-def trace(state, scene, optics, most=UNLIMITED):
+def trace(state, scene, optics, max_order=UNLIMITED):
     """Return a ray at its end, and the lengths of its paths in all materials (m)."""
     length = np.zeros(optics.n.size)
-    return _traced(state, scene, optics, length, most), length
+    return _traced(state, scene, optics, length, max_order), length

@@ -31,7 +31,7 @@ from splits.transport.optics.light import Light, launched
 
 COUNT = scaled(200_000)
 # Way from the end of the last leg, its direction, its length.
-NO_LEG = (ORIGIN, scalar.NO_LEG.d, scalar.NO_LEG.length)
+NO_LEG = (ORIGIN, scalar.NO_LEG.direction, scalar.NO_LEG.length)
 EMPTY = optics_of([1.0, 1.0, 1.0])
 # Semi-major axes of SPLITSnow Table 1 (m).
 LOW, HIGH = 1.5e-4, 3.75e-4
@@ -52,24 +52,24 @@ def binomial_z(hits, p):
 
 
 @njit
-def _next_grain(state, z, d, scene, optics, way, back, length):
+def _next_grain(state, z, d, scene, optics, displacement, direction_back, length):
     """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
-    flier = coming(z, way, d, back, length)
+    flier = coming(z, displacement, d, direction_back, length)
     found = next_of(state, flier, scene, optics)
-    met = found.meeting
+    met = found.collision
     grain, n = met.entry.grain, met.entry.normal
     q, w = grain.q, grain.w
-    outside = 1.0 if met.outside else 0.0
+    outside = 1.0 if met.leaves_layer else 0.0
     return (
-        met.leg, grain.minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z,
+        met.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z,
         outside,
     )  # fmt: skip
 
 
-def next_grains(count, z, d, snow, slab=None, last_leg=NO_LEG):
+def next_grains(count, z, d, snow, slab=None, previous_segment=NO_LEG):
     """Draw next grains; vectors as (count, 3).  Rays that reach a boundary first are left out."""
     scene = medium_scene(snow, **(slab or DEEP))
-    out = draw(_next_grain, count, z, Vector(*d), scene, EMPTY, *last_leg, width=13)
+    out = draw(_next_grain, count, z, Vector(*d), scene, EMPTY, *previous_segment, width=13)
     out = out[out[:, 12] == 0.0]
     return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:12]
 
@@ -119,8 +119,8 @@ def _next_leg(state, z, scene, optics):
     flier = coming(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
     found = next_of(state, flier, scene, optics)
     there = granular.arrived(flier, found, space_of(scene))
-    outside = 1.0 if found.meeting.outside else 0.0
-    return there.last.length, there.place.z, outside, 1.0 if found.lost else 0.0
+    outside = 1.0 if found.collision.leaves_layer else 0.0
+    return there.previous_segment.length, there.position.z, outside, 1.0 if found.lost else 0.0
 
 
 @njit
@@ -193,15 +193,15 @@ def test_share_reflected_at_a_smooth_grain(precision):
 def _expected(state, cos_i, n1, n2, facetness, rules):
     """Return the reflectance at a facet that a ray strikes."""
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
-    facet = facet_struck(state, d, UP, facetness, rules.facets)
-    return fresnel.interface(n1, n2, 0.0, facet.cos).reflectance
+    facet = facet_struck(state, d, UP, facetness, rules.facet_sampling)
+    return fresnel.interface(n1, n2, 0.0, facet.cos_facet).reflectance
 
 
 @njit
 def _expected_by_lane(state, words, cos_i, n1, n2, sigma, rules):
     d = singly(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rules.facets)
-    return fresnel.interface(n1, n2, 0.0, min(np.float64(facet.cos), 1.0)).reflectance
+    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rules.facet_sampling)
+    return fresnel.interface(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
 
 
 def expected_share(precision, count, cos_i, n1, n2, facetness, rules, ray):
@@ -244,7 +244,7 @@ def _pore(state, scene):
 def test_pore_medium_follows_saturation():
     z = []
     for saturation in (0.0, 0.05, 0.3, 1.0):
-        pore = draw(_pore, COUNT, scene_of(splits.Snow().grains(), saturation=saturation))
+        pore = draw(_pore, COUNT, scene_of(splits.Snow().make_grain_population(), saturation=saturation))
         assert set(np.unique(pore)) <= {float(DRY_PORE), float(WET_PORE)}
         z += binomial_z(pore == WET_PORE, saturation)
     judge_z(z, "pore")
@@ -286,7 +286,7 @@ def test_no_grain_lies_on_the_last_leg_unless_kept(name):
     for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e4, readings={"grain_on_last_leg": fate})
         leg, minor, flattening, q, w, _ = next_grains(
-            scaled(20_000), -5e3, d, snow, last_leg=last_leg
+            scaled(20_000), -5e3, d, snow, previous_segment=last_leg
         )
         # Both ends of the last leg as seen from the grain's centre.
         end = real_point(q, w, minor, flattening) - leg[:, None] * d - g

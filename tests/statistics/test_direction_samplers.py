@@ -152,7 +152,7 @@ def _grain_lobe(state, x, y, z, through):
     t = vectors.tangents(normal)
     d = vectors.combined(0.6, t.u, -0.8, normal)
     after = tried(state, d, Stand(0.0, 1.0, True, through), normal, 0.5, MEDIA, RULES)
-    return after.d if after.done and after.passed == through else Vector(0.0, 0.0, 0.0)
+    return after.direction if after.accepted and after.transmitted == through else Vector(0.0, 0.0, 0.0)
 
 
 @njit
@@ -164,8 +164,8 @@ def _grain_lobe_by_lane(state, x, y, z, words, through):
     zero, one = np.float32(0.0), np.float32(1.0)
     media = contrast(Index(one, zero), Index(np.float32(1.31), zero))
     after = tried_by_lane(words, d, stand, singly(normal), np.float32(0.25), media, RULES)
-    sound = after.done and after.passed == through
-    return after.d if sound else singly(Vector(0.0, 0.0, 0.0))
+    sound = after.accepted and after.transmitted == through
+    return after.direction if sound else singly(Vector(0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("through", [False, True])

@@ -27,7 +27,7 @@ def tilt(facetness):
 @njit
 def _leaning(state, facetness):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
-    return 1.0 - facet_struck(state, Vector(0.6, 0.0, -0.8), UP, facetness, facets.ANY).leaned.cos
+    return 1.0 - facet_struck(state, Vector(0.6, 0.0, -0.8), UP, facetness, facets.ANY).tilt.cos
 
 
 def test_lean():
@@ -68,9 +68,9 @@ NORMAL = 1e-10
 def _angles(state, facetness, cos_i, sin_i, rule):
     """Return cosine and sine of tilt and azimuth, and of incidence the cosine on the facet."""
     facet = facet_struck(state, Vector(sin_i, 0.0, -cos_i), UP, facetness, rule)
-    cos_facet = -facet.cos if facet.turned else facet.cos
-    sine = facet.leaned.sin * max(sin_i, NORMAL)
-    return facet.leaned.cos, sine, facet.azimuth.cos, facet.azimuth.sin, cos_facet
+    cos_facet = -facet.cos_facet if facet.back_side else facet.cos_facet
+    sine = facet.tilt.sin * max(sin_i, NORMAL)
+    return facet.tilt.cos, sine, facet.azimuth.cos, facet.azimuth.sin, cos_facet
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -105,7 +105,7 @@ def _random_facet(state, facetness, rule):
             break
     facet = facet_struck(state, d, n, facetness, rule)
     m = facet_normal_of(d, facet)
-    return d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, facet.cos
+    return d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, facet.cos_facet
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -38,9 +38,9 @@ def deep_scene(medium):
         (0.5 * types.facetness).astype(single),
     )
     features = Features(*[None] * len(Features._fields))._replace(
-        faceted=True, mixed=True if types.shells.size > 1 else None
+        faceted=True, mixed=True if types.n_shells.size > 1 else None
     )
-    return passing(scene), features, tables, scene.layers.share
+    return passing(scene), features, tables, scene.layers.type_cdf
 
 
 @njit
@@ -166,7 +166,7 @@ def test_types_of_sand_are_met_by_their_shares():
     sand = splits.Sand(
         iron_oxide=0.04, hematite_ratio=0.4, magnetite=0.1, partition=(0.4, 0.35, 0.25)
     )
-    shares = np.diff([0.0, *sand.grains().share])
+    shares = np.diff([0.0, *sand.make_grain_population().type_cdf])
     rows_of = met(sand)
     kind = rows_of(rows.KIND)
     psi = np.sqrt(1.0 - rows_of(rows.FLATTENING))

@@ -210,7 +210,7 @@ def test_azimuths_are_uniform():
 
 @njit
 def _half_normal(state, words):
-    return float(numbers_at(words, 0, True, True).normal)
+    return float(numbers_at(words, 0, True, True).half_normal)
 
 
 @njit
@@ -241,7 +241,7 @@ def _leaning(state, words, sigma):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
     d = singly(Vector(0.6, 0.0, -0.8))
     facet = facet_struck_by_lane(words, d, singly(UP), sigma, facets.ANY)
-    return float(single(1.0) - facet.leaned.cos)
+    return float(single(1.0) - facet.tilt.cos)
 
 
 def test_leaning_is_half_normal():
@@ -270,9 +270,9 @@ def _facet(state, words, sigma, cos_i, sin_i, rule):
     zero = single(0.0)
     d = Vector(sin_i, zero, -cos_i)
     facet = facet_struck_by_lane(words, d, singly(UP), sigma, rule)
-    cos_facet = -facet.cos if facet.turned else facet.cos
-    lean = single(1.0) - facet.leaned.cos
-    sine = facet.leaned.sin * max(sin_i, NORMAL)
+    cos_facet = -facet.cos_facet if facet.back_side else facet.cos_facet
+    lean = single(1.0) - facet.tilt.cos
+    sine = facet.tilt.sin * max(sin_i, NORMAL)
     return float(lean), float(sine), float(facet.azimuth.sin), float(facet.azimuth.cos), cos_facet
 
 

@@ -26,19 +26,19 @@ class Exits:
     """
 
     def __init__(self, mean, root, rays, rng, classes=1):
-        self.basis, self.place = BASIS, {0: 0}
+        self.basis, self.wavelength_rows = BASIS, {0: 0}
         self.rays = rays
         noise = rng.standard_normal((GROUPS, classes, 1, mean.size)) @ root.T
         groups = mean / classes + noise * np.sqrt(GROUPS / rays / classes)
         self.groups = np.repeat(groups, 2, axis=2)
 
-    def coefficients(self, _):
+    def compute_coefficients(self, _):
         return self.groups
 
-    def unscattered(self, _):
+    def compute_unscattered(self, _):
         return np.zeros((GROUPS, 2))
 
-    def counts(self):
+    def count_rays(self):
         return np.full(self.groups.shape[1], self.rays)
 
 
@@ -55,7 +55,7 @@ def projected(width):
     x, w = np.polynomial.legendre.leggauss(60)
     mu = 0.5 * (x + 1.0)
     polar, azimuth = np.degrees(np.arccos(mu)), np.arange(0.0, 360.0, 3.0)
-    values = angles_of(polar, azimuth, BASIS).values
+    values = angles_of(polar, azimuth, BASIS).polynomials
     weight = np.repeat(0.5 * w * mu, azimuth.size) * np.radians(3.0)
     light = weight * forward(polar[:, np.newaxis], azimuth, width).ravel()
     mean = values.T @ light
@@ -68,7 +68,7 @@ def projected(width):
 def compared(width, rays, classes):
     """Return how far results are off, over the errors stated, and their bias so."""
     mean, root = projected(width)
-    truth = ANGLES.values @ mean
+    truth = ANGLES.polynomials @ mean
     rng = np.random.default_rng(7)
     counted = np.ones(truth.size, dtype=bool)
     found = []
@@ -110,23 +110,23 @@ class Few(Exits):
             np.degrees(np.arcsin(np.sqrt(rng.random(number)))),
             360.0 * rng.random(number),
         )
-        self.basis, self.place, self.rays = BASIS, {0: 0}, 100_000
-        self.groups = np.zeros((GROUPS, 1, 2, BASIS.scale.size))
+        self.basis, self.wavelength_rows, self.rays = BASIS, {0: 0}, 100_000
+        self.groups = np.zeros((GROUPS, 1, 2, BASIS.norms.size))
         for at, around, group in zip(polar, azimuth, rng.integers(0, GROUPS, number), strict=True):
-            values = angles_of(np.array([at]), np.array([around]), BASIS).values[0]
+            values = angles_of(np.array([at]), np.array([around]), BASIS).polynomials[0]
             self.groups[group, 0] += values * GROUPS / self.rays
 
 
 @pytest.mark.parametrize("number", [1, 2, 4, 8, 32])
 def test_few_rays_do_not_know_their_own_error(number):
     rng = np.random.default_rng(number)
-    counted = np.ones(len(ANGLES.values), dtype=bool)
+    counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for seen in rng.poisson(number, SEEDS):
         result, _ = estimate([Few(seen, rng)], np.zeros(1), ANGLES, False, 0, counted)
         z.append((result.mean[0, 0] - number / 1e5 / np.pi) / result.stderr[0, 0])
         # No light went straight, which 100 000 rays cannot rule out.
-        assert result.sums[3] == pytest.approx(1e-5)
+        assert result.hemispherical[3] == pytest.approx(1e-5)
     print(f"{number} rays: rms z {rms(np.array(z)):.2f}, largest {np.abs(z).max():.1f}")
     # Directions share their rays, so that one run of 40 may be 40 values: an rms known to 11 %.
     assert rms(np.array(z)) < 1.0 + 4.0 * 0.11
@@ -140,12 +140,12 @@ def test_noise_of_what_was_dropped_does_not_raise_errors_of_a_plain_surface():
     # Lambert's law: all but the constant coefficient is noise.
     mean, root = projected(0.01)
     rng = np.random.default_rng(3)
-    counted = np.ones(len(ANGLES.values), dtype=bool)
+    counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for _ in range(SEEDS):
         exits = Exits(mean, root, 30_000, rng, 4)
         result, _ = estimate([exits], np.zeros(1), ANGLES, False, 0, counted)
-        z.append((result.mean[0, 0] - ANGLES.values @ mean) / result.stderr[0, 0])
+        z.append((result.mean[0, 0] - ANGLES.polynomials @ mean) / result.stderr[0, 0])
     print(f"plain surface: rms z {rms(np.array(z)):.2f}")
     assert 0.8 < rms(np.array(z)) < 1.2
 

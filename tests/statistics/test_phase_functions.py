@@ -109,9 +109,9 @@ def test_table():
     table = phase.tabulated(x[::-1], [4.0, 0.0, 2.0, 2.0])
     # 2 × 0.75 + 0.75 + 1 of the integral over µ.
     assert table.density == pytest.approx(np.array([2.0, 2.0, 0.0, 4.0]) / (6.5 * np.pi))
-    assert table.quantiles == pytest.approx(np.array([0.0, 1.5, 2.25, 3.25]) / 3.25)
+    assert table.cdf == pytest.approx(np.array([0.0, 1.5, 2.25, 3.25]) / 3.25)
     for mu, u in ((-0.625, 0.75), (0.125, 2.0625), (0.75, 2.5)):
-        out = phase.table_quantile(table.cosines, table.density, table.quantiles, u / 3.25)
+        out = phase.table_quantile(table.cosines, table.density, table.cdf, u / 3.25)
         assert out == pytest.approx(mu, abs=1e-15)
         assert phase.phase_density(table, mu) == pytest.approx(np.interp(mu, x, table.density))
     for mu in x:
@@ -127,7 +127,7 @@ def test_mean_of_a_fine_table():
 
 @njit
 def _direction(state, model, d, light):
-    return stokes.scatter_polarized(state, model, d, light).d
+    return stokes.scatter_polarized(state, model, d, light).direction
 
 
 @njit
@@ -198,7 +198,7 @@ def test_azimuths_of_polarised_light():
 @njit
 def _passed(state, d, light, normal, n1, n2):
     meeting = polarized_faces.reflect_or_refract_polarized(state, d, light, normal, n1, n2)
-    return 1.0 if meeting.passed else 0.0
+    return 1.0 if meeting.transmitted else 0.0
 
 
 def test_share_reflected_of_polarised_light():
@@ -209,7 +209,7 @@ def test_share_reflected_of_polarised_light():
             normal = Vector(*(-cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side).tolist())
             for s in LIGHT.values():
                 beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, n1, n2
-                share = polarized_faces.reflected_polarized(*beam).share
+                share = polarized_faces.reflected_polarized(*beam).reflectance
                 passed = draw(_passed, COUNT // 8, *beam, ray=len(z))
                 if share == 1.0:
                     assert not passed.any()

@@ -43,9 +43,9 @@ def quantile(state, table):
 def struck(state, z, scene, optics):
     """Return distance, type and size of the next grain, far from all boundaries."""
     found = next_of(state, starting(z, Vector(0.6, 0.0, 0.8)), scene, optics)
-    kind, size, _ = found.candidate
-    leg = math.nan if found.meeting.outside else found.meeting.leg
-    return leg, float(kind), 2.0 * size.major, math.sqrt(1.0 - size.flattening)
+    kind, size, _ = found.grain_sample
+    leg = math.nan if found.collision.leaves_layer else found.collision.distance
+    return leg, float(kind), 2.0 * size.semi_major, math.sqrt(1.0 - size.flattening)
 
 
 def pieces(texture):
@@ -84,7 +84,7 @@ def struck_cdf(texture):
 def test_struck_sizes():
     p = {}
     for name, texture in TEXTURES.items():
-        curvature = splits.Sand(texture=texture).grains().types.curvature
+        curvature = splits.Sand(texture=texture).make_grain_population().types.curvature
         sizes = 2.0 / draw(quantile, COUNT, curvature)
         cumulative = struck_cdf(texture)
         p[name, "cells"] = p_of_values(sizes, cumulative, EDGES)
@@ -97,7 +97,7 @@ def test_shares_of_the_separates():
     p = {}
     for name, texture in TEXTURES.items():
         sizes = 2.0 / draw(
-            quantile, COUNT, splits.Sand(texture=texture).grains().types.curvature, ray=1
+            quantile, COUNT, splits.Sand(texture=texture).make_grain_population().types.curvature, ray=1
         )
         counts, _ = np.histogram(np.log(sizes), [-np.inf, *LIMITS[1:3], np.inf])
         shares = np.diff([0.0, *struck_cdf(texture)(np.exp(LIMITS[1:3])), 1.0])
@@ -109,16 +109,16 @@ def test_shares_of_the_separates():
 def test_mean_of_struck_sizes_belongs_to_the_attenuation():
     # ∫ s s⁻² f_g over ∫ s⁻² f_g is 1/K1 of Eq 23; heavy tails, so on the table, not on samples.
     for texture in TEXTURES.values():
-        sizes = splits.Sand(texture=texture).sizes
-        table = sizes.struck_inverse_sizes()
+        sizes = splits.Sand(texture=texture).size_distribution
+        table = sizes.tabulate_struck_inverse_sizes()
         cells = np.diff(rng.table_probabilities(table.size))
         cells *= np.diff(np.log(table)) / np.diff(table)
-        assert cells.sum() * sizes.attenuation == pytest.approx(1.0, rel=1e-4)
+        assert cells.sum() * sizes.size_attenuation_per_m == pytest.approx(1.0, rel=1e-4)
 
 
 def test_sizes_that_no_separate_has_are_hardly_drawn():
     """Without silt nothing lies between 2 and 50 µm but what one cell of the table joins."""
-    curvature = splits.Sand(texture=(0.1, 0.0, 0.9)).grains().types.curvature
+    curvature = splits.Sand(texture=(0.1, 0.0, 0.9)).make_grain_population().types.curvature
     x = np.log(2.0 / draw(quantile, COUNT, curvature, ray=2))
     inside = (x > LIMITS[1] + 1e-9) & (x < LIMITS[2] - 1e-9)
     assert inside.mean() < 2.0 / curvature.shape[1]
@@ -127,7 +127,7 @@ def test_sizes_that_no_separate_has_are_hardly_drawn():
 def test_facetness_is_one_less_roundness():
     p = {}
     for mean, sd in ((0.482, 0.072), (0.05, 0.3), (1.0, 0.1), (0.5, 1.0)):
-        facetness = splits.Sand(roundness=(mean, sd)).grains().types.facetness
+        facetness = splits.Sand(roundness=(mean, sd)).make_grain_population().types.facetness
         roundness = stats.truncnorm((0.0 - mean) / sd, (1.0 - mean) / sd, loc=mean, scale=sd)
         p[mean, sd] = p_of_values(
             draw(quantile, COUNT, facetness), lambda f, r=roundness: r.sf(1.0 - f), EDGES
@@ -177,12 +177,12 @@ def test_each_type_by_itself_is_met_at_its_own_distance():
     generator = np.random.default_rng(7)
     distance = generator.exponential(1.0 / np.array(k), (20_000, 8))
     nearest = np.bincount(distance.argmin(axis=1), minlength=8)
-    cells = np.diff([0.0, *sand.grains().share])
+    cells = np.diff([0.0, *sand.make_grain_population().type_cdf])
     judge_p(
         {
             "types": p_of_counts(nearest, cells),
             "distance": p_of_values(
-                distance.min(axis=1), stats.expon(scale=1.0 / sand.grains().attenuation).cdf
+                distance.min(axis=1), stats.expon(scale=1.0 / sand.make_grain_population().attenuation).cdf
             ),
         }
     )

@@ -115,7 +115,7 @@ def area_below(z, sphericity):
 
 @njit
 def _axial(state, flattening):
-    return 2.0 * scalar.aim_of(state, flattening).axial - 1.0
+    return 2.0 * scalar.aim_of(state, flattening).u_axial - 1.0
 
 
 def test_axial_position():
@@ -135,7 +135,7 @@ ENTRIES = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 def _struck(state, x, y, z, size, rule):
     entry = strike(state, Vector(x, y, z), size, rule)
     q, w, n = entry.grain.q, entry.grain.w, entry.normal
-    return q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z, entry.axial, entry.major, entry.grain.minor
+    return q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z, entry.axial_position, entry.semi_major, entry.grain.semi_minor
 
 
 def struck(psi, entry):

@@ -50,16 +50,16 @@ def _heights(seed, ensemble, fields, x, y, found):
 
 def heights(name, x, y):
     """Return heights at points in units of σ, one row per realisation; each law has its own."""
-    surface = RoughSurface.of(LAWS[name])
+    surface = RoughSurface.from_input(LAWS[name])
     found = np.empty((REALISATIONS, len(x)))
     ensemble = list(LAWS).index(name)
-    _heights(SEED, ensemble, surface.numbers(), np.asarray(x), np.asarray(y), found)
+    _heights(SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found)
     return found / surface.rms_height_m
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_variance_and_correlation_of_heights(name):
-    surface = RoughSurface.of(LAWS[name])
+    surface = RoughSurface.from_input(LAWS[name])
     # Away from the origin, so that wrong phases or directions would show; five lags either way.
     x = 3.0 + np.concatenate([[0.0], LAGS, 0.0 * LAGS])
     y = -7.0 + np.concatenate([[0.0], 0.0 * LAGS, LAGS])
@@ -82,7 +82,7 @@ def test_heights_are_normal_however_few_the_waves():
 
 def law_of(name):
     """Return the probability of wave numbers below λ, by the densities of the correlations."""
-    field = RoughSurface.of(LAWS[name]).fields[0]
+    field = RoughSurface.from_input(LAWS[name]).fields[0]
     if field.correlation == "spectrum":
         k = np.linspace(K[0], K[-1], 160_001)
         mass = np.interp(k, K, TABLE["density"]) * k
@@ -100,7 +100,7 @@ def law_of(name):
 def test_waves_have_the_laws_that_they_are_drawn_from(name):
     count = scaled(100_000)
     law = LAWS[name] | {"waves": count}
-    waves = RoughSurface(law).realisation(SEED, list(LAWS).index(name))
+    waves = RoughSurface(law).sample_realization(SEED, list(LAWS).index(name))
     waves = waves[:, waves[AMPLITUDE] > 0.0]
     assert waves.shape[1] == count
     # Amplitudes are Rayleigh distributed: their squares have mean 2 σ²/M.
@@ -140,7 +140,7 @@ def slopes_of(surface, count):
     """Return the rms slope of each of many realisations."""
     found = []
     for number in range(count):
-        waves = surface.realisation(SEED, number)
+        waves = surface.sample_realization(SEED, number)
         k2 = waves[KX] ** 2 + waves[KY] ** 2
         found.append(2.0 * np.pi * math.sqrt(0.5 * (waves[AMPLITUDE] ** 2 * k2).sum()))
     return np.sort(found)
@@ -179,7 +179,7 @@ def test_rms_slope_of_the_pair_without_band_limit(correlation, law, median):
 
 @pytest.mark.parametrize("name", ["exponential, limit", "printed, limit", "gaussian", "spectrum"])
 def test_rms_slope_with_a_band_limit(name):
-    surface = RoughSurface.of(LAWS[name])
+    surface = RoughSurface.from_input(LAWS[name])
     squares = slopes_of(surface, scaled(20_000)) ** 2
     error = squares.std() / math.sqrt(squares.size)
     judge_z([(squares.mean() - surface.rms_slope() ** 2) / error], name)

@@ -69,7 +69,7 @@ def dirty(**changes):
 
 def phase(**changes):
     given = {"cosine": [-1.0, 0.0, 1.0], "density": PARTS} | changes
-    return splits.Layer(phase_function=given).phase.quantiles
+    return splits.Layer(phase_function=given).kernel_phase_function.quantiles
 
 
 def spectral(**changes):
@@ -84,7 +84,7 @@ def sky(**changes):
 
 
 def ground(medium, **changes):
-    return medium(ground={"wavelength_nm": NM, "albedo": PARTS} | changes).ground.values
+    return medium(ground={"wavelength_nm": NM, "albedo": PARTS} | changes).ground.albedo_values
 
 
 def retrieved(measured=(W, SEEN), noise=0.0625, **more):
@@ -195,7 +195,7 @@ CASES = {
     "table wavelength_nm": Case(
         lambda a: splits.table(lambda saturation: SNOW, {"saturation": [0.0]}, a, **FEW), NM,
         one=True, runs=True),
-    "table grid": Case(lambda a: Axes.of({"depth_m": a}).values, UP),
+    "table grid": Case(lambda a: Axes.from_mapping({"depth_m": a}).values, UP),
     "Table.interp": Case(
         lambda a: TABLE.interp(**AT, **{SIZE: 128.0}, wavelength=a), [512.0, 1024.0], one=True),
     # Retrievals.

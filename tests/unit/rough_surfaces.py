@@ -24,8 +24,8 @@ SURFACES = {
 
 def realised(surface, number=0):
     """Return a realisation."""
-    found = surface_of(RoughSurface.of(surface).realisation(7, number))
-    assert found.reach > 0.0
+    found = surface_of(RoughSurface.from_input(surface).sample_realization(7, number))
+    assert found.max_height > 0.0
     return found
 
 

@@ -15,19 +15,19 @@ MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse":
 def test_weights_are_integrals_of_responses_too():
     mine = splits.sky(MINE, 30.0)
     w, response = [450.0, 520.0, 800.0], [0.0, 1.0, 0.25]
-    band = Band.of("bands.mine", {"wavelength_nm": w, "response": response})
+    band = Band.from_input("bands.mine", {"wavelength_nm": w, "response": response})
     fine = np.linspace(450.0, 800.0, 2_000_001)
     light = np.interp(fine, mine.wavelength_nm, mine.total) * np.interp(fine, w, response)
     albedo = np.array([0.2, 0.9, 0.1, 0.4])
     exact = np.trapezoid(light * np.interp(fine, W, albedo), fine)
-    assert mine.weights(W, band) @ albedo == pytest.approx(exact, rel=1e-9)
+    assert mine.compute_weights(W, band) @ albedo == pytest.approx(exact, rel=1e-9)
 
 
 def test_a_response_may_come_from_a_file(tmp_path):
     path = tmp_path / "band.csv"
     path.write_text("wavelength_nm,response\n500,0\n550,1\n600,0\n", encoding="utf-8")
-    band = Band.of("bands.green", str(path))
-    assert band.ends == (500.0, 600.0)
+    band = Band.from_input("bands.green", str(path))
+    assert band.limits_nm == (500.0, 600.0)
     assert len(band.sha256) == 64
 
 

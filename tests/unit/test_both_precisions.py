@@ -107,10 +107,10 @@ def _outcomes(x, lobe, through, features, rule, turn, out):
         stand = Stand(zero, one, lobe, through)
         after = surface.outcome(d, stand, facet, media, row[9], turn, features)
         goes = surface.goings(stand, after, one, features.mixed)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = after.d.x, after.d.y, after.d.z, after.out
-        out[i, 4], out[i, 5], out[i, 6] = facet.cos, goes.stand.shell, goes.stand.side
-        out[i, 7], out[i, 8], out[i, 9] = after.passed, after.done, after.to_lobe
-        out[i, 10], out[i, 11], out[i, 12] = goes.out, goes.coating, goes.core
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = after.direction.x, after.direction.y, after.direction.z, after.cos_out
+        out[i, 4], out[i, 5], out[i, 6] = facet.cos_facet, goes.interface.shell, goes.interface.side
+        out[i, 7], out[i, 8], out[i, 9] = after.transmitted, after.accepted, after.needs_lobe
+        out[i, 10], out[i, 11], out[i, 12] = goes.in_pore, goes.in_coating, goes.in_core
 
 
 def surfaces(random, indices, extinction):
@@ -214,7 +214,7 @@ def _strikes(x, entry, out):
         out[i, 0], out[i, 1], out[i, 2] = q.x, q.y, q.z
         out[i, 3], out[i, 4], out[i, 5] = w.x, w.y, w.z
         out[i, 6], out[i, 7], out[i, 8] = n.x, n.y, n.z
-        out[i, 9], out[i, 10] = hit.axial, hit.grain.minor
+        out[i, 9], out[i, 10] = hit.axial_position, hit.grain.semi_minor
         out[i, 11] = spheroid.placed(aim, size.flattening)
 
 
@@ -279,10 +279,10 @@ def _next(x, fates, out):
         met = flight.next_grain(ray, size, aim, row[24], space, fates)
         there = flight.to_boundary(ray, space)
         n = met.entry.normal
-        out[i, 0], out[i, 1], out[i, 2] = met.leg, met.height, there.leg
-        out[i, 3], out[i, 4], out[i, 5] = there.place.x, there.place.y, there.place.z
+        out[i, 0], out[i, 1], out[i, 2] = met.distance, met.height, there.distance
+        out[i, 3], out[i, 4], out[i, 5] = there.position.x, there.position.y, there.position.z
         out[i, 6], out[i, 7], out[i, 8] = n.x, n.y, n.z
-        out[i, 9], out[i, 10], out[i, 11] = met.outside, met.fits, met.skipped > zero
+        out[i, 9], out[i, 10], out[i, 11] = met.leaves_layer, met.accepted, met.start_distance > zero
 
 
 DEPTH = 30.0 * SCALE
@@ -320,8 +320,8 @@ def _roulettes(x, out):
     for i in range(len(x)):
         row = x[i]
         played = flight.roulette(flight.Purse(row[0], row[1], row[2]), row[3], row[4] > row[5])
-        out[i, 0], out[i, 1] = played.purse.limit, played.purse.weight
-        out[i, 2] = played.ended
+        out[i, 0], out[i, 1] = played.roulette.next_roulette, played.roulette.weight
+        out[i, 2] = played.terminated
 
 
 def test_roulette(random):

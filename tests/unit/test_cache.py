@@ -287,9 +287,9 @@ def test_files_of_root_in_a_named_folder_are_loaded(places, monkeypatch):
 def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     first, last = folders.__wrapped__()
-    assert first.path.is_relative_to(tmp_path) and first.named
+    assert first.path.is_relative_to(tmp_path) and first.user_defined
     assert first.path.name == f"numba-{places_of_kernels.kernels_digest()}"
-    assert last.path.parent == Path(tempfile.gettempdir()) and not last.named
+    assert last.path.parent == Path(tempfile.gettempdir()) and not last.user_defined
     assert last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.kernels_digest()}"
 
 

@@ -92,7 +92,7 @@ def test_a_refusal_is_a_value_that_keeps_its_parts():
     assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
     inside = pickle.loads(pickle.dumps(refused)).within("medium", "not in cm")
     assert str(inside) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"
-    missing = unknown_key("depth", ["depth_m"]).within("medium")
+    missing = unknown_key("depth", ["depth_m"]).add_prefix("medium")
     assert isinstance(missing, ValueError)
     assert str(missing) == (
         "medium.depth: unknown key, must be one of depth_m (did you mean depth_m?)"

@@ -43,7 +43,7 @@ def terminal(monkeypatch):
 
 
 def wait_for_the_end():
-    while notices._session is not None and not notices._session.over:
+    while notices._session is not None and not notices._session.is_over:
         time.sleep(0.01)
     time.sleep(0.1)
 
@@ -124,6 +124,6 @@ def test_a_process_that_waits_for_another_says_so(heard, monkeypatch, tmp_path):
 
 def test_compiling_a_kernel_says_so(heard):
     """Held without a kernel, which may lie compiled in a folder."""
-    compiled = KernelCache.ending_turns(None, time.sleep)
+    compiled = KernelCache.release_locks_on_failure(None, time.sleep)
     compiled(0.3)
     assert heard[0] == f"{COMPILING}: 0 s"

@@ -66,12 +66,12 @@ def test_volume_of_a_coating():
 def test_samples_of_table_5_by_hand(sample):
     arguments, expected, density = SAMPLES[sample]
     made = compose(*arguments, COAT)
-    assert {t.name for t in made.types} == set(expected)
-    assert made.density == pytest.approx(density, rel=1e-12)
-    for particle, volume in zip(made.types, made.volume_fractions, strict=True):
+    assert {t.name for t in made.particle_types} == set(expected)
+    assert made.density_kg_m3 == pytest.approx(density, rel=1e-12)
+    for particle, volume in zip(made.particle_types, made.volume_fractions, strict=True):
         mass, gamma, share, inclusions = expected[particle.name]
         assert particle.mass_fraction == pytest.approx(mass, rel=1e-12)
-        assert particle.density == pytest.approx(gamma, rel=1e-12)
+        assert particle.density_kg_m3 == pytest.approx(gamma, rel=1e-12)
         assert volume == pytest.approx(share, rel=1e-12)
         assert particle.inclusion_fraction == pytest.approx(inclusions, rel=1e-12)
 
@@ -79,16 +79,16 @@ def test_samples_of_table_5_by_hand(sample):
 @pytest.mark.parametrize("case", CASES)
 def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
     made = compose(*CASES[case], COAT)
-    assert math.fsum(t.mass_fraction for t in made.types) == pytest.approx(1.0, abs=1e-14)
+    assert math.fsum(t.mass_fraction for t in made.particle_types) == pytest.approx(1.0, abs=1e-14)
     assert math.fsum(made.volume_fractions) == pytest.approx(1.0, abs=1e-14)
-    for particle in made.types:
+    for particle in made.particle_types:
         assert particle.mass_fraction > 0.0
-        assert sum(particle.concentration.values()) == pytest.approx(1.0, abs=1e-14)
-        assert sum(particle.volumes.values()) == pytest.approx(1.0, abs=1e-14)
-        parts = [DENSITY[m] for m in particle.concentration]
-        assert min(parts) * (1 - 1e-14) <= particle.density <= max(parts) * (1 + 1e-14)
-    densities = [t.density for t in made.types]
-    assert min(densities) < made.density < max(densities)
+        assert sum(particle.mineral_mass_fractions.values()) == pytest.approx(1.0, abs=1e-14)
+        assert sum(particle.mineral_volume_fractions.values()) == pytest.approx(1.0, abs=1e-14)
+        parts = [DENSITY[m] for m in particle.mineral_mass_fractions]
+        assert min(parts) * (1 - 1e-14) <= particle.density_kg_m3 <= max(parts) * (1 + 1e-14)
+    densities = [t.density_kg_m3 for t in made.particle_types]
+    assert min(densities) < made.density_kg_m3 < max(densities)
 
 
 @pytest.mark.parametrize("case", [name for name in CASES if name != "13j9823"])
@@ -147,8 +147,8 @@ def test_a_full_coating_has_no_kaolinite(oxide):
     assert found["kaolinite"] == pytest.approx(0.0, abs=1e-15)
     ratio = 1.0 if oxide == "hematite" else 0.0
     made = compose(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COAT)
-    (particle,) = made.types
-    assert particle.coated and particle.oxide == oxide
+    (particle,) = made.particle_types
+    assert particle.is_coated and particle.iron_oxide == oxide
     assert particle.inclusion_fraction == pytest.approx(1.0, abs=1e-12)
 
 
@@ -167,22 +167,22 @@ def test_a_full_coating_has_no_kaolinite(oxide):
 def test_impossible_sands_are_refused(change, message):
     good = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
     with pytest.raises(ValueError, match=message):
-        compose(**{**good, **change}, coat=COAT)
+        compose(**{**good, **change}, coating_fraction=COAT)
 
 
 def test_types_without_mass_are_absent():
-    names = {case: {t.name for t in compose(*CASES[case], COAT).types} for case in CASES}
+    names = {case: {t.name for t in compose(*CASES[case], COAT).particle_types} for case in CASES}
     everything = names["all eight types"]
     assert len(everything) == 8
     assert names["no goethite"] == {n for n in everything if "goethite" not in n}
     assert names["no hematite"] == {n for n in everything if "hematite" not in n}
     assert names["no iron oxide"] == everything - {"pure hematite", "pure goethite"}
     bare = compose(*CASES["no iron oxide"], COAT)
-    assert all(t.oxide is None and t.inclusion_fraction == 0.0 for t in bare.types)
-    assert [t.coated for t in bare.types].count(True) == 2
-    (only,) = compose(0.0, 0.5, 1.0, (0.0, 0.5, 0.5), COAT).types
-    assert (only.name, only.mass_fraction, only.density) == ("pure magnetite", 1.0, M)
-    assert {t.name for t in compose(1.0, 0.5, 0.0, (1, 0, 0), COAT).types} == {
+    assert all(t.iron_oxide is None and t.inclusion_fraction == 0.0 for t in bare.particle_types)
+    assert [t.is_coated for t in bare.particle_types].count(True) == 2
+    (only,) = compose(0.0, 0.5, 1.0, (0.0, 0.5, 0.5), COAT).particle_types
+    assert (only.name, only.mass_fraction, only.density_kg_m3) == ("pure magnetite", 1.0, M)
+    assert {t.name for t in compose(1.0, 0.5, 0.0, (1, 0, 0), COAT).particle_types} == {
         "pure hematite",
         "pure goethite",
     }
@@ -196,7 +196,7 @@ def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
 
     def masses(magnetite):
         made = compose(iron, ratio, magnetite, partition, COAT, excess)
-        return {t.name: t.mass_fraction for t in made.types}
+        return {t.name: t.mass_fraction for t in made.particle_types}
 
     below, at, beyond = (masses(share + step) for step in (-1e-9, 0.0, 1e-9))
     assert below["pure quartz"] == pytest.approx(1e-9, rel=1e-6)
@@ -209,7 +209,7 @@ def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
 def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left():
     iron, ratio, magnetite, pure, mixed, coated = 0.03, 0.3, 0.6, 0.4, 0.35, 0.25
     made = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT)
-    mass = {t.name: t.mass_fraction for t in made.types}
+    mass = {t.name: t.mass_fraction for t in made.particle_types}
     left = 1.0 - magnetite - iron * pure
     assert mass["pure magnetite"] == pytest.approx(magnetite, rel=1e-14)
     assert mass["pure hematite"] == pytest.approx(ratio * iron * pure, rel=1e-14)
@@ -217,7 +217,7 @@ def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left()
     assert mass["quartz coated by hematite"] == pytest.approx(0.3 * left * coated / 0.6, rel=1e-14)
     clipped = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT, "clipped")
     total = magnetite + iron * pure + mixed + coated
-    mass = {t.name: t.mass_fraction for t in clipped.types}
+    mass = {t.name: t.mass_fraction for t in clipped.particle_types}
     assert mass["pure magnetite"] == pytest.approx(magnetite / total, rel=1e-14)
     assert mass["quartz mixed with goethite"] == pytest.approx(0.7 * mixed / total, rel=1e-14)
 
@@ -225,11 +225,11 @@ def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left()
 @pytest.mark.parametrize("case", CASES)
 def test_the_table_of_intermediates_is_complete(case):
     made = compose(*CASES[case], COAT)
-    rows = made.rows()
+    rows = made.to_rows()
     columns = {"particle_type", "mass_fraction", "density_kg_m3", "volume_fraction"}
     columns |= {f"{kind}_{m}" for kind in ("mass", "volume") for m in DENSITY}
     columns |= {"inclusion_fraction", "coating_fraction"}
-    assert [row["particle_type"] for row in rows] == [t.name for t in made.types]
+    assert [row["particle_type"] for row in rows] == [t.name for t in made.particle_types]
     for row in rows:
         assert set(row) == columns
         mass = np.array([row[f"mass_{m}"] for m in DENSITY])

@@ -123,7 +123,7 @@ def test_a_grid_may_hold_whole_media(tmp_path):
         "  refractive_index: {half: {goethite: {k_factor: 0.5}}}\n",
     )
     experiment = load_experiment(path, tmp_path / "media")
-    found = {labels["medium"]: medium for labels, medium, _ in experiment.points()}
+    found = {labels["medium"]: medium for labels, medium, _ in experiment.iter_points()}
     assert found["file"].iron_oxide == found["both"].iron_oxide == 0.02
     assert found["inline"].magnetite == 0.1 and found["both"].magnetite == 0.2
     for medium in found.values():
@@ -177,4 +177,4 @@ def test_own_mineral_tables_are_known_to_the_workflow(tmp_path):
         f"medium: {{kind: sand, refractive_index: {{goethite: {table}}}}}\n"
         "instrument: {wavelength_nm: [500]}",
     )
-    assert load_experiment(path).tables() == [str(table)]
+    assert load_experiment(path).list_table_paths() == [str(table)]

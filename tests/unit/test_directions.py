@@ -49,15 +49,15 @@ def test_they_are_those_of_jacobi():
     values = evaluate_all(basis, directions)
     mu, phi = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
     row = 0
-    for m, count in enumerate(basis.per_m):
+    for m, count in enumerate(basis.n_per_m):
         for i in range(count):
             expected = (
                 (1.0 - mu) ** (0.5 * m) * np.cos(m * phi) * eval_jacobi(i, m, 1, 2.0 * mu - 1)
             )
-            assert values[:, row] == pytest.approx(basis.scale[row] * expected, rel=1e-9, abs=1e-9)
-            assert basis.degree[row] == m + 2 * i
+            assert values[:, row] == pytest.approx(basis.norms[row] * expected, rel=1e-9, abs=1e-9)
+            assert basis.degrees[row] == m + 2 * i
             row += 1
-    assert row == basis.scale.size
+    assert row == basis.norms.size
 
 
 def test_the_first_one_alone_integrates_to_anything():
@@ -124,7 +124,7 @@ def coefficients(signal, noise, groups=64, seed=1):
 
 def test_noise_is_not_taken_for_structure():
     basis = basis_of(DEGREE)
-    signal = np.zeros(basis.scale.size)
+    signal = np.zeros(basis.norms.size)
     signal[0] = 1.0
     kept = [
         supported(coefficients(signal, 0.01, seed=seed), basis, False).sum() for seed in range(50)
@@ -136,7 +136,7 @@ def test_noise_is_not_taken_for_structure():
 
 def test_what_stands_out_is_kept_and_a_normal_beam_has_no_azimuth():
     basis = basis_of(DEGREE)
-    signal = np.zeros(basis.scale.size)
+    signal = np.zeros(basis.norms.size)
     rows = {(m, i): row for row, (m, i) in enumerate(pairs(basis))}
     for m, i in ((0, 0), (0, 3), (1, 1), (4, 0)):
         signal[rows[m, i]] = 1.0
@@ -150,7 +150,7 @@ def test_what_stands_out_is_kept_and_a_normal_beam_has_no_azimuth():
 
 
 def pairs(basis):
-    return [(m, i) for m, count in enumerate(basis.per_m) for i in range(count)]
+    return [(m, i) for m, count in enumerate(basis.n_per_m) for i in range(count)]
 
 
 def brdf_of(polar, azimuth):
@@ -192,8 +192,8 @@ def detail(fall, per_noise, seed):
     basis = basis_of(DEGREE)
     angles = angles_of(np.array([0.0, 30.0, 60.0, 80.0]), np.array([0.0, 180.0]), basis)
     rng = np.random.default_rng(seed)
-    amplitude = fall ** (0.5 * (basis.degree / 4.0)) * rng.choice([-1.0, 1.0], basis.degree.size)
-    fine = basis.degree > DEGREE - 4
+    amplitude = fall ** (0.5 * (basis.degrees / 4.0)) * rng.choice([-1.0, 1.0], basis.degrees.size)
+    fine = basis.degrees > DEGREE - 4
     error = np.sqrt((amplitude[fine] ** 2).sum() / np.sqrt(2.0 * fine.sum()) / per_noise)
     groups = amplitude + 8.0 * error * rng.standard_normal((64, amplitude.size))
     return finer(np.stack([groups, groups], axis=1), False, angles)

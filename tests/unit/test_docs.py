@@ -98,7 +98,7 @@ def test_every_figure_of_a_study_has_a_page_and_an_image():
     shown = {page.name: page for page in gallery.pages() if page.folder == gallery.STUDIES}
     studies = load_settings(read_yaml(ROOT / "config" / "config.yaml")).studies
     for name, study in studies.items():
-        for paths in study.paths(name).values():
+        for paths in study.list_product_paths(name).values():
             for path in paths:
                 if path.endswith(".png"):
                     page = shown.pop(Path(path).stem)

@@ -41,12 +41,12 @@ MADE = {
     "stack": lambda: stack(ground=0.3),
     "stack, other readings": lambda: stack(readings="geometric"),
     "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
-    "ground": lambda: Ground.of(0.3),
-    "ground, table": lambda: Ground.of({"wavelength_nm": ENDS, "albedo": [0.1, 0.2]}),
+    "ground": lambda: Ground.from_input(0.3),
+    "ground, table": lambda: Ground.from_input({"wavelength_nm": ENDS, "albedo": [0.1, 0.2]}),
     "readings": splits.Readings,
     "sand's readings": lambda: splits.SandReadings(mixing="linear"),
     "composition": lambda: splits.Sand().composition,
-    "sizes": lambda: splits.Sand().sizes,
+    "sizes": lambda: splits.Sand().size_distribution,
     "index": lambda: refractive_index("ice"),
     "index, scaled": lambda: refractive_index("ice", {"k_factor": 2.0}),
     "index, oscillators": lambda: refractive_index("goethite"),
@@ -56,7 +56,7 @@ MADE = {
     "sky, own": lambda: splits.sky(
         {"wavelength_nm": ENDS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
     ),
-    "band": lambda: Band.between(400.0, 700.0),
+    "band": lambda: Band.from_limits(400.0, 700.0),
 }
 WAYS = {
     "made again": lambda one, make: make(),

@@ -23,7 +23,7 @@ SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measure
 
 
 def points(**content):
-    return list(Experiment(name="made", **content).points())
+    return list(Experiment(name="made", **content).iter_points())
 
 
 def test_names_of_rules_are_known():
@@ -47,13 +47,13 @@ def test_names_are_file_names(name):
 
 def test_an_experiment_needs_no_more_than_a_name():
     experiment = Experiment(name="made")
-    ((labels, medium, incidence),) = experiment.points()
+    ((labels, medium, incidence),) = experiment.iter_points()
     assert (labels, incidence) == ({}, 0.0)
     assert medium.describe() == Snow().describe()
-    np.testing.assert_array_equal(experiment.instrument.wavelengths(), np.arange(400.0, 2501, 10))
+    np.testing.assert_array_equal(experiment.instrument.get_wavelengths(), np.arange(400.0, 2501, 10))
     assert experiment.instrument.kind == "spectrophotometer"
     assert experiment.figure.quantity == ("reflectance",)
-    assert experiment.drawing()["kind"] == "spectra"
+    assert experiment.resolve_figure()["kind"] == "spectra"
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_readings_on_a_grid_add_to_those_of_the_medium():
         medium={"readings": {"entry": "projected"}},
         grid={"readings": {"any": {"facets": "any"}}},
     )
-    assert (medium.readings.entry, medium.readings.facets) == ("projected", "any")
+    assert (medium.interpretation.entry, medium.interpretation.facets) == ("projected", "any")
 
 
 @pytest.mark.parametrize(
@@ -125,41 +125,41 @@ def test_what_cannot_be_run_is_refused(content, message):
 
 
 def test_wavelength_grids_hold_both_ends_and_single_ones():
-    assert WavelengthGrid(start=400, stop=500, step=50).values().tolist() == [400, 450, 500]
-    assert WavelengthGrid(start=400, stop=499, step=50).values().tolist() == [400, 450]
-    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).values() == pytest.approx([0.1, 0.2, 0.3])
-    assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).values().tolist() == [
+    assert WavelengthGrid(start=400, stop=500, step=50).to_array().tolist() == [400, 450, 500]
+    assert WavelengthGrid(start=400, stop=499, step=50).to_array().tolist() == [400, 450]
+    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx([0.1, 0.2, 0.3])
+    assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).to_array().tolist() == [
         400, 842.25,
     ]  # fmt: skip
     for bad in ({"stop": 300}, {"step": 1e-9}):
         with pytest.raises(ValueError, match=f"wavelength_nm.{next(iter(bad))}"):
-            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **bad}).values()
+            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **bad}).to_array()
 
 
 def test_words_and_figures_do_not_decide_the_numbers():
     plain = Experiment(name="made")
     worded = Experiment(name="made", title="T", caption="C", figure={"quantity": "transmittance"})
-    assert worded.simulation() == plain.simulation()
-    assert Experiment(name="made", medium={"depth_m": 1}).simulation() != plain.simulation()
+    assert worded.dump_simulation() == plain.dump_simulation()
+    assert Experiment(name="made", medium={"depth_m": 1}).dump_simulation() != plain.dump_simulation()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_a_workflow_hands_on_is_the_same_experiment(name):
     experiment = SHIPPED[name]
-    handed = Experiment.model_validate(experiment.simulation())
-    assert handed.simulation() == experiment.simulation()
+    handed = Experiment.model_validate(experiment.dump_simulation())
+    assert handed.dump_simulation() == experiment.dump_simulation()
     assert experiment.title and experiment.caption
 
 
 def test_selecting():
-    every = load_settings(SETTINGS).select(SHIPPED)
+    every = load_settings(SETTINGS).select_experiments(SHIPPED)
     assert every == SHIPPED
     two = load_settings({**SETTINGS, "experiments": "fig08_grain_size,fig05_refractive_indices"})
-    assert list(two.select(SHIPPED)) == ["fig08_grain_size", "fig05_refractive_indices"]
+    assert list(two.select_experiments(SHIPPED)) == ["fig08_grain_size", "fig05_refractive_indices"]
     for key in ("experiments", "archive"):
         wrong = load_settings({**SETTINGS, key: ["fig08_grainsize"]})
         with pytest.raises(ConfigError, match=f"{key} = 'fig08_grainsize'.*fig08_grain_size"):
-            wrong.select(SHIPPED)
+            wrong.select_experiments(SHIPPED)
 
 
 def test_accuracies_have_folders_of_their_own():

@@ -54,7 +54,7 @@ def available(tmp_path_factory):
 
 def chosen(available, **given):
     settings = {"accuracies": {"standard": {"max_stderr": 0.01, "relative_stderr": 0.1}}, **given}
-    return load_settings(settings).select(available)
+    return load_settings(settings).select_experiments(available)
 
 
 def test_tables_and_directions_are_taken(available):

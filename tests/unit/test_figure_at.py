@@ -17,7 +17,7 @@ CROSSED = {"0.1": 1.0, "1": 0.1}
 def shown(grid, **at):
     """Return what the figure of an experiment holds fixed, and the grid's coordinates."""
     experiment = Experiment(name="made", grid=grid, figure={"at": at})
-    return experiment.drawing()["at"], experiment.grid
+    return experiment.resolve_figure()["at"], experiment.grid
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_the_drawing_names_the_coordinate_of_the_dataset():
         name="made", medium=layer, grid=grid, instrument={"wavelength_nm": [500, 550]},
         figure={"at": {"polarized": True}},
     )  # fmt: skip
-    assert experiment.drawing()["at"] == {"polarized": "True"}
+    assert experiment.resolve_figure()["at"] == {"polarized": "True"}
 
 
 def test_datasets_are_cut_at_the_nearest_only_up_to_rounding():

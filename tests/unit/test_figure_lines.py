@@ -72,12 +72,12 @@ def test_values_are_named_as_print_has_them(value, parameter, text):
 def test_no_two_lines_look_the_same(sizes):
     grid = {f"p{i}": np.arange(float(n)) for i, n in enumerate(sizes)}
     for dashed in (False, True):
-        looks = [(one.colour, one.dash) for one in lines(grid, dashed=dashed).all]
+        looks = [(one.colour, one.dash) for one in lines(grid, dashed=dashed).lines]
         assert len(set(looks)) == len(looks) == np.prod(sizes, dtype=int)
 
 
 def test_many_names_without_order_have_safe_colours_and_dashes():
-    made = lines({"readings": [f"r{i}" for i in range(13)]}).all
+    made = lines({"readings": [f"r{i}" for i in range(13)]}).lines
     assert len({(one.colour, one.dash) for one in made}) == 13
     assert {one.colour for one in made} == set(colours(10, "readings"))
     assert {one.dash for one in made} == set(DASHES[:2])
@@ -91,11 +91,11 @@ def test_colours_of_ordered_values_get_lighter():
 
 
 def test_the_default_is_black_and_on_top():
-    made = lines({"readings": ["a", "default", "b"]}).all
+    made = lines({"readings": ["a", "default", "b"]}).lines
     default, others = made[1], (made[0], made[2])
-    assert default.colour == "black" and default.default
+    assert default.colour == "black" and default.is_default
     assert all(one.zorder < default.zorder and one.colour != "black" for one in others)
-    assert all(one.look()["lw"] < default.look()["lw"] for one in others)
+    assert all(one.to_plot_style()["lw"] < default.to_plot_style()["lw"] for one in others)
     assert [one.colour for one in others] == colours(2, "readings")
 
 

@@ -258,7 +258,7 @@ def experiment(**given):
 
 
 def test_maps_need_directions_all_around():
-    assert experiment().drawing()["kind"] == "hemisphere"
+    assert experiment().resolve_figure()["kind"] == "hemisphere"
     assert experiment(estimator="cells", cells=[18, 72])
     for given, key in (
         ({"azimuth_deg": [0, 90, 180, 270]}, "azimuth_deg"),

@@ -82,7 +82,7 @@ def test_maps_of_several_points_need_no_figure(tmp_path):
         load(tmp_path, beam)
     made = load(tmp_path, "figure: none\n" + beam)
     again = Experiment.model_validate({**made.simulation(), "figure": "none"})
-    assert again.simulation() == made.simulation()
+    assert again.dump_simulation() == made.simulation()
 
 
 def test_more_wavelengths_than_series_are_refused(tmp_path):
@@ -91,11 +91,11 @@ def test_more_wavelengths_than_series_are_refused(tmp_path):
 
 
 def test_a_table_within_the_limits_is_taken(tmp_path):
-    assert load(tmp_path, grid_of(40, 4, 5)).drawing()["kind"] == "spectra"
+    assert load(tmp_path, grid_of(40, 4, 5)).resolve_figure()["kind"] == "spectra"
     held = "figure: {at: {depth_m: 0.1}}\n" + grid_of(20, 4, 50)
     assert load(tmp_path, held).figure.at == {"depth_m": 0.1}
     rows = "instrument: {wavelength_nm: [500]}\n" + grid_of(MOST_ROWS)
-    assert load(tmp_path, rows).drawing()["kind"] == "points"
+    assert load(tmp_path, rows).resolve_figure()["kind"] == "points"
 
 
 def test_no_figure_is_said_in_one_way(tmp_path):
@@ -107,7 +107,7 @@ def test_no_figure_is_said_in_one_way(tmp_path):
         with pytest.raises(ConfigError, match=message):
             load(tmp_path, text)
     with pytest.raises(ValueError, match=r"figure\.kind = 'none'"):
-        draw(dataset({}), load(tmp_path, "figure: none").drawing())
+        draw(dataset({}), load(tmp_path, "figure: none").resolve_figure())
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_crossings_of_one_wave(side, steepness):
     waves[:, 3] = 0.7, 0.6, 0.8, 0.4
     waves[KX : KY + 1] *= steepness / (0.7 * 2.0 * np.pi)
     surface = surface_of(waves)
-    high = surface.reach
+    high = surface.max_height
     assert high == 0.7
     for ray in rays_from(np.random.default_rng(3), high, side, 40):
         s, slope, _ = crossing(surface, ray, side)
@@ -85,7 +85,7 @@ def test_no_crossing_is_missed(name, side):
     for number in range(scaled(6_000) // 1000):
         surface = realised(SURFACES[name], number)
         waves = surface.waves
-        for ray in rays_from(generator, surface.reach, side, 10):
+        for ray in rays_from(generator, surface.max_height, side, 10):
             s = crossing(surface, ray, side).distance
             assert s > 0.0
             probed = gaps(waves, ray, side, np.linspace(0.0, s * (1.0 - 1e-9), 3001))
@@ -102,7 +102,7 @@ def test_no_crossing_is_missed(name, side):
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_rays_that_stand_on_the_surface(side):
     surface = realised(GAUSSIAN)
-    waves, high = surface.waves, surface.reach
+    waves, high = surface.waves, surface.max_height
     generator = np.random.default_rng(5)
     away = 0
     for ray in rays_from(generator, high, side, 40):
@@ -124,9 +124,9 @@ def test_rays_that_stand_on_the_surface(side):
 
 
 def test_a_surface_without_height_is_a_plane():
-    fields = RoughSurface(GAUSSIAN | {"rms_height_m": 0.0}).numbers()
+    fields = RoughSurface(GAUSSIAN | {"rms_height_m": 0.0}).make_height_fields()
     surface = draw_waves(stream(), fields, room_for(fields))
-    assert surface.reach == 0.0
+    assert surface.max_height == 0.0
     for dz in (-1.0, -0.3, -1e-3):
         flat = math.sqrt(1.0 - dz * dz)
         for side in (1.0, -1.0):
@@ -139,7 +139,7 @@ def test_a_surface_without_height_is_a_plane():
 
 def test_rays_that_meet_nothing():
     surface = realised(GAUSSIAN)
-    high = surface.reach
+    high = surface.max_height
 
     def met(*ray, side=1.0, farthest=math.inf):
         return crossing(surface, ray, side, farthest).distance
@@ -166,7 +166,7 @@ def test_a_level_ray_that_never_meets_the_surface_is_lost():
     waves[:, 6] = 1.0, 0.1, 0.0, 0.0
     waves[:, 7] = 1.0, 0.2, 0.0, 0.5
     surface = surface_of(waves)
-    assert surface.reach == 2.0
+    assert surface.max_height == 2.0
     level = 0.0, 0.0, 1.5, 1.0, 0.0, 0.0
     assert crossing(surface, level, 1.0).distance == LOST
     # Along its crests the same surface is level too.
@@ -178,7 +178,7 @@ def test_a_level_ray_that_never_meets_the_surface_is_lost():
 def test_plain_python_finds_the_same():
     for name in SURFACES:
         surface = realised(SURFACES[name])
-        for ray in rays_from(np.random.default_rng(6), surface.reach, 1.0, 3):
+        for ray in rays_from(np.random.default_rng(6), surface.max_height, 1.0, 3):
             begin = surface, Vector(*ray[:3]), Vector(*ray[3:]), 1.0
             fast = kernels.first_crossing(*begin)
             slow = kernels.first_crossing.py_func(*begin)

@@ -29,19 +29,19 @@ def test_every_place_in_the_cube_is_a_sand_within_the_ranges():
     # Faces, edges and corners too, where rounding could lead outside.
     places[250:] = np.clip(np.round(3.0 * places[250:] - 1.0, 1), 0.0, 1.0)
     for place in places:
-        sand = cube.sand(place)
+        sand = cube.to_sand(place)
         clay, silt, _ = sand.texture
         assert 0.0005 <= sand.iron_oxide <= 0.05
         assert 0.0 <= sand.magnetite <= 0.3
         assert 1e-4 <= clay <= 0.1
         assert 0.005 - 1e-12 <= silt + 1.5 * clay <= 0.15 + 1e-12
         assert sum(sand.partition) == pytest.approx(1.0)
-        assert list(cube.natural(place).values())[-1] == sand.texture[2]
+        assert list(cube.to_parameters(place).values())[-1] == sand.texture[2]
 
 
 def test_the_corners_of_the_cube_are_the_ends_of_the_ranges():
     cube = Cube({"porosity": 0.4}, {"iron_oxide": (0.001, 0.02), "pure": (0.1, 0.5)})
-    low, high = (cube.settings(np.full(len(RANGES), end)) for end in (0.0, 1.0))
+    low, high = (cube.to_keywords(np.full(len(RANGES), end)) for end in (0.0, 1.0))
     assert low["iron_oxide"] == 0.001
     assert high["iron_oxide"] == pytest.approx(0.02)
     assert low["partition"] == (0.1, 0.9, 0.0)
@@ -52,7 +52,7 @@ def test_the_corners_of_the_cube_are_the_ends_of_the_ranges():
 
 
 def test_a_geometric_coordinate_has_its_middle_at_the_geometric_mean():
-    middle = Cube({}).natural(np.full(len(RANGES), 0.5))
+    middle = Cube({}).to_parameters(np.full(len(RANGES), 0.5))
     assert middle["iron_oxide"] == pytest.approx(0.005)
     assert 0.02 < middle["magnetite"] < 0.04
     assert middle["hematite_ratio"] == 0.5
@@ -115,7 +115,7 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
     calls = []
 
     class Smooth:
-        free = Free.of(("a", "b", "c"), None, dict.fromkeys("abc", Widest(0.0, 1.0, "itself")))
+        free = Free.from_ranges(("a", "b", "c"), None, dict.fromkeys("abc", Widest(0.0, 1.0, "itself")))
         margin = 0.0
 
         def values(self, place, stage):
@@ -145,7 +145,7 @@ def test_a_known_sand_is_met():
     effort = Effort(
         points=64, starts=(3, 1), evaluations=(30, 40), rays=(512, 1024, 16_384), max_stderr=0.002
     )
-    result = fit({}, WAVELENGTHS, wanted.values, 10.0, ranges, say=lines.append, effort=effort)
+    result = fit({}, WAVELENGTHS, wanted.values, 10.0, ranges, log=lines.append, effort=effort)
     assert result.rmse < 0.006
     shown = repr(result).splitlines()
     assert shown[0].startswith("misfit 0.00") and len(shown) == 1 + len(result.parameters)

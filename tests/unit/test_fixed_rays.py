@@ -82,14 +82,14 @@ def test_neighbours_share_most_of_their_noise(base, neighbour):
 
 def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
     medium = Sand(**SAND)
-    index = medium.indices(WAVELENGTHS)
-    nodes = nodes_at(index, medium.interfaces(), ROWS)
+    index = medium.compute_refractive_indices(WAVELENGTHS)
+    nodes = nodes_at(index, medium.list_interfaces(), ROWS)
     np.testing.assert_array_equal(nodes.index, index[list(ROWS)])
     np.testing.assert_allclose(nodes.weights.sum(axis=0), 1.0, rtol=1e-12)
     assert ((nodes.weights > 0.0).sum(axis=0) <= 2).all()
     np.testing.assert_array_equal(nodes.weights[:, list(ROWS)], np.eye(len(ROWS)))
-    assert (nodes.bias[list(ROWS)] == 0.0).all()
-    own, drawn = (contrasts(i, medium.interfaces()).sum(axis=1) for i in (index, nodes.index))
+    assert (nodes.interpolation_bound[list(ROWS)] == 0.0).all()
+    own, drawn = (contrasts(i, medium.list_interfaces()).sum(axis=1) for i in (index, nodes.index))
     np.testing.assert_allclose(nodes.weights.T @ drawn, own, rtol=0.05)
 
 

@@ -164,10 +164,10 @@ def test_bands_are_means_by_their_response():
     spectrum = np.array([0.95, 0.85, 0.6, 0.2])
     fine = np.linspace(400.0, 1200.0, 80_001)
     for band in (
-        Band.between(700.0, 1100.0), Band.between(620.0, 670.0),
+        Band.from_limits(700.0, 1100.0), Band.from_limits(620.0, 670.0),
         Band(np.array([550.0, 700.0, 950.0]), np.array([0.0, 1.0, 0.2])),
     ):  # fmt: skip
-        low, high = band.ends
+        low, high = band.limits_nm
         inside = fine[(fine >= low) & (fine <= high)]
         response = np.interp(inside, band.wavelength_nm, band.response)
         mean = np.trapezoid(np.interp(inside, w, spectrum) * response, inside)

@@ -29,16 +29,16 @@ ROWS = [
 def test_members_of_bands_add_up():
     goal = Goal(0.01, True, RANDOM.random((2, 4)), np.ones(2))
     members = members_of(goal, ENSEMBLES, ROWS)
-    np.testing.assert_allclose(members.values.sum(axis=0), goal.columns(sum(ROWS)))
+    np.testing.assert_allclose(members.values.sum(axis=0), goal.average_over_bands(sum(ROWS)))
     # The first wavelength hears one level of the first ensemble, the next two hear both.
-    assert members.owner.tolist() == [[1, 0, 0], [1, 1, 0], [0, 0, 1]]
-    assert members.served.shape == (3, 2)
-    assert members.served.all()
+    assert members.membership.tolist() == [[1, 0, 0], [1, 1, 0], [0, 0, 1]]
+    assert members.column_mask.shape == (3, 2)
+    assert members.column_mask.all()
 
 
 def test_members_of_wavelengths_are_ensembles():
     members = members_of(Goal(0.01), ENSEMBLES, ROWS)
-    assert members.owner.tolist() == [[1, 1, 0], [0, 0, 1]]
+    assert members.membership.tolist() == [[1, 1, 0], [0, 0, 1]]
     np.testing.assert_array_equal(members.values, np.stack(ROWS))
 
 
@@ -46,7 +46,7 @@ def test_rays_wanted_by_wavelength_are_what_the_variance_asks_for():
     """A wavelength that draws on one ensemble alone asks nothing of the other."""
     ensembles = [levels([1, 1, 0]), levels([0, 1, 1])]
     for level in (one for e in ensembles for one in e.levels):
-        level.rays, level.legs = 1024, 10 * 1024
+        level.n_rays, level.n_segments = 1024, 10 * 1024
     scatter = (
         RANDOM.standard_normal((2, GROUPS, 1, 3))
         * np.array([[1, 0.5, 0], [0, 0.5, 1]])[:, np.newaxis, np.newaxis]
@@ -60,16 +60,16 @@ def test_rays_wanted_by_wavelength_are_what_the_variance_asks_for():
 
 def test_quantities_are_irradiances_or_only_what_is_absorbed_and_reflected():
     light, absorbed = RANDOM.random((GROUPS, 2, 3, 4)), RANDOM.random((GROUPS, 2, 4))
-    assert Goal(0.01).rows(light, absorbed).shape == (GROUPS, 8, 4)
-    rows = Goal(0.01, irradiance=False).rows(light, absorbed)
+    assert Goal(0.01).select_quantities(light, absorbed).shape == (GROUPS, 8, 4)
+    rows = Goal(0.01, limit_irradiance=False).select_quantities(light, absorbed)
     np.testing.assert_array_equal(rows[:, 0], light[:, 1, 0])
     np.testing.assert_array_equal(rows[:, 1:], absorbed)
 
 
 def test_limits_share_the_variance_of_a_band():
     parts = np.array([0.3, 1.0])
-    one, other = (Goal(0.01, weights=np.ones((2, 1)), share=share) for share in (parts, 1 - parts))
-    np.testing.assert_allclose(one.limit**2 + other.limit**2, 1e-4)
+    one, other = (Goal(0.01, band_weights=np.ones((2, 1)), variance_fractions=share) for share in (parts, 1 - parts))
+    np.testing.assert_allclose(one.stderr_limits**2 + other.stderr_limits**2, 1e-4)
 
 
 def test_what_is_not_seen_is_at_most_what_reaches_the_plane_above():

@@ -12,25 +12,25 @@ W = np.array([450.0, 500.0, 900.0])
 
 
 def test_an_albedo_is_the_same_everywhere():
-    np.testing.assert_array_equal(Ground.of(0.3).albedo(W), 0.3)
-    np.testing.assert_allclose(Ground.of(0.3).depth(W), -np.log(0.3))
-    assert Ground.of(1).depth(W).max() == 0.0
-    np.testing.assert_array_equal(Ground.of(0).depth(W), BLACK_DEPTH)
+    np.testing.assert_array_equal(Ground.from_input(0.3).albedo(W), 0.3)
+    np.testing.assert_allclose(Ground.from_input(0.3).optical_depth(W), -np.log(0.3))
+    assert Ground.from_input(1).optical_depth(W).max() == 0.0
+    np.testing.assert_array_equal(Ground.from_input(0).optical_depth(W), BLACK_DEPTH)
 
 
 @pytest.mark.parametrize("given", [None, "open"])
 def test_open_is_no_ground(given):
-    assert Ground.of(given) is None
+    assert Ground.from_input(given) is None
     assert splits.Snow(ground=given).describe()["ground"] == "open"
 
 
 def test_black_sends_nothing_back():
-    assert not Ground.of("black").reflecting and not Ground.of(0.0).reflecting
-    assert Ground.of(1e-9).reflecting
+    assert not Ground.from_input("black").is_reflecting and not Ground.from_input(0.0).is_reflecting
+    assert Ground.from_input(1e-9).is_reflecting
 
 
 def test_a_table_is_linear_between_its_rows():
-    ground = Ground.of({"wavelength_nm": [400, 500, 1000], "albedo": [0.0, 0.2, 0.7]})
+    ground = Ground.from_input({"wavelength_nm": [400, 500, 1000], "albedo": [0.0, 0.2, 0.7]})
     np.testing.assert_allclose(ground.albedo(W), [0.1, 0.2, 0.6])
     facts = splits.Snow(ground=ground).describe()
     assert facts["ground"] == "table" and facts["ground_albedo"][2] == 0.7
@@ -38,7 +38,7 @@ def test_a_table_is_linear_between_its_rows():
 
 def test_soils_have_names_and_a_source():
     assert "camborthid" in soils()
-    soil = Ground.of("camborthid")
+    soil = Ground.from_input("camborthid")
     assert "ECOSTRESS" in soil.source and 0.0 < soil.albedo(W)[0] < soil.albedo(W)[2] < 1.0
     with pytest.raises(ValueError, match=r"in \[400, 1000\] nm, the range of ground camborthid"):
         soil.albedo(np.array([1200.0]))

@@ -24,7 +24,7 @@ def table():
 
 def cube(*names):
     """Return what is free where coordinates are the values themselves."""
-    return Free.of(list(names), None, {name: Widest(0.0, 1.0, "itself") for name in names})
+    return Free.from_ranges(list(names), None, {name: Widest(0.0, 1.0, "itself") for name in names})
 
 
 def test_a_valley_of_which_less_is_known_is_no_better():
@@ -138,16 +138,16 @@ def test_what_does_nothing_makes_no_other_answer(table):
 class Lines:
     """Runs of a straight line without noise of their own."""
 
-    margin = 0.0
+    bound_margin = 0.0
 
     def __init__(self, slopes):
-        self.slopes_, self.free = slopes, cube(*(f"x{i}" for i in range(slopes.shape[1])))
+        self.slopes_, self.state_vector = slopes, cube(*(f"x{i}" for i in range(slopes.shape[1])))
 
-    def values(self, place, stage):
-        return self.slopes_ @ place + 0.3 * (place**2).sum()
+    def evaluate(self, state, stage):
+        return self.slopes_ @ state + 0.3 * (state**2).sum()
 
-    def slopes(self, place, stage):
-        return self.slopes_ + 0.6 * place
+    def compute_jacobian(self, state, stage):
+        return self.slopes_ + 0.6 * state
 
 
 def test_descents_of_many_values_end_near_the_optimum():
@@ -157,12 +157,12 @@ def test_descents_of_many_values_end_near_the_optimum():
         x = np.linspace(0.0, 1.0, count)
         runs = Lines(np.stack([np.ones(count), x], axis=1))
         truth = np.array([0.4, 0.6])
-        wanted = runs.values(truth, 1) + 0.02 * random.standard_normal(count)
-        aim = Aim.least_squares(wanted, runs.free)
+        wanted = runs.evaluate(truth, 1) + 0.02 * random.standard_normal(count)
+        aim = Aim.least_squares(wanted, runs.state_vector)
         rough = descend(runs, 1, np.array([0.5, 0.4]), aim, 60, 0.3)
-        exact = rough.place.copy()
+        exact = rough.state.copy()
         for _ in range(20):
-            exact += np.linalg.lstsq(runs.slopes(exact, 1), wanted - runs.values(exact, 1))[0]
-        slopes = runs.slopes(exact, 1)
-        off = slopes @ (rough.place - exact)
+            exact += np.linalg.lstsq(runs.compute_jacobian(exact, 1), wanted - runs.evaluate(exact, 1))[0]
+        slopes = runs.compute_jacobian(exact, 1)
+        off = slopes @ (rough.state - exact)
         assert np.sqrt(off @ off) < 0.5 * 0.02

@@ -120,7 +120,7 @@ READS = {
     "ground, a Path": lambda: snow(ground=Path("~/ground.csv")),
     "impurity": lambda: snow(impurities_ng_g={"mine": {"ng_g": 5, "table": "~/soot.csv"}}),
     "sky": lambda: splits.sky("~/sky.csv", 50.0),
-    "band": lambda: splits.sky().bands({"mine": "~/band.csv"}),
+    "band": lambda: splits.sky().make_bands({"mine": "~/band.csv"}),
     "measured": lambda: read_measured("~/measured.csv"),
     "experiment": lambda: load_experiment("~/experiments/small.yaml", "~/media", "~/measured"),
     "experiments": lambda: load_experiments("~/experiments", "~/media"),
@@ -137,7 +137,7 @@ def test_what_lies_at_home_is_read(name, home):
 def test_folders_of_the_configuration(home):
     settings = load_settings({**MAIN, **FOLDERS, "results": "~/results"})
     assert settings.results_folder == str(home / "results")
-    assert settings.tables["measured"] == home / "measured"
+    assert settings.table_folders["measured"] == home / "measured"
     assert list(load_experiments(settings.experiments_folder, settings.media_folder)) == ["small"]
 
 

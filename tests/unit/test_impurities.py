@@ -61,7 +61,7 @@ def test_layers_of_a_stack_have_their_own():
     stack = splits.Stack([clean, dirty, splits.Sand(), clean], readings="splits_2007")
     plain = splits.Stack([clean, clean, splits.Sand(), clean], readings="splits_2007")
     more = constants_of(stack, W).absorption - constants_of(plain, W).absorption
-    assert stack.materials()[5] == "layers.1.ice"
+    assert stack.list_materials()[5] == "layers.1.ice"
     assert (more[:, 5] > 0.0).all()
     assert (np.delete(more, 5, axis=1) == 0.0).all()
 

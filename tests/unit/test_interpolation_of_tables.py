@@ -48,12 +48,12 @@ def test_cubics_are_read_exactly():
     for x in (1.05, 1.3, 2.1, 2.6):
         w = weights_at("depth_m", nodes, x)
         cubic = 1.0 - 2.0 * at + 0.5 * at**2 + 0.3 * at**3
-        assert w.share @ cubic[w.nodes] == pytest.approx(1 - 2 * x + 0.5 * x**2 + 0.3 * x**3)
-        np.testing.assert_allclose(w.others @ cubic, 0.0, atol=1e-12)
+        assert w.weights @ cubic[w.nodes] == pytest.approx(1 - 2 * x + 0.5 * x**2 + 0.3 * x**3)
+        np.testing.assert_allclose(w.error_weights @ cubic, 0.0, atol=1e-12)
         # What a quartic adds is told to the last digit.
         fourth = at**4
-        missed = x**4 - w.share @ fourth[w.nodes]
-        np.testing.assert_allclose(np.abs(w.others @ fourth), abs(missed), rtol=1e-9)
+        missed = x**4 - w.weights @ fourth[w.nodes]
+        np.testing.assert_allclose(np.abs(w.error_weights @ fourth), abs(missed), rtol=1e-9)
 
 
 def test_what_is_missed_between_nodes_is_said():
@@ -171,4 +171,4 @@ def test_laws_of_axes(name, nodes, kind):
 )
 def test_axes_that_are_none_are_refused(grid, line):
     with pytest.raises(Refusal, match=f"^{line}"):
-        Axes.of(grid)
+        Axes.from_mapping(grid)

@@ -67,9 +67,9 @@ def write(content, folder, accuracy=TINY, seed=1, threads=1):
     return said
 
 
-def interrupt_after(monkeypatch, groups):
+def interrupt_after(monkeypatch, n_path_groups):
     """Let a run end after so many ensembles of paths."""
-    left = [groups]
+    left = [n_path_groups]
 
     def counted(function):
         def measured(*given):

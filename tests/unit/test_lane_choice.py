@@ -30,7 +30,7 @@ from splits.transport.optics.fresnel import interface
 
 def features(medium, k=0.0, analog=False, depth=None):
     """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
-    materials = int(medium.grains().types.material.max()) + 1
+    materials = int(medium.make_grain_population().types.material.max()) + 1
     n = np.full(materials, 1.5)
     n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
     extinction = np.full(materials, k)
@@ -68,7 +68,7 @@ def test_features_are_those_of_the_scene(scene):
 
 
 def test_grazing_beams_are_left_to_the_scalar_kernel_where_grains_are_met_too_high():
-    grains, optics = splits.Snow().grains(), optics_of([1.0, 1.33, 1.31])
+    grains, optics = splits.Snow().make_grain_population(), optics_of([1.0, 1.33, 1.31])
     lowest = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
     assert lowest < math.cos(math.radians(89.9999))
     for cos, diffuse, served in (
@@ -102,7 +102,7 @@ def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits(
         space = Space(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
         return next_grain(
             ray, Size(real(major), real(flattening)), aim, real(leg), space, fates
-        ).fits
+        ).accepted
 
     draws = rng.random((40_000, 5))
     double, single = (np.array([fits(u, real) for u in draws]) for real in (float, np.float32))
@@ -145,7 +145,7 @@ GRAINS = {
 def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
     """Return whether extinction coefficients of wet pores and of grains are left out."""
     optics = optics_of([1.0, n_pore, n_core], [0.0, k_pore, k_core])
-    found = features_for(scene_of(splits.Snow().grains(), 0.1, saturation), optics)
+    found = features_for(scene_of(splits.Snow().make_grain_population(), 0.1, saturation), optics)
     return found.absorbing is None
 
 

@@ -44,7 +44,7 @@ def test_impurities_absorb_as_in_the_package():
     """2 c M/SSA more of 1 − ω, whose root the logarithm of albedo goes as."""
     found = law_table(blank(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})).dataset.reflectance.values
     clean, dirty = np.log(found[0])
-    per_ice = impurities_of({"black_carbon": 100.0}, {})[0].per_ice(W)
+    per_ice = impurities_of({"black_carbon": 100.0}, {})[0].compute_absorption_per_kg_ice(W)
     k = 3.0 / 7.0 * (1.0 + 2.0)
     more = 16.0 / 3.0 * 2.0 * per_ice / 20.0 / (1.0 - snowoptics.default_g)
     np.testing.assert_allclose((dirty / k) ** 2 - (clean / k) ** 2, more, rtol=1e-9)

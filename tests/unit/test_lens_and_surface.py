@@ -99,7 +99,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
     accuracy = Accuracy(max_stderr=0.05, relative_stderr=0.3)
     dataset = run(experiment, accuracy, seed=1, threads=1)
     assert dataset.attrs["experiment"] == "made"
-    assert draw(dataset, experiment.drawing()).axes
+    assert draw(dataset, experiment.resolve_figure()).axes
 
 
 @pytest.mark.parametrize(

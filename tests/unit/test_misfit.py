@@ -24,20 +24,20 @@ from splits.materials import refractive_index
 from splits.media import Readings
 
 NUMBER = Statement("table3_842", "Table 3", 0.9, 0.03)
-TREND = Statement("fig19_peak_60", "Fig 19", 0.0, 0.1, trend=True)
+TREND = Statement("fig19_peak_60", "Fig 19", 0.0, 0.1, is_trend=True)
 
 
 def test_distances_are_in_bars_and_trends_count_where_they_fail():
-    assert NUMBER.distance(0.93) == pytest.approx(1.0)
-    assert NUMBER.distance(0.84) == pytest.approx(-2.0)
-    assert TREND.distance(0.5) == 0.0
-    assert TREND.distance(-0.05) == pytest.approx(-0.5)
+    assert NUMBER.normalize_difference(0.93) == pytest.approx(1.0)
+    assert NUMBER.normalize_difference(0.84) == pytest.approx(-2.0)
+    assert TREND.normalize_difference(0.5) == 0.0
+    assert TREND.normalize_difference(-0.05) == pytest.approx(-0.5)
 
 
 def test_noise_adds_nothing_on_average():
     random = np.random.default_rng(5)
     error, truth = 0.02, 0.95
-    exact = float(NUMBER.distance(truth)) ** 2
+    exact = float(NUMBER.normalize_difference(truth)) ** 2
     found = [
         misfit([NUMBER], [value], [error]) for value in truth + error * random.normal(size=4000)
     ]
@@ -50,7 +50,7 @@ def test_noise_adds_nothing_on_average():
 def test_a_trend_that_holds_adds_nothing():
     one = misfit([NUMBER, TREND], [0.93, 0.2], [0.0, 0.0])
     assert one.total == pytest.approx(1.0) and one.stderr == 0.0
-    assert one.rms(2)[0] == pytest.approx(np.sqrt(0.5))
+    assert one.compute_rms(2)[0] == pytest.approx(np.sqrt(0.5))
 
 
 @pytest.mark.parametrize("z", [0.0, 0.7, 1.5, 3.0])
@@ -58,7 +58,7 @@ def test_a_trend_that_may_fail_adds_to_the_error(z):
     error = 0.3
     one = misfit([NUMBER, TREND], [0.93, z * error], [0.0, error])
     assert one.total == pytest.approx(1.0)
-    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / TREND.bar
+    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / TREND.tolerance
     fourth = np.minimum(truth, 0.0) ** 4
     uncertainty = fourth.std() / np.sqrt(fourth.size)
     assert one.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
@@ -73,7 +73,7 @@ def test_bars_are_those_of_the_table():
         }
     ).set_index("id")  # fmt: skip
     found = numbers_stated(table, ["a", "b", "c"])
-    assert [found[name].bar for name in "abc"] == pytest.approx([0.12, 0.1, 0.006])
+    assert [found[name].tolerance for name in "abc"] == pytest.approx([0.12, 0.1, 0.006])
 
 
 def test_waters_stand_side_by_side():
@@ -103,7 +103,7 @@ def test_what_is_free_is_chosen_for_both_quantities_together():
     pairs = len(pairs_of("density"))
     reflectance, transmittance = np.zeros((pairs, 1)), np.full((pairs, len(FLOORS)), 3.0)
     reflectance[:2, 0], transmittance[:2, 1] = [0.5, 0.45], [0.8, 0.52]
-    choice = free(msi_r_density=reflectance, msi_t_density=transmittance).choices(stated)[0]
+    choice = free(msi_r_density=reflectance, msi_t_density=transmittance).find_best_matches(stated)[0]
     assert choice.values["msi_r_density"][0] == pytest.approx(0.45)
     assert choice.values["msi_t_density"][0] == pytest.approx(0.52)
     assert (
@@ -119,7 +119,7 @@ def test_one_floor_holds_for_all_parameters():
     rows = {}
     for name, best in zip(names, ([0.5, 0.6, 0.9], [0.9, 0.6, 0.5]), strict=True):
         rows[name] = np.broadcast_to(best, (len(pairs_of("density")), len(FLOORS)))
-    choice = free(**rows).choices(stated)[0]
+    choice = free(**rows).find_best_matches(stated)[0]
     assert choice.floor == FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
 
 
@@ -174,9 +174,9 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
     found, stated = rank_readings.rank_readings(table, choices, {"entry": "uniform"})
     # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
     assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
-    complete = [one for one in found if one.done == 2]
-    assert {one.set_name() for one in complete} == {"", *PAPER_SETS}
-    assert found[0].least == 0.0 and found[-1].done == 1
+    complete = [one for one in found if one.n_stages == 2]
+    assert {one.find_set_name() for one in complete} == {"", *PAPER_SETS}
+    assert found[0].min_misfit == 0.0 and found[-1].n_stages == 1
 
 
 class Told:
@@ -189,8 +189,8 @@ class Told:
 def combination(value, stages=10, **readings):
     """Return a combination whose values are all so far off, in bars."""
     one = Combination(Told(**readings))
-    one.done, one.least = stages, value**2
-    away = NUMBER.published + value * NUMBER.bar * np.array([2.0, 1.0, 3.0])
+    one.n_stages, one.min_misfit = stages, value**2
+    away = NUMBER.published + value * NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
     one.values = {"table3_842": (away, np.zeros(len(WATERS)))}
     return one
 

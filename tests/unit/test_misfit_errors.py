@@ -18,14 +18,14 @@ SILENT = np.zeros((25, 25))
 def draws_of(best, covariance):
     """Return draws around a best place of the unit cube."""
     names = [f"x{i}" for i in range(len(best))]
-    free = Free.of(names, None, dict.fromkeys(names, Widest(0.0, 1.0, "itself")))
-    return estimated(free, best, covariance, 1).draws.places
+    free = Free.from_ranges(names, None, dict.fromkeys(names, Widest(0.0, 1.0, "itself")))
+    return estimated(free, best, covariance, 1).draws.states
 
 
 def covariance_of(jacobians, misfit, own):
     """Return the covariance of coordinates."""
     held = np.zeros(jacobians[0].shape[1], dtype=bool)
-    return left_open(jacobians, misfit, own, held).of_place
+    return left_open(jacobians, misfit, own, held).state
 
 
 def columns(count, coordinates):

@@ -40,11 +40,11 @@ def test_water_by_volume_of_snow():
 def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
     assert snow.depth_m == math.inf and snow.saturation == 0.0
-    assert snow.readings == splits.Readings.of("radiative_transfer")
+    assert snow.interpretation == splits.Readings.of("radiative_transfer")
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
     facts = snow.describe()
-    assert facts["absorption_enhancement_900nm_dry"] == SHAPE.enhancement
+    assert facts["absorption_enhancement_900nm_dry"] == SHAPE.absorption_enhancement
     assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
     for changed in ({"facetness": (0.1, 0.1, 0.1, 0)}, {"readings": {"facets": "any"}}):
         other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
@@ -115,7 +115,7 @@ def test_other_words_replace_what_a_base_says():
 def loaded(folder, text):
     path = folder / "made.yaml"
     path.write_text(text)
-    return [medium for _, medium, _ in load_experiment(path, MEDIA).points()]
+    return [medium for _, medium, _ in load_experiment(path, MEDIA).iter_points()]
 
 
 def test_in_files(tmp_path):

@@ -43,7 +43,7 @@ def indices(wavelengths, **settings):
     snow = Snow(**settings)
     table = snow.refractive_index["ice"].wavelength_nm
     inside = wavelengths[wavelengths >= table[0]]
-    return snow.indices(inside), snow.interfaces()
+    return snow.compute_refractive_indices(inside), snow.list_interfaces()
 
 
 def linear(start, stop, count=50, water=1.33):
@@ -65,8 +65,8 @@ def test_nodes_stand_for_the_spectrum(spectrum, sample, tolerance):
     np.testing.assert_allclose(nodes.weights.sum(axis=0), 1.0, rtol=1e-12)
     assert (nodes.weights.max(axis=1) > 0.0).all(), "every node is drawn on"
     assert ((nodes.weights > 0.0).sum(axis=0) <= 2).all()
-    assert nodes.bias.shape == (len(index),)
-    assert nodes.bias.max() <= tolerance
+    assert nodes.interpolation_bound.shape == (len(index),)
+    assert nodes.interpolation_bound.max() <= tolerance
     for node in nodes.index:
         assert (node == index).all(axis=1).any(), "nodes are indices of the spectrum"
 
@@ -83,7 +83,7 @@ def test_a_constant_index_takes_one_node():
     nodes = choose_nodes(linear(1.31, 1.31), HALF, 1e-6)
     np.testing.assert_allclose(nodes.index, [[1.0, 1.33, 1.31]])
     assert (nodes.weights == 1.0).all()
-    assert (nodes.bias == 0.0).all()
+    assert (nodes.interpolation_bound == 0.0).all()
 
 
 @pytest.mark.parametrize("index", [1.31, 1.31 + 1e-6j, 1.31 + 0.2j])
@@ -92,14 +92,14 @@ def test_a_single_wavelength_is_its_own_node(index):
     nodes = choose_nodes(one, HALF, 1e-6)
     np.testing.assert_allclose(nodes.index, one)
     assert nodes.weights.tolist() == [[1.0]]
-    assert nodes.bias.tolist() == [0.0]
+    assert nodes.interpolation_bound.tolist() == [0.0]
 
 
 def test_two_wavelengths_far_apart_are_not_mixed():
     index = linear(1.2, 1.6, count=2)
     nodes = choose_nodes(index, HALF, 1e-6)
     np.testing.assert_array_equal(nodes.weights.T @ nodes.index, index)
-    assert nodes.bias.max() == 0.0
+    assert nodes.interpolation_bound.max() == 0.0
 
 
 def test_contrast_is_the_relative_index_step_and_grows_with_extinction():
@@ -119,7 +119,7 @@ def test_a_vanishing_contrast_is_not_interpolated_across():
     # Ice optically thinner than water, then denser: at equality nothing is reflected.
     index = linear(1.30, 1.36, count=61)
     nodes = choose_nodes(index, under(0.0, 1.0), 1e-3)
-    assert nodes.bias.max() <= 1e-3
+    assert nodes.interpolation_bound.max() <= 1e-3
     own = contrasts(index, under(0.0, 1.0)).sum(axis=1)
     drawn = contrasts(nodes.index, under(0.0, 1.0)).sum(axis=1)
     np.testing.assert_allclose(nodes.weights.T @ drawn, own, atol=2e-3 * np.abs(own).max())
@@ -135,7 +135,7 @@ def test_few_dark_grains_among_clear_ones_count():
     index[:, 3] = np.linspace(2.1, 2.6, 40) + 0.5j
     interfaces = [Interface(0.99, 0, 2), Interface(0.01, 0, 3)]
     lone = choose_nodes(index[[0, -1]], interfaces, 1.0)
-    assert lone.bias.max() > 0.02
+    assert lone.interpolation_bound.max() > 0.02
     assert entering(index, interfaces)[:, 0].max() == 0.0
     assert len(choose_nodes(index, interfaces, 1e-3).index) > 1
 
@@ -175,14 +175,14 @@ def test_too_many_nodes_give_way_to_one_per_wavelength():
     index = linear(1.2, 1.6, count=3 * MAX_NODES)
     nodes = choose_nodes(index, HALF, 1e-9)
     np.testing.assert_array_equal(nodes.weights.T @ nodes.index, index)
-    assert (nodes.bias == 0.0).all()
+    assert (nodes.interpolation_bound == 0.0).all()
 
 
 def test_the_order_of_wavelengths_does_not_matter():
     index, interfaces = indices(SPECTRA["solar"])
     nodes, turned = (choose_nodes(i, interfaces, 0.001) for i in (index, index[::-1]))
     np.testing.assert_array_equal(nodes.index, turned.index)
-    np.testing.assert_array_equal(nodes.bias, turned.bias[::-1])
+    np.testing.assert_array_equal(nodes.interpolation_bound, turned.interpolation_bound[::-1])
 
 
 def test_a_face_that_hardly_reflects_asks_for_no_nodes():
@@ -208,16 +208,16 @@ def test_faces_met_from_either_side_stay_within_their_bound(lid, below):
         optical_thickness=1.0, refractive_index=lid, bottom_albedo=None, depth_m=0.02
     )
     stack = splits.Stack([layer, splits.Sand(saturation=1.0)])
-    index = stack.indices(wavelengths)
-    names = stack.materials()
+    index = stack.compute_refractive_indices(wavelengths)
+    names = stack.list_materials()
     n = index[:, names.index("layers.1.water")].real / lid
     outer, inner = diffuse_reflectance(n), diffuse_reflectance(1.0 / n)
     seen = outer + (1.0 - outer) * (1.0 - inner) * below / (1.0 - inner * below)
     for tolerance in (1e-2, 1e-3, 2e-4):
-        nodes = choose_nodes(index, stack.interfaces(), tolerance)
+        nodes = choose_nodes(index, stack.list_interfaces(), tolerance)
         rows = [np.flatnonzero((index == node).all(axis=1))[0] for node in nodes.index]
         missed = np.abs(seen[rows] @ nodes.weights - seen)
-        assert (missed <= nodes.bias + 1e-12).all(), (tolerance, missed.max(), nodes.bias.max())
+        assert (missed <= nodes.interpolation_bound + 1e-12).all(), (tolerance, missed.max(), nodes.interpolation_bound.max())
 
 
 def test_faces_between_layers_are_judged_wherever_indices_may_change():
@@ -229,8 +229,8 @@ def test_faces_between_layers_are_judged_wherever_indices_may_change():
         optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.1
     )
     for stack in (splits.Stack([lid, sands[0]]), splits.Stack(sands)):
-        pairs = {(i.near, i.far) for i in stack.interfaces() if i.place == "face"}
-        names = stack.materials()
+        pairs = {(i.near, i.far) for i in stack.list_interfaces() if i.place == "face"}
+        names = stack.list_materials()
         told = {(names[near], names[far]) for near, far in pairs}
         below = "layers.1.air" if "layers.1.air" in names else names[0]
         assert any(below in pair for pair in told), told

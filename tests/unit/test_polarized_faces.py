@@ -86,7 +86,7 @@ def refracted(d, e, s, n, n1, n2):
     """
     d, n = vector(d), vector(n)
     light = faces.incidence(d, light_of(e, s), n)
-    face = faces.fresnel_amplitudes(n1, n2, light.cos)
+    face = faces.fresnel_amplitudes(n1, n2, light.cos_incidence)
     plus, minus, _ = face.transmission
     if plus == 0.0:
         return 0.0, np.array(d), np.array(e), np.zeros(3)
@@ -142,9 +142,9 @@ def test_reflectance_is_that_of_unpolarised_light(indices):
         face = faces.fresnel_amplitudes(*indices, cos_i)
         plus, minus, real, imaginary = face.reflection
         t_plus, t_minus, t_root = face.transmission
-        _, ratio, cos_t = face.passage
+        _, ratio, cos_t = face.fresnel_result
         expected = interface(*indices, 0.0, cos_i)
-        assert face.passage.reflectance == plus
+        assert face.fresnel_result.reflectance == plus
         assert plus == pytest.approx(expected[0], rel=1e-14)
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
         assert plus + t_plus == pytest.approx(1.0, abs=4e-15)

@@ -31,10 +31,10 @@ def test_long_instruments_take_progress(name):
 
 
 def test_progress_says_how_far_and_how_good():
-    assert HALF.share == 0.75
+    assert HALF.fraction_done == 0.75
     assert str(HALF) == "error 0.004, wanted 0.002, 1 s left"
     assert str(splits.Progress(10, 1.0, 0.1, 0.0, 0.0)).startswith("first round")
-    assert splits.Progress(10, 1.0, 0.1, 0.0, 0.0).share == 0.0
+    assert splits.Progress(10, 1.0, 0.1, 0.0, 0.0).fraction_done == 0.0
 
 
 def test_true_shows_a_bar_that_ends_full(capsys):

@@ -77,7 +77,7 @@ def test_keys_are_known_used_and_recorded():
 
 def test_constants_of_the_code_are_the_codes():
     known = record()
-    constants = {key: n.text(None) for key, n in NUMBERS.items() if n.source == CODE}
+    constants = {key: n.format_text(None) for key, n in NUMBERS.items() if n.source == CODE}
     assert constants["draws"] == "10⁷"
     assert {key: known[key] for key in constants} == constants
 

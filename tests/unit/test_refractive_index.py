@@ -236,6 +236,6 @@ def test_datasets_name_a_table_of_the_user_by_its_content(tmp_path):
     grid = {"refractive_index": {"mine": {"ice": str(path)}}}
     instrument = {"wavelength_nm": [500.0]}
     experiment = Experiment(name="mine", instrument=instrument, grid=grid)
-    assert str(tmp_path) not in experiment.configuration()
-    assert facts["refractive_index_ice_sha256"] in experiment.configuration()
-    assert experiment.tables() == [str(path)]
+    assert str(tmp_path) not in experiment.dump_configuration()
+    assert facts["refractive_index_ice_sha256"] in experiment.dump_configuration()
+    assert experiment.list_table_paths() == [str(path)]

@@ -26,17 +26,17 @@ def table():
 
 
 def model_of(table, free, at=AT, noise=0.01):
-    measurement = Measurement.of((W, np.full(W.size, 0.5)), noise)
-    which = Free.of(free, None, ranges_of(table))
+    measurement = Measurement.from_input((W, np.full(W.size, 0.5)), noise)
+    which = Free.from_ranges(free, None, ranges_of(table))
     return OfTable(table, measurement, which, at)
 
 
 def test_values_are_those_of_the_table(table):
     model = model_of(table, [SIZE, DIRT], {"incidence_deg": 20.0})
     places = np.random.default_rng(1).random((20, 2))
-    found = model.values(places)
+    found = model.evaluate(places)
     for place, row in zip(places, found, strict=True):
-        size, dirt = model.free.at(place)
+        size, dirt = model.state_vector.to_physical(place)
         there = table.interp(**{SIZE: size, DIRT: dirt, "incidence_deg": 20.0})
         np.testing.assert_allclose(row, there.reflectance, rtol=1e-9)
 
@@ -44,10 +44,10 @@ def test_values_are_those_of_the_table(table):
 def test_slopes_are_those_of_the_values(table):
     model = model_of(table, [SIZE, DIRT, "level"])
     place = np.array([0.31, 0.62, 0.4])
-    values, slopes = model.with_slopes(place)
-    np.testing.assert_allclose(values, model.values(place[np.newaxis])[0])
+    values, slopes = model.evaluate_with_jacobian(place)
+    np.testing.assert_allclose(values, model.evaluate(place[np.newaxis])[0])
     for i, step in enumerate(1e-6 * np.eye(3)):
-        both = model.values(np.stack([place - step, place + step]))
+        both = model.evaluate(np.stack([place - step, place + step]))
         np.testing.assert_allclose(slopes[:, i], (both[1] - both[0]) / 2e-6, rtol=1e-5, atol=1e-8)
 
 
@@ -84,8 +84,8 @@ def test_draws_follow_a_posterior_that_is_not_normal(table):
     model = model_of(table, [DIRT], {**AT, SIZE: 200.0})
     u = np.linspace(0.0, 1.0, 20_001)
     best = np.sqrt(found.dataset.value.values / 1600.0)
-    off = model.values(u[:, np.newaxis]) - measured
-    covariance = model.measurement.covariance + model.covariance(best)
+    off = model.evaluate(u[:, np.newaxis]) - measured
+    covariance = model.measurement.covariance + model.compute_error_covariance(best)
     chi2 = (off * np.linalg.solve(covariance, off.T).T).sum(axis=1)
     height = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
     shares = found.dataset["quantile"].values
@@ -103,7 +103,7 @@ def test_errors_cover_the_truth(table):
     inside = np.zeros((2, 2), dtype=int)
     misfits, many = [], 200
     for number in range(many):
-        size, dirt = model.free.at(random.random(2))
+        size, dirt = model.state_vector.to_physical(random.random(2))
         measured = spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
         found = splits.retrieve((W, measured), table, [SIZE, DIRT], 0.01, at=AT, seed=number)
         quantiles = found.dataset.quantiles.values
@@ -127,7 +127,7 @@ def test_a_table_that_keeps_its_covariance_says_what_is_alike():
     both = plain.dataset.assign(reflectance_groups=(dims, groups))
     model = model_of(splits.Table(both), [SIZE, DIRT], noise=0.001)
     # In the middle of a cell, where weights of nodes are not all the same.
-    found = model.covariance(np.array([0.4, 0.3]))
+    found = model.compute_error_covariance(np.array([0.4, 0.3]))
     alike = 32.0 * np.outer(shape, shape)
     off = ~np.eye(W.size, dtype=bool)
     np.testing.assert_allclose(found[off], alike[off], rtol=0.02, atol=1e-7)

@@ -24,15 +24,15 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
     measured, names = spectrum(300.0, 20.0, w), [SIZE, DIRT, "level"]
     ranges = {SIZE: (40.0, 2000.0), DIRT: (0.0, 1600.0), "level": (0.8, 1.2)}
     found = splits.retrieve((w, measured), table, ranges, 0.05, at=AT)
-    measurement = Measurement.of((w, measured), 0.05)
-    model = OfTable(table, measurement, Free.of(ranges, None, ranges_of(table)), AT)
-    best = model.free.coordinates(found.dataset.value.values)
-    covariance = measurement.covariance + model.covariance(best)
+    measurement = Measurement.from_input((w, measured), 0.05)
+    model = OfTable(table, measurement, Free.from_ranges(ranges, None, ranges_of(table)), AT)
+    best = model.state_vector.to_coordinates(found.dataset.value.values)
+    covariance = measurement.covariance + model.compute_error_covariance(best)
     lower = np.linalg.cholesky(covariance)
 
     def probable(places):
         inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
-        off = model.values(np.clip(places, 0.0, 1.0)) - measured
+        off = model.evaluate(np.clip(places, 0.0, 1.0)) - measured
         height = -0.5 * (np.linalg.solve(lower, off.T) ** 2).sum(axis=0)
         return np.where(inside, height, -np.inf)
 
@@ -42,7 +42,7 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
     sampler.run_mcmc(start, STEPS)
     chain = sampler.get_chain(discard=FIRST)
     time = sampler.get_autocorr_time(discard=FIRST, tol=0)
-    places = model.free.coordinates(found.dataset.draws.values)
+    places = model.state_vector.to_coordinates(found.dataset.draws.values)
     for i in range(len(names)):
         for share in (0.16, 0.5, 0.84):
             other = np.quantile(chain[:, :, i], share)

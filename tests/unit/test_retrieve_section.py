@@ -33,9 +33,9 @@ TABLE = {
 }
 
 
-def by_sample(readings):
+def by_sample(retrievals):
     """Return what samples tell by their names."""
-    return {one.sample: one.told for one in readings}
+    return {one.sample: one.told for one in retrievals}
 
 
 def measured():
@@ -93,10 +93,10 @@ def test_every_sample_is_read_with_every_model():
     assert [(one.model, one.sample) for one in found] == [
         (model, sample) for model in ("right", "wrong") for sample in ("clean@30", "dirty@60")
     ]  # fmt: skip
-    assert np.isnan(found[0].misfit)
+    assert np.isnan(found[0].reference_chi2)
     for one in found[1::2]:
-        assert one.misfit >= one.told.dataset.attrs["chi2"] - 1e-6
-    assert found[3].misfit > 2.0 * found[1].misfit
+        assert one.reference_chi2 >= one.result.dataset.attrs["chi2"] - 1e-6
+    assert found[3].reference_chi2 > 2.0 * found[1].reference_chi2
     joined = together(found, "some")
     assert joined.sizes["model"] == 2 and joined.sizes["sample"] == 2
     assert retrieved_table(found, given["known"]).model.unique().tolist() == ["right", "wrong"]
@@ -216,11 +216,11 @@ def test_first_samples_that_serve_none_are_refused(name):
 def test_samples_that_are_not_there_are_refused():
     section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
     with pytest.raises(Refusal, match=r"retrieve\.samples"):
-        section.spectra(measured(), W)
+        section.select_spectra(measured(), W)
     with pytest.raises(Refusal, match="column wavelength_nm"):
-        RetrieveSection.model_validate(SECTION).spectra(measured().drop(columns="wavelength_nm"), W)
+        RetrieveSection.model_validate(SECTION).select_spectra(measured().drop(columns="wavelength_nm"), W)
     with pytest.raises(Refusal, match="as the table has them"):
-        RetrieveSection.model_validate(SECTION).spectra(measured(), 1100.0 + W)
+        RetrieveSection.model_validate(SECTION).select_spectra(measured(), 1100.0 + W)
 
 
 SPECTRA = {
@@ -248,20 +248,20 @@ def test_spectra_are_checked_before_anything_runs(name):
 def test_without_noise_the_misfit_tells_the_errors():
     section = RetrieveSection.model_validate({**SECTION, "noise": None})
     for reading in run_retrieve(section, snowlike(), measured()):
-        assert reading.told.dataset.attrs["noise"] == "found from the misfit"
-        assert np.isnan(reading.misfit)
+        assert reading.result.dataset.attrs["noise"] == "found from the misfit"
+        assert np.isnan(reading.reference_chi2)
 
 
 def test_an_angle_that_is_none_is_refused():
     with pytest.raises(Refusal, match="an angle after @"):
-        RetrieveSection.model_validate(SECTION).where("snow@noon", ["incidence_deg"])
+        RetrieveSection.model_validate(SECTION).get_fixed_values("snow@noon", ["incidence_deg"])
 
 
 def test_noise_is_added_in_quadrature_unless_it_goes_together():
     values = np.array([0.5, 0.1])
-    plain = Noise(absolute=0.003, relative=0.01).of(values)
+    plain = Noise(absolute=0.003, relative=0.01).evaluate(values)
     np.testing.assert_allclose(plain, np.hypot(0.003, 0.01 * values))
-    both = Noise(absolute=0.003, relative=0.01, correlation_nm=100).of(values)
+    both = Noise(absolute=0.003, relative=0.01, correlation_nm=100).evaluate(values)
     assert both["independent"] == 0.003
 
 

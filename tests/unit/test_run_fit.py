@@ -47,7 +47,7 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     monkeypatch.setattr(module, "effort_for", lambda _: TINY)
     settings, table = experiment
     lines = []
-    ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, say=lines.append)
+    ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, log=lines.append)
     assert dict(ds.rmse.sizes) == {"refractive_index": 2, "sample": 2}
     np.testing.assert_array_equal(ds.measured.sel(sample="dark")[0], table.dark)
     off = ds.reflectance - ds.measured
@@ -66,7 +66,7 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     assert again.reflectance_groups.dims == ("refractive_index", "sample", "group", "wavelength")
     square = (again.reflectance_groups.astype(float) ** 2).sum("group")
     assert (square <= again.reflectance_stderr**2 * (1.0 + 1e-6)).all()
-    figure = draw(again, settings.drawing())
+    figure = draw(again, settings.resolve_figure())
     assert len(figure.axes) == 4
 
 
@@ -166,5 +166,5 @@ def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, me
 
 def test_a_fit_is_the_same_after_a_round_trip(experiment):
     again = Experiment.model_validate(experiment[0].simulation())
-    assert again.simulation() == experiment[0].simulation()
+    assert again.dump_simulation() == experiment[0].simulation()
     assert module.check_fit(again, experiment[1]) == ["dark", "bright"]

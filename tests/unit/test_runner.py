@@ -14,16 +14,16 @@ WAVELENGTHS = [500.0, 1000.0, 1500.0]
 SNOW = splits.Snow(depth_m=0.02)
 
 
-def a_runner(threads, legs_per_ray=None):
+def a_runner(threads, segments_per_ray=None):
     """Return a runner and work for it: three levels, of rays that were so long so far."""
     runner = Runner(SNOW, 0.0, 1, threads, False, "scalar")
     ensemble = Ensemble(
         0, np.ones(3) + 0j, np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0], [99.0, 99.0, 99.0]]),
         np.ones(3, dtype=bool), Manner(1e3),
     )  # fmt: skip
-    assert len(ensemble.levels) == 3
-    for level, legs in zip(ensemble.levels, legs_per_ray or (), strict=False):
-        level.rays, level.legs = BATCH, BATCH * legs
+    assert len(ensemble.strata) == 3
+    for level, legs in zip(ensemble.strata, segments_per_ray or (), strict=False):
+        level.n_rays, level.n_segments = BATCH, BATCH * legs
     return runner, ensemble
 
 
@@ -33,10 +33,10 @@ def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
     runner, ensemble = a_runner(threads, (1000, 100, 10))
     work = [
         (ensemble, level, count * BATCH)
-        for level, count in zip(ensemble.levels, batches, strict=True)
+        for level, count in zip(ensemble.strata, batches, strict=True)
         if count
     ]
-    jobs = runner.jobs(work)
+    jobs = runner.make_jobs(work)
     for _, level, rays in work:
         firsts = [
             first + BATCH * batch
@@ -45,17 +45,17 @@ def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
             for batch in range(count)
             if its is level
         ]
-        assert firsts == list(range(level.rays, level.rays + rays, BATCH))
-    most = runner.held(ensemble)
+        assert firsts == list(range(level.n_rays, level.n_rays + rays, BATCH))
+    most = runner.compute_job_capacity(ensemble)
     assert all(sum(count for *_, count in job) <= most for job in jobs)
 
 
 def test_jobs_cost_about_the_same():
     runner, ensemble = a_runner(4, (1000, 100, 10))
     counts = (100, 500, 2000)
-    work = zip(ensemble.levels, counts, strict=True)
-    jobs = runner.jobs([(ensemble, level, count * BATCH) for level, count in work])
-    costs = [sum(count * runner.cost(level) for _, level, _, count in job) for job in jobs]
+    work = zip(ensemble.strata, counts, strict=True)
+    jobs = runner.make_jobs([(ensemble, level, count * BATCH) for level, count in work])
+    costs = [sum(count * runner.estimate_cost(level) for _, level, _, count in job) for job in jobs]
     assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * LEGS
     assert len(jobs) % 4 == 0
 
@@ -63,7 +63,7 @@ def test_jobs_cost_about_the_same():
 @pytest.mark.parametrize("threads, batches", [(2, 3), (8, 11), (16, 38), (64, 80), (64, 95)])
 def test_no_job_takes_much_more_than_its_part(threads, batches):
     runner, ensemble = a_runner(threads, (10, 10, 10))
-    jobs = runner.jobs([(ensemble, ensemble.levels[0], batches * BATCH)])
+    jobs = runner.make_jobs([(ensemble, ensemble.strata[0], batches * BATCH)])
     sizes = [sum(count for *_, count in job) for job in jobs]
     assert sum(sizes) == batches and max(sizes) <= -(-batches // threads) + 1
 

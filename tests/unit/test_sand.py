@@ -126,28 +126,28 @@ def test_readings_are_checked_and_have_their_first_choice_by_default(name):
 
 
 def test_materials_are_listed_once_in_the_order_of_their_types():
-    assert Sand(**EIGHT).materials() == MATERIALS
+    assert Sand(**EIGHT).list_materials() == MATERIALS
     plain = Sand(iron_oxide=0.0, partition=(0.2, 0.3, 0.5))
-    assert plain.materials() == ("air", "water", "quartz", "kaolinite")
-    grains = Sand(**EIGHT).grains()
-    rows = zip(grains.types.material, grains.types.shells, strict=True)
+    assert plain.list_materials() == ("air", "water", "quartz", "kaolinite")
+    grains = Sand(**EIGHT).make_grain_population()
+    rows = zip(grains.types.material, grains.types.n_shells, strict=True)
     layers = [tuple(MATERIALS[m] for m in row[:n]) for row, n in rows]
     iron = [
         [(oxide,), (f"quartz with {oxide}",), (f"kaolinite with {oxide}", "quartz")]
         for oxide in ("hematite", "goethite")
     ]
     assert layers == [("quartz",), ("magnetite",), *iron[0], *iron[1]]
-    coated = grains.types.shells == 2
-    assert (grains.types.thickness[coated, 0] == 5.0 / 1200.0).all()
-    assert (grains.types.thickness[~coated] == 0.0).all() and (
-        grains.types.thickness[:, 1] == 0.0
+    coated = grains.types.n_shells == 2
+    assert (grains.types.coating_thickness[coated, 0] == 5.0 / 1200.0).all()
+    assert (grains.types.coating_thickness[~coated] == 0.0).all() and (
+        grains.types.coating_thickness[:, 1] == 0.0
     ).all()
 
 
 def test_indices_by_hand():
     """Eq 4 with volume fractions from the balance of volumes in each particle."""
     sand = Sand(**EIGHT, saturation=0.1)
-    index = dict(zip(MATERIALS, sand.indices(WAVELENGTHS).T, strict=True))
+    index = dict(zip(MATERIALS, sand.compute_refractive_indices(WAVELENGTHS).T, strict=True))
     pure = {m: refractive_index(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
     np.testing.assert_array_equal(index["air"], 1.0)
     np.testing.assert_array_equal(index["water"], refractive_index("water")(WAVELENGTHS))
@@ -174,24 +174,24 @@ def test_indices_by_hand():
 
 def test_water_is_asked_for_only_where_there_is_some():
     dry = Sand(saturation=0.0, refractive_index={"water": Refuse()})
-    assert (dry.indices(WAVELENGTHS)[:, 1] == 1.0).all()
+    assert (dry.compute_refractive_indices(WAVELENGTHS)[:, 1] == 1.0).all()
     with pytest.raises(AssertionError, match="asked for"):
-        Sand(saturation=0.01, refractive_index={"water": Refuse()}).indices(WAVELENGTHS)
+        Sand(saturation=0.01, refractive_index={"water": Refuse()}).compute_refractive_indices(WAVELENGTHS)
     # Nor are minerals that are not there.
     absent = dict.fromkeys(("magnetite", "hematite"), Refuse())
-    assert np.isfinite(Sand(refractive_index=absent).indices(WAVELENGTHS)).all()
+    assert np.isfinite(Sand(refractive_index=absent).compute_refractive_indices(WAVELENGTHS)).all()
 
 
 @pytest.mark.parametrize("goethite", [{"k_factor": 0.5}, 2.3 + 0.05j, TABLE], ids=str)
 def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
-    before = Sand(**EIGHT).indices(WAVELENGTHS)
+    before = Sand(**EIGHT).compute_refractive_indices(WAVELENGTHS)
     sand = Sand(**EIGHT, refractive_index={"goethite": goethite})
-    changed = (sand.indices(WAVELENGTHS) != before).all(axis=0)
+    changed = (sand.compute_refractive_indices(WAVELENGTHS) != before).all(axis=0)
     assert [m for m, c in zip(MATERIALS, changed, strict=True) if c] == [
         m for m in MATERIALS if "goethite" in m
     ]
-    assert ((sand.indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
-    own = sand.indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
+    assert ((sand.compute_refractive_indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
+    own = sand.compute_refractive_indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
     np.testing.assert_array_equal(own, refractive_index("goethite", goethite)(WAVELENGTHS))
 
 
@@ -217,29 +217,29 @@ def test_mean_grain_distance():
     """One over (1 − P) K1 K2: spheres of sand alone, K1 from the table of sizes."""
     spheres = {"texture": (0, 0, 1), "sphericity": (1, 1, 1, 0), "porosity": 0.4}
     sand = Sand(**spheres)
-    k1 = sand.sizes.attenuation
+    k1 = sand.size_distribution.size_attenuation_per_m
     assert sand.attenuation_per_m == pytest.approx(1.5 * k1, rel=1e-12)
     assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
     printed = Sand(**spheres, readings={"attenuation": "printed"})
     assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
-    assert 1.0 / sand.grains().attenuation == pytest.approx(sand.mean_grain_distance_m, rel=1e-15)
+    assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(sand.mean_grain_distance_m, rel=1e-15)
     # Surface per mass of spheres: 6 per diameter and volume.
     assert sand.specific_surface_area_m2_kg == pytest.approx(6.0 * k1 / sand.density_kg_m3)
     one_shape = Sand(sphericity=(0.8, 0.8, 0.8, 0.1))
     k2 = float(surface_to_volume(0.8)) / 4.0
-    assert one_shape.attenuation_per_m == pytest.approx(k2 * one_shape.sizes.attenuation, rel=1e-12)
+    assert one_shape.attenuation_per_m == pytest.approx(k2 * one_shape.sizes.size_attenuation_per_m, rel=1e-12)
 
 
 def test_meetings_with_interfaces_add_up():
     sand = Sand(**EIGHT, saturation=0.3)
-    volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.rows()}
-    outer = [i for i in of_grains(sand.interfaces()) if i.near < 2]
-    assert sum(i.share for i in outer if i.near == 1) == pytest.approx(0.3)
-    assert sum(i.share for i in outer) == pytest.approx(1.0)
-    (face,) = [i for i in sand.interfaces() if i not in of_grains(sand.interfaces())]
+    volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.to_rows()}
+    outer = [i for i in of_grains(sand.list_interfaces()) if i.outer_material < 2]
+    assert sum(i.fraction for i in outer if i.outer_material == 1) == pytest.approx(0.3)
+    assert sum(i.fraction for i in outer) == pytest.approx(1.0)
+    (face,) = [i for i in sand.list_interfaces() if i not in of_grains(sand.list_interfaces())]
     assert face[:3] == (pytest.approx(0.3), 0, 1)
     inner = {
-        (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.interfaces() if i.near > 1
+        (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.list_interfaces() if i.near > 1
     }
     assert inner == {
         (f"kaolinite with {oxide}", "quartz"): volumes[f"quartz coated by {oxide}"]

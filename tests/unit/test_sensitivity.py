@@ -33,7 +33,7 @@ def spectra(scale, dimension, labels):
 
 def test_equal_spectra_have_no_sensitivity():
     s = mean_sensitivity_index([0.5, 0.2], [0.01, 0.01], [0.5, 0.2], [0.01, 0.01])
-    assert (s.index, s.index_resolved, s.resolved) == (0.0, 0.0, 1.0)
+    assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 1.0)
 
 
 def test_the_index_is_the_mean_relative_difference_to_the_larger():
@@ -51,12 +51,12 @@ def test_where_both_are_below_the_noise_the_ratio_counts_as_nothing():
     s = mean_sensitivity_index([0.8, 1e-3], [1e-3, 1e-3], [0.4, 0.0], [1e-3, 1e-3])
     assert s.index == pytest.approx(0.25)
     assert s.index_resolved == pytest.approx(0.5)
-    assert s.resolved == 0.5
+    assert s.resolved_fraction == 0.5
 
 
 def test_all_below_the_noise():
     s = mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
-    assert (s.index, s.index_resolved, s.resolved) == (0.0, 0.0, 0.0)
+    assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 0.0)
     nothing = mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
     assert nothing.stderr == 0.0
 
@@ -68,7 +68,7 @@ def test_a_spectrum_that_vanishes_is_fully_sensitive():
 
 def test_the_noise_limit_is_not_seen():
     for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
-        assert mean_sensitivity_index([NOISE * factor], [1.0], [0.0], [1.0]).resolved == resolved
+        assert mean_sensitivity_index([NOISE * factor], [1.0], [0.0], [1.0]).resolved_fraction == resolved
 
 
 def test_the_error_is_that_of_many_noisy_pairs():

@@ -26,12 +26,12 @@ def test_weights_are_integrals_of_irradiance_times_hats():
     light = np.interp(fine, mine.wavelength_nm, mine.total)
     for albedo in (np.ones(4), W / 1000.0, np.array([0.2, 0.9, 0.1, 0.4])):
         exact = np.trapezoid(light * np.interp(fine, W, albedo), fine)
-        found = mine.weights(W, Band.between(450.0, 900.0)) @ albedo
+        found = mine.compute_weights(W, Band.from_limits(450.0, 900.0)) @ albedo
         assert found == pytest.approx(exact, rel=1e-9)
     # Light beyond the wavelengths, or beyond the sky, is not there.
-    wide, narrow = (mine.weights(W, Band.between(*e)).sum() for e in ((300, 5000), (400, 1000)))
+    wide, narrow = (mine.compute_weights(W, Band.from_limits(*e)).sum() for e in ((300, 5000), (400, 1000)))
     assert wide == narrow
-    assert (mine.weights(W, Band.between(1100.0, 1200.0)) == 0.0).all()
+    assert (mine.compute_weights(W, Band.from_limits(1100.0, 1200.0)) == 0.0).all()
 
 
 FRAME = pd.DataFrame(MINE)
@@ -42,7 +42,7 @@ def test_columns_of_a_frame_are_taken_as_lists_of_these_names():
                   FRAME.set_index("wavelength_nm")):  # fmt: skip
         assert splits.sky(frame, 50.0) == splits.sky(MINE, 50.0)
     response = FRAME[["wavelength_nm", "direct"]].rename(columns={"direct": "response"})
-    assert Band.of("mine", response) == Band.of("mine", response.to_dict("list"))
+    assert Band.from_input("mine", response) == Band.from_input("mine", response.to_dict("list"))
     albedo = pd.DataFrame({"wavelength_nm": [200, 3000], "albedo": [0.1, 0.2]})
     assert splits.Snow(ground=albedo) == splits.Snow(ground=albedo.to_dict("list"))
     index = pd.DataFrame({"wavelength_nm": [200, 3000], "n": [1.3, 1.4], "k": [0.0, 0.0]})
@@ -63,7 +63,7 @@ def test_what_is_no_sky_is_refused_in_a_line(given):
 
 def test_direct_share_is_that_of_irradiances():
     np.testing.assert_allclose(
-        splits.sky(MINE, 50.0).direct_share(np.array([300.0, 450.0, 600.0, 1200.0])),
+        splits.sky(MINE, 50.0).compute_direct_fraction(np.array([300.0, 450.0, 600.0, 1200.0])),
         [0.5, 2.0 / 2.5, 1.0, 0.0],
     )
 
@@ -75,14 +75,14 @@ def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
     assert re.search(how, str(caught.value))[1] == "400, 1001"
     # Those are known to the ground and to the sky.
     w = np.arange(400.0, 1001.0, 10.0)
-    assert medium.ground.albedo(w).size == splits.sky(MINE, 50.0).direct_share(w).size == 61
+    assert medium.ground.albedo(w).size == splits.sky(MINE, 50.0).compute_direct_fraction(w).size == 61
     with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
-        splits.sky(MINE, 50.0).check_covers(np.array([400.0, 1200.0, 1210.0]))
+        splits.sky(MINE, 50.0).check_coverage(np.array([400.0, 1200.0, 1210.0]))
 
 
 @pytest.mark.parametrize("name", names())
 def test_skies_of_snicar_are_direct_or_diffuse(name):
-    share = splits.sky(name).direct_share(np.array([350.0, 1000.0, 2400.0]))
+    share = splits.sky(name).compute_direct_fraction(np.array([350.0, 1000.0, 2400.0]))
     np.testing.assert_array_equal(share, 0.0 if name.endswith("_cloudy") else 1.0)
     assert splits.sky(name).total.sum() == pytest.approx(1.0, abs=0.003)
 
@@ -91,7 +91,7 @@ def test_clear_skies_and_the_standard():
     high, low = splits.sky("clear", 20.0), splits.sky("clear", 75.0)
     # The beam loses more of its blue the longer its way.
     blue = np.array([400.0, 450.0])
-    assert (low.direct_share(blue) < high.direct_share(blue)).all()
+    assert (low.compute_direct_fraction(blue) < high.compute_direct_fraction(blue)).all()
     # The sun high over dark ground: about a kilowatt.
     dark = splits.sky("clear", 20.0, ground_albedo=0.1)
     assert np.trapezoid(dark.total, dark.wavelength_nm) == pytest.approx(1000.0, rel=0.1)
@@ -175,7 +175,7 @@ def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
 
     light = splits.sky(MINE, 50.0)
     found = mixed(light, np.array([500.0]), run, ["x"])
-    share = float(light.direct_share(np.array([500.0]))[0])
+    share = float(light.compute_direct_fraction(np.array([500.0]))[0])
     scatter = np.hypot(0.003 * share, 0.004 * (1.0 - share))
     assert 0.0 < share < 1.0
     assert float(found.x_stderr[0]) == pytest.approx(np.hypot(scatter, 0.01), rel=1e-12)
@@ -188,7 +188,7 @@ def test_a_white_layer_is_white_over_all_bands():
     assert found.band.values.tolist() == ["broadband", "green"]
     np.testing.assert_allclose(found.band_albedo, 1.0, atol=1e-12)
     mine = splits.sky(MINE, 50.0)
-    inside, everything = mine.weights(W, Band.between(300, 1200)).sum(), 1950.0
+    inside, everything = mine.compute_weights(W, Band.from_limits(300, 1200)).sum(), 1950.0
     assert found.irradiance_covered[0] == pytest.approx(inside / everything)
     assert found.irradiance_covered[1] == pytest.approx(1.0)
 

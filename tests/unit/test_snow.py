@@ -135,7 +135,7 @@ def test_bad_readings_are_refused_by_name(name):
 def test_sets_of_readings_have_names():
     first = {name: CHOICES[name][0] for name in NAMES}
     assert Readings.of("splits_2007").as_dict() == first
-    assert Snow().readings == Readings() == Readings.of("splitsnow_2021")
+    assert Snow().interpretation == Readings() == Readings.of("splitsnow_2021")
     assert Readings().as_dict() == first | {"facets": "any", "wrong_side": "mirrored"}
     beside = Readings.of({"set": "geometric", "facets": "any"})
     assert (beside.entry, beside.facets) == ("projected", "any")
@@ -160,11 +160,11 @@ def test_a_snow_does_not_change():
 
 
 def test_indices_have_air_water_and_ice():
-    index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).indices([500.0, 900.0])
+    index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).compute_refractive_indices([500.0, 900.0])
     np.testing.assert_array_equal(index, [[1.0, 1.33, 1.31 + 1e-3j]] * 2)
-    dry = Snow(saturation=0, refractive_index={"ice": 1.31}).indices([500.0])
+    dry = Snow(saturation=0, refractive_index={"ice": 1.31}).compute_refractive_indices([500.0])
     np.testing.assert_array_equal(dry, [[1.0, 1.0, 1.31]])
-    assert len(Snow().materials()) == index.shape[1]
+    assert len(Snow().list_materials()) == index.shape[1]
 
 
 def test_description_names_every_input():

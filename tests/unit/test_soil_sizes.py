@@ -26,13 +26,13 @@ EVERY = {**TEXTURES, **BARELY}
 
 def density(piece: LogNormal, s):
     """Return f_g(s) of Eq 19."""
-    score = (np.log(s) - piece.mean) / piece.sd
-    return np.exp(-0.5 * score**2) / (piece.sd * np.sqrt(2.0 * np.pi))
+    score = (np.log(s) - piece.log_mean) / piece.log_sd
+    return np.exp(-0.5 * score**2) / (piece.log_sd * np.sqrt(2.0 * np.pi))
 
 
 def integral(piece: LogNormal, power: float):
     """Return ∫ s^power f_g(s) ds over the piece, by adaptive quadrature in sections."""
-    edges = np.geomspace(piece.low, piece.high, 9)
+    edges = np.geomspace(piece.min_size_m, piece.max_size_m, 9)
     return sum(
         integrate.quad(lambda s: s**power * density(piece, s), a, b, epsabs=0.0, epsrel=1e-11)[0]
         for a, b in pairwise(edges)
@@ -45,23 +45,23 @@ def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
     bounds = np.clip([TAIL, *np.cumsum(texture)], TAIL, 1.0 - TAIL)
     pieces = soil_sizes(texture).separates
     present = [i for i, mass in enumerate(texture) if mass > 0.0]
-    assert [(p.low, p.high) for p in pieces] == [list(LIMITS.values())[i] for i in present]
+    assert [(p.min_size_m, p.max_size_m) for p in pieces] == [list(LIMITS.values())[i] for i in present]
     for piece, i in zip(pieces, present, strict=True):
-        normal = stats.norm(piece.mean, piece.sd)
-        assert normal.cdf(np.log(piece.low)) == pytest.approx(bounds[i], rel=1e-9)
-        assert normal.cdf(np.log(piece.high)) == pytest.approx(bounds[i + 1], rel=1e-9)
-        assert piece.mass == pytest.approx(texture[i], rel=1e-12)
-    assert sum(p.mass for p in pieces) == pytest.approx(1.0, abs=1e-15)
+        normal = stats.norm(piece.log_mean, piece.log_sd)
+        assert normal.cdf(np.log(piece.min_size_m)) == pytest.approx(bounds[i], rel=1e-9)
+        assert normal.cdf(np.log(piece.max_size_m)) == pytest.approx(bounds[i + 1], rel=1e-9)
+        assert piece.mass_fraction == pytest.approx(texture[i], rel=1e-12)
+    assert sum(p.mass_fraction for p in pieces) == pytest.approx(1.0, abs=1e-15)
 
 
 def test_silt_and_sand_of_table_5_by_hand():
     """Scores Φ⁻¹ of 1e-4, 0.15 and 1 − 1e-4, from tables of the normal distribution."""
     low, middle = -3.719016485455709, -1.0364333894937898
     silt, sand = soil_sizes((0.0, 0.15, 0.85)).separates
-    assert silt.sd == pytest.approx(np.log(25.0) / (middle - low), rel=1e-12)
-    assert silt.mean == pytest.approx(np.log(2e-6) - silt.sd * low, rel=1e-12)
-    assert sand.sd == pytest.approx(np.log(40.0) / (-low - middle), rel=1e-12)
-    assert sand.mean == pytest.approx(np.log(2e-3) + sand.sd * low, rel=1e-12)
+    assert silt.log_sd == pytest.approx(np.log(25.0) / (middle - low), rel=1e-12)
+    assert silt.log_mean == pytest.approx(np.log(2e-6) - silt.log_sd * low, rel=1e-12)
+    assert sand.log_sd == pytest.approx(np.log(40.0) / (-low - middle), rel=1e-12)
+    assert sand.log_mean == pytest.approx(np.log(2e-3) + sand.log_sd * low, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", TEXTURES)
@@ -69,10 +69,10 @@ def test_mean_inverse_size_is_the_quotient_of_eq_23(name):
     sizes = soil_sizes(TEXTURES[name])
     for piece in sizes.separates:
         exact = integral(piece, -2.0) / integral(piece, -1.0)
-        assert piece.inverse_mean == pytest.approx(exact, rel=1e-9)
-        assert 1.0 / piece.high < piece.inverse_mean < 1.0 / piece.low
-    by_mass = sum(p.mass * integral(p, -2.0) / integral(p, -1.0) for p in sizes.separates)
-    assert sizes.attenuation == pytest.approx(by_mass, rel=1e-9)
+        assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
+        assert 1.0 / piece.max_size_m < piece.mean_inverse_size_per_m < 1.0 / piece.min_size_m
+    by_mass = sum(p.mass_fraction * integral(p, -2.0) / integral(p, -1.0) for p in sizes.separates)
+    assert sizes.size_attenuation_per_m == pytest.approx(by_mass, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", TEXTURES)
@@ -80,7 +80,7 @@ def test_masses_of_eq_20_are_those_of_the_texture(name):
     """Between its limits a piece holds its separate's mass; outermost, less the tail."""
     texture = TEXTURES[name]
     for piece in soil_sizes(texture).separates:
-        assert integral(piece, -1.0) == pytest.approx(piece.mass, abs=2.0001 * TAIL)
+        assert integral(piece, -1.0) == pytest.approx(piece.mass_fraction, abs=2.0001 * TAIL)
     everything = sum(integral(p, -1.0) for p in soil_sizes(texture).separates)
     assert everything == pytest.approx(1.0 - 2.0 * TAIL, rel=1e-9)
 
@@ -88,13 +88,13 @@ def test_masses_of_eq_20_are_those_of_the_texture(name):
 @pytest.mark.parametrize("name", TEXTURES)
 def test_struck_sizes_of_one_piece_have_the_density_of_eq_25(name):
     for piece in soil_sizes(TEXTURES[name]).separates:
-        median = float(piece.struck_size(np.array([0.5]))[0])
+        median = float(piece.compute_struck_sizes(np.array([0.5]))[0])
         whole = integral(piece, -2.0)
         below = integrate.quad(
-            lambda x, p=piece: np.exp(-x) * density(p, np.exp(x)), np.log(piece.low), np.log(median)
+            lambda x, p=piece: np.exp(-x) * density(p, np.exp(x)), np.log(piece.min_size_m), np.log(median)
         )[0]
         assert below / whole == pytest.approx(0.5, abs=1e-6)
-        assert piece.struck_size(np.array([0.0, 1.0])) == pytest.approx([piece.low, piece.high])
+        assert piece.compute_struck_sizes(np.array([0.0, 1.0])) == pytest.approx([piece.min_size_m, piece.max_size_m])
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -105,12 +105,12 @@ def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pi
             soil_sizes(EVERY[name], TAIL, pieces)
         return
     sizes = soil_sizes(EVERY[name], TAIL, pieces)
-    table = sizes.struck_inverse_sizes()
+    table = sizes.tabulate_struck_inverse_sizes()
     assert table.shape == (TABLE_POINTS,)
     assert np.isfinite(table).all() and (np.diff(table) > 0.0).all()
     largest, smallest = 1.0 / table[[0, -1]]
-    assert largest == pytest.approx(sizes.largest) == pytest.approx(2e-3)
-    assert smallest >= sizes.separates[0].low * (1.0 - 1e-12)
+    assert largest == pytest.approx(sizes.largest_m) == pytest.approx(2e-3)
+    assert smallest >= sizes.separates[0].min_size_m * (1.0 - 1e-12)
 
 
 @pytest.mark.parametrize("gap", BARELY)
@@ -123,10 +123,10 @@ def test_hardly_more_clay_than_the_tail(gap):
     clay, sand = sizes.separates
     low, high = LIMITS["clay"]
     even = (1.0 / low - 1.0 / high) / np.log(high / low)
-    assert np.isfinite([clay.mean, clay.sd, clay.inverse_mean]).all()
-    assert clay.inverse_mean == pytest.approx(even, rel=gap + 1e-9)
-    assert clay.mass == pytest.approx(TAIL, rel=2e-3) and sand.mass == pytest.approx(1.0 - TAIL)
-    half = float(clay.struck_size(np.array([0.5]))[0])
+    assert np.isfinite([clay.log_mean, clay.log_sd, clay.mean_inverse_size_per_m]).all()
+    assert clay.mean_inverse_size_per_m == pytest.approx(even, rel=gap + 1e-9)
+    assert clay.mass_fraction == pytest.approx(TAIL, rel=2e-3) and sand.mass_fraction == pytest.approx(1.0 - TAIL)
+    half = float(clay.compute_struck_sizes(np.array([0.5]))[0])
     assert half == pytest.approx(2.0 / (1.0 / low + 1.0 / high), rel=1e-3)
 
 
@@ -134,9 +134,9 @@ def test_clay_no_more_than_the_tail_is_left_out():
     for clay in (0.0, 0.5 * TAIL, TAIL):
         sizes = soil_sizes((clay, 0.0, 1.0 - clay))
         (sand,) = sizes.separates
-        assert (sand.low, sand.high) == LIMITS["sand"] and sand.mass == 1.0
-        assert sizes.attenuation == pytest.approx(soil_sizes((0.0, 0.0, 1.0)).attenuation, rel=1e-4)
-    assert len(soil_sizes((TAIL, 0.0, 1.0 - TAIL), tail=1e-5).separates) == 2
+        assert (sand.min_size_m, sand.max_size_m) == LIMITS["sand"] and sand.mass_fraction == 1.0
+        assert sizes.size_attenuation_per_m == pytest.approx(soil_sizes((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4)
+    assert len(soil_sizes((TAIL, 0.0, 1.0 - TAIL), tail_mass=1e-5).separates) == 2
 
 
 @pytest.mark.parametrize("texture", [(0.0, 0.15, 0.85), (0.01, 0.135, 0.855), (0.1, 0.0, 0.9)])
@@ -144,18 +144,18 @@ def test_one_log_normal_over_all_separates(texture):
     """Shirazi & Boersma 1984: mean and spread of ln of the separates' middles, by mass."""
     middle = np.log([1e-6, 26e-6, 1.025e-3])
     mean = np.dot(texture, middle)
-    (piece,) = soil_sizes(texture, pieces="single").separates
-    assert piece.mean == pytest.approx(mean, rel=1e-12)
-    assert piece.sd == pytest.approx(np.sqrt(np.dot(texture, (middle - mean) ** 2)), rel=1e-9)
-    assert (piece.low, piece.high) == (5e-8 if texture[0] else 2e-6, 2e-3)
-    assert piece.mass == 1.0
+    (piece,) = soil_sizes(texture, size_model="single").separates
+    assert piece.log_mean == pytest.approx(mean, rel=1e-12)
+    assert piece.log_sd == pytest.approx(np.sqrt(np.dot(texture, (middle - mean) ** 2)), rel=1e-9)
+    assert (piece.min_size_m, piece.max_size_m) == (5e-8 if texture[0] else 2e-6, 2e-3)
+    assert piece.mass_fraction == 1.0
     exact = integral(piece, -2.0) / integral(piece, -1.0)
-    assert piece.inverse_mean == pytest.approx(exact, rel=1e-9)
+    assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
 
 
 def test_finer_soils_attenuate_more():
     by_texture = [(0.0, 0.0, 1.0), (0.0, 0.05, 0.95), (0.0, 0.15, 0.85), (0.01, 0.135, 0.855)]
-    attenuation = [soil_sizes(texture).attenuation for texture in by_texture]
+    attenuation = [soil_sizes(texture).size_attenuation_per_m for texture in by_texture]
     assert (np.diff(attenuation) > 0.0).all()
 
 
@@ -180,6 +180,6 @@ def test_other_refusals():
         with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
             soil_sizes((0.0, 0.15, 0.85), tail)
     with pytest.raises(ValueError, match=r"^readings.sizes = 'single': .*'separates'"):
-        soil_sizes((0.0, 0.0, 1.0), pieces="single")
+        soil_sizes((0.0, 0.0, 1.0), size_model="single")
     soil_sizes((0.1, 0.0, 0.9))
     soil_sizes((0.0, 0.15 + 1e-10, 0.85 - 1e-10))

@@ -157,8 +157,8 @@ TEXTURES = [
 def test_soil_sizes(texture, tail):
     bounds = [min(max(b, tail), 1 - tail) for b in (tail, texture[0], sum(texture[:2]), 1 - tail)]
     for piece in soil_sizes(texture, tail).separates:
-        x0, x1, mean, sd = mp.log(piece.low), mp.log(piece.high), M(piece.mean), M(piece.sd)
-        i = LIMITS_M.index(piece.low)
+        x0, x1, mean, sd = mp.log(piece.min_size_m), mp.log(piece.max_size_m), M(piece.log_mean), M(piece.log_sd)
+        i = LIMITS_M.index(piece.min_size_m)
         for x, bound in ((x0, bounds[i]), (x1, bounds[i + 1])):
             assert float(abs(mp.ncdf((x - mean) / sd) - M(bound))) < RELATIVE * max(bound, 1e-3)
         with mp.workdps(25):
@@ -170,9 +170,9 @@ def test_soil_sizes(texture, tail):
                 return mp.quad(lambda y: shape(y, power), mp.linspace(x0, end, 12))
 
             inverse = integral(x1, -1)
-            assert off(piece.inverse_mean, inverse / integral(x1, 0) / M(piece.low)) < RELATIVE
+            assert off(piece.mean_inverse_size_per_m, inverse / integral(x1, 0) / M(piece.min_size_m)) < RELATIVE
             u = np.array([1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6])
-            for p, size in zip(u, piece.struck_size(u), strict=True):
+            for p, size in zip(u, piece.compute_struck_sizes(u), strict=True):
                 x = mp.log(M(float(size)))
                 slope = shape(x, -1) / inverse
                 gap = integral(x, -1) / inverse - M(float(p))
@@ -339,5 +339,5 @@ def check_tilt(facetness):
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
         facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED)
-        assert facet.leaned.cos == 1.0 - tilt
-        assert off(0.6 * facet.leaned.sin, exact) < RELATIVE
+        assert facet.tilt.cos == 1.0 - tilt
+        assert off(0.6 * facet.tilt.sin, exact) < RELATIVE

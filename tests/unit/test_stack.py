@@ -55,40 +55,40 @@ def test_a_thin_layer_has_room_in_a_thick_stack():
 def test_layers_keep_their_order_their_types_and_their_materials():
     stack = splits.Stack([FRESH, SAND, splits.Snow()], readings="splits_2007")
     scene = granular_scene(stack, 30.0, False)
-    assert scene.layers.face == pytest.approx([0.0, -0.02, -0.12, -0.24])
+    assert scene.layers.boundaries == pytest.approx([0.0, -0.02, -0.12, -0.24])
     assert stack.depth_m == pytest.approx(0.24)
-    sand = SAND.grains()
-    count = len(sand.share)
-    assert list(scene.layers.first) == [0, 1, 1 + count]
-    assert np.all(scene.layers.share[0] == 1.0)
-    assert np.array_equal(scene.layers.share[1], sand.share)
+    sand = SAND.make_grain_population()
+    count = len(sand.type_cdf)
+    assert list(scene.layers.first_type) == [0, 1, 1 + count]
+    assert np.all(scene.layers.type_cdf[0] == 1.0)
+    assert np.array_equal(scene.layers.type_cdf[1], sand.type_cdf)
     assert all(table.flags.c_contiguous for table in scene.types)
-    names = stack.materials()
+    names = stack.list_materials()
     assert names[:3] == ("layers.0.air", "layers.0.water", "layers.0.ice")
     for number, medium in enumerate(stack.layers):
-        first, pore = scene.layers.first[number], scene.layers.pore[number]
-        kinds = medium.grains().types
-        for kind, shells in enumerate(kinds.shells):
-            assert scene.types.shells[first + kind] == shells
+        first, pore = scene.layers.first_type[number], scene.layers.pore[number]
+        kinds = medium.make_grain_population().types
+        for kind, shells in enumerate(kinds.n_shells):
+            assert scene.types.n_shells[first + kind] == shells
             for shell in range(shells):
                 row = scene.types.material[first + kind, shell]
-                material = medium.materials()[kinds.material[kind, shell]]
+                material = medium.list_materials()[kinds.material[kind, shell]]
                 assert names[row] == f"layers.{number}.{material}"
-        assert names[pore] == f"layers.{number}.{medium.materials()[0]}"
+        assert names[pore] == f"layers.{number}.{medium.list_materials()[0]}"
     wavelengths = np.array([450.0, 900.0])
-    index = stack.indices(wavelengths)
+    index = stack.compute_refractive_indices(wavelengths)
     assert index.shape == (2, len(names))
-    assert np.array_equal(index[:, :3], FRESH.indices(wavelengths))
+    assert np.array_equal(index[:, :3], FRESH.compute_refractive_indices(wavelengths))
 
 
 def test_every_layer_bounds_what_interpolation_misses():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
     for order in ([FRESH, SAND], [SAND, FRESH]):
         stack = splits.Stack(order, readings="splits_2007")
-        nodes = choose_nodes(stack.indices(wavelengths), stack.interfaces(), 1e-3)
-        alone = choose_nodes(SAND.indices(wavelengths), SAND.interfaces(), 1e-3)
+        nodes = choose_nodes(stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3)
+        alone = choose_nodes(SAND.compute_refractive_indices(wavelengths), SAND.list_interfaces(), 1e-3)
         assert len(nodes.index) >= len(alone.index)
-        assert nodes.bias.max() <= 1e-3
+        assert nodes.interpolation_bound.max() <= 1e-3
 
 
 def test_all_inputs_stand_in_the_description():
@@ -103,8 +103,8 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
     lid = splits.Layer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([lid, snow] if above else [snow, lid])
-    names = stack.materials()
-    faces = [i for i in stack.interfaces() if i.place == "face"]
+    names = stack.list_materials()
+    faces = [i for i in stack.list_interfaces() if i.place == "face"]
     named = {(names[i.near], names[i.far], i.share) for i in faces}
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
 
@@ -112,8 +112,8 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
 def test_a_set_replaces_all_that_layers_say_of_transport():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
     for name in SETS:
-        (layer,) = splits.Stack([natural], readings=name).parts
-        assert layer.readings == splits.Readings.of(name)
+        (layer,) = splits.Stack([natural], readings=name).scene_layers
+        assert layer.interpretation == splits.Readings.of(name)
 
 
 def test_layers_of_a_stack_have_the_same_distances_between_grains():

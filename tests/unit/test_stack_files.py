@@ -37,7 +37,7 @@ def loaded(folder, text):
 
 
 def test_layers_stand_on_their_bases(tmp_path):
-    ((_, pack, _),) = loaded(tmp_path, PACK).points()
+    ((_, pack, _),) = loaded(tmp_path, PACK).iter_points()
     assert [layer.kind for layer in pack.layers] == ["snow", "sand"]
     assert pack.layers[0].density_kg_m3 == 120.0 and pack.layers[0].temperature_c == -1.0
     assert pack.ground.name == "albedo 0.2"
@@ -49,7 +49,7 @@ medium: {refractive_index: {brine: 1.38+2e-6j, oil: 1.47}, pores: {oil: 0.2}}
 grid: {pores: {little: {brine: 0.1}, much: {brine: 0.3}}}
 instrument: {wavelength_nm: [500]}
 """
-    found = [snow.pores for _, snow, _ in loaded(tmp_path, text).points()]
+    found = [snow.pores for _, snow, _ in loaded(tmp_path, text).iter_points()]
     assert found == [{"oil": 0.2, "brine": 0.1}, {"oil": 0.2, "brine": 0.3}]
     pack = PACK.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
     with pytest.raises(ConfigError, match=r"layers\.1\.pores = 'brine'.*give refractive_index"):
@@ -61,7 +61,7 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
     experiment = loaded(tmp_path, PACK.replace("  ground: 0.2\n", "") + grid)
     found = [
         (*(layer.depth_m for layer in pack.layers), pack.ground.name)
-        for _, pack, _ in experiment.points()
+        for _, pack, _ in experiment.iter_points()
     ]
     assert found == [
         (0.01, 0.02, "albedo 0.0"), (0.01, 0.02, "albedo 1.0"),
@@ -128,10 +128,10 @@ def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
     order = [first, *(set(values) - {first})]
     grid = "grid: {" + ", ".join(f"{key}: {values[key]}" for key in order) + "}\n"
     experiment = loaded(tmp_path, PACK + grid)
-    before = experiment.simulation()
-    found = sorted(tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.points())
+    before = experiment.dump_simulation()
+    found = sorted(tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.iter_points())
     assert found == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
-    assert experiment.simulation() == before
+    assert experiment.dump_simulation() == before
 
 
 def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
@@ -139,7 +139,7 @@ def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
         "medium: {kind: stack, layers: [{readings: {size_is: semi_axis}}]}\n"
         "grid: {layers.0.readings: {struck: {struck_size: uniform}}}\n"
     )
-    ((_, pack, _),) = loaded(tmp_path, text).points()
+    ((_, pack, _),) = loaded(tmp_path, text).iter_points()
     readings = pack.layers[0].readings.as_dict()
     assert (readings["size_is"], readings["struck_size"]) == ("semi_axis", "uniform")
 
@@ -149,16 +149,16 @@ def test_tables_by_path_are_known_by_their_content(tmp_path):
     table.write_text("wavelength_nm,n,k\n400,1.31,1e-8\n900,1.30,1e-7\n")
     text = PACK + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
     experiment = loaded(tmp_path, text)
-    assert experiment.tables() == [str(table)]
-    assert "ice.csv sha256:" in experiment.configuration()
-    assert str(tmp_path) not in experiment.configuration()
+    assert experiment.list_table_paths() == [str(table)]
+    assert "ice.csv sha256:" in experiment.dump_configuration()
+    assert str(tmp_path) not in experiment.dump_configuration()
 
 
 def test_the_example_of_the_documents_can_be_run(tmp_path):
     text = (MEDIA.parents[1] / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
-    assert len(list(loaded(tmp_path, example).points())) == 6
+    assert len(list(loaded(tmp_path, example).iter_points())) == 6
 
 
 def endless(kind):

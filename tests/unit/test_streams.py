@@ -22,7 +22,7 @@ def test_levels_are_numbered_apart():
     index, absorption, served = np.ones(2) + 0j, np.zeros((3, 2)), np.ones(3, dtype=bool)
     manner = Manner(1e3)
     numbers = [
-        level.number
+        level.stream
         for ensemble in (
             *(Ensemble(i, index, absorption, served, manner) for i in range(3)),
             *(

@@ -32,9 +32,9 @@ def settings(studies):
 
 def test_shipped_studies_have_all_that_they_need(shipped):
     made = load_settings(CONTENT)
-    assert set(made.select(shipped)) == set(shipped)
+    assert set(made.select_experiments(shipped)) == set(shipped)
     assert left_out(made.studies, shipped, shipped) == {}
-    paths = {p for name, one in made.studies.items() for ps in one.paths(name).values() for p in ps}
+    paths = {p for name, one in made.studies.items() for ps in one.list_product_paths(name).values() for p in ps}
     figures = (
         "fig23_sensitivity", "readings_together", "letcher2022_measured",
         "surface_area_spectra_found", "surface_area_law", "which_wavelength_tells_what",
@@ -71,7 +71,7 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
 def test_names_that_studies_and_fits_have_are_refused(shipped, name):
     taken = Experiment.model_validate({"name": name})
     with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be one that"):
-        load_settings(CONTENT).select({**shipped, name: taken})
+        load_settings(CONTENT).select_experiments({**shipped, name: taken})
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
 )  # fmt: skip
 def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
     with pytest.raises(ConfigError, match=message) as caught:
-        settings({"own": study}).select(shipped)
+        settings({"own": study}).select_experiments(shipped)
     assert "\n" not in str(caught.value)
 
 
@@ -169,7 +169,7 @@ def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
     study = {"kind": "sobol", "experiments": {"a": "explorer_snow"}}
     studies = {**CONTENT["studies"], "retrieved_dozier_retrieved": study}
     with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
-        load_settings({**CONTENT, "studies": studies}).select(shipped)
+        load_settings({**CONTENT, "studies": studies}).select_experiments(shipped)
 
 
 def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
@@ -178,7 +178,7 @@ def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
     file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
     content = {**CONTENT, "measured_folder": str(tmp_path / "measured")}
     with pytest.raises(ConfigError, match=r"studies\.agreement\.files\.aviris = .*line 4: refl"):
-        load_settings(content).select(shipped)
+        load_settings(content).select_experiments(shipped)
 
 
 @pytest.mark.parametrize("name", ["con", "nul", "com1", "lpt9"])

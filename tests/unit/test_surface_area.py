@@ -59,7 +59,7 @@ def measured(**areas):
 def test_what_is_put_in_comes_out(area):
     fit = fit_area(AREAS, modelled(), 0.9 * modelled([area])[0])
     assert fit.area == pytest.approx(area, rel=2e-3)
-    assert fit.level == pytest.approx(0.9, rel=1e-3)
+    assert fit.scale == pytest.approx(0.9, rel=1e-3)
     assert fit.rmse < 1e-3
 
 

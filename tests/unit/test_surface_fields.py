@@ -72,7 +72,7 @@ def test_refusals_say_which_field():
         RoughSurface({"waves": 3})
     for bad in ("sea", 3.0, []):
         with pytest.raises(ValueError, match=r"^surface = .*one field, or a list of fields"):
-            RoughSurface.of(bad)
+            RoughSurface.from_input(bad)
 
 
 def test_surfaces_come_from_yaml():
@@ -80,8 +80,8 @@ def test_surfaces_come_from_yaml():
     - {rms_height_m: 11.25, wave_number_per_m: 0.025, waves: 500, band_limit_per_m: .inf}
     - {rms_height_m: 0.2, wave_number_per_m: 3, correlation: gaussian}
     """
-    surface = RoughSurface.of(yaml.safe_load(text))
-    assert RoughSurface.of(surface) is surface
+    surface = RoughSurface.from_input(yaml.safe_load(text))
+    assert RoughSurface.from_input(surface) is surface
     assert surface == RoughSurface(surface.fields)
     assert surface.rms_height_m == pytest.approx(math.hypot(11.25, 0.2), rel=1e-15)
     facts = surface.describe()
@@ -98,7 +98,7 @@ def test_surfaces_come_from_yaml():
 @pytest.mark.parametrize("limit", [0.5, 3.0, 10.0])
 def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit):
     field = SurfaceField(0.3, 2.0, name, band_limit_per_m=2.0 * limit)
-    numbers = RoughSurface(field).numbers()
+    numbers = RoughSurface(field).make_height_fields()
 
     def drawn(u):
         return kernels.wave_number(numbers, 0, u)
@@ -107,7 +107,7 @@ def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit)
     assert drawn(1.0) == pytest.approx(2.0 * limit, rel=1e-6)
     for r in (0.0, 0.3, 2.0):
         mean = integrate.quad(lambda u, r=r: special.j0(drawn(u) * r), 0, 1, limit=2000)[0]
-        assert field.correlation_at(r) == pytest.approx(mean, abs=1e-8)
+        assert field.compute_correlation(r) == pytest.approx(mean, abs=1e-8)
     square = integrate.quad(lambda u: drawn(u) ** 2, 0, 1, limit=2000)[0]
     assert RoughSurface(field).rms_slope() == pytest.approx(0.3 * math.sqrt(square), rel=1e-8)
 
@@ -116,7 +116,7 @@ def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit)
 def test_a_far_limit_is_none(name):
     r = np.array([0.0, 0.1, 1.0, 3.0])
     near, far = (
-        SurfaceField(1.0, 2.0, name, band_limit_per_m=limit).correlation_at(r)
+        SurfaceField(1.0, 2.0, name, band_limit_per_m=limit).compute_correlation(r)
         for limit in (2e5, math.inf)
     )
     # What the limit cuts off exp(−k0 r) is a share of k0/limit.
@@ -141,7 +141,7 @@ def test_correlation_and_slope_of_a_spectrum():
 
 def test_gaps_in_a_spectrum_stay_empty():
     table = {"wave_number_per_m": [0, 1, 2, 3, 4, 5], "density": [0, 0, 1, 0, 0, 0]}
-    quantiles = SurfaceField(1.0, correlation="spectrum", spectrum=table).quantiles
+    quantiles = SurfaceField(1.0, correlation="spectrum", spectrum=table).wave_number_quantiles
     assert 1.0 <= quantiles[0] < 1.01 and 2.99 < quantiles[-1] <= 3.0
     assert (np.diff(quantiles) > 0.0).all()
 

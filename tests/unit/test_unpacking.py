@@ -98,8 +98,8 @@ def test_what_was_packed_is_unpacked(packed, members, tmp_path):
     assert found == members
     assert report == verify(packed)
     assert report.sha256 == sha256(packed.read_bytes()).hexdigest()
-    assert report.files == len(members)
-    assert report.size == sum(map(len, members.values()))
+    assert report.n_files == len(members)
+    assert report.n_bytes == sum(map(len, members.values()))
     assert report.license == "https://spdx.org/licenses/MIT"
     assert f"{len(members)} files" in str(report) and report.sha256 in str(report)
     assert [path.name for path in tmp_path.iterdir()] == ["target"]
@@ -235,7 +235,7 @@ def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(splits.unpacking, "MOST_MEMBERS", 3)
         refused(path, "more than 3 members")
-    assert verify(path).files == len(members)
+    assert verify(path).n_files == len(members)
 
 
 @pytest.mark.parametrize("declared", [10, 10**6])
@@ -357,7 +357,7 @@ def test_no_damage_gets_through(packed, members, tmp_path):
             assert "\n" not in str(error)
             refusals += 1
         else:
-            assert (report.files, report.size) == (len(members), sum(map(len, members.values())))
+            assert (report.n_files, report.n_bytes) == (len(members), sum(map(len, members.values())))
     assert refusals > 150
 
 

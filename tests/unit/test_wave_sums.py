@@ -58,7 +58,7 @@ def test_arguments_up_to_a_million_are_reduced_exactly():
 def test_bounds_bound(name):
     for number in range(3):
         surface = realised(SURFACES[name], number)
-        waves, bands, count = surface.waves, surface.bands, surface.used
+        waves, bands, count = surface.waves, surface.bands, surface.n_bands
         # Coarse to fine, every wave in the first band.
         k = np.hypot(waves[KX], waves[KY])
         ends = bands[kernels.END, :count]
@@ -81,8 +81,8 @@ def test_bounds_bound(name):
                 assert np.abs(a[end:] @ np.cos(t[end:])).max(initial=0.0) <= rest
                 assert np.abs((a * q)[:end] @ np.sin(t[:end])).max() <= slope
                 assert np.abs((a * q * q)[:end] @ np.cos(t[:end])).max() <= curvature
-                assert slope <= surface.steepest * 0.8 * (1.0 + 1e-12)
-        assert np.abs(summed(waves, s, 0.3 * s)).max() <= surface.reach
+                assert slope <= surface.max_slope * 0.8 * (1.0 + 1e-12)
+        assert np.abs(summed(waves, s, 0.3 * s)).max() <= surface.max_height
 
 
 @pytest.mark.parametrize("curvature", [0.0, 1e-3, 1.0, 30.0])
@@ -102,9 +102,9 @@ def test_a_safe_step_ends_above_what_the_bounds_allow(rate, curvature):
 
 def test_realisations_are_what_a_ray_draws():
     surface = RoughSurface(SURFACES["two scales"])
-    waves = surface.realisation(3, 5)
-    np.testing.assert_array_equal(waves, surface.realisation(3, 5))
-    assert not np.array_equal(waves, surface.realisation(3, 6))
-    assert not np.array_equal(waves, surface.realisation(4, 5))
+    waves = surface.sample_realization(3, 5)
+    np.testing.assert_array_equal(waves, surface.sample_realization(3, 5))
+    assert not np.array_equal(waves, surface.sample_realization(3, 6))
+    assert not np.array_equal(waves, surface.sample_realization(4, 5))
     with pytest.raises(ValueError, match="seed = -1: must be a whole number"):
-        surface.realisation(-1)
+        surface.sample_realization(-1)

@@ -35,34 +35,34 @@ def test_every_reading_holds_the_same_water(saturation):
     surface = float(surface_to_volume(sphericity))
     for reading in ("whole_pores", "narrow_pores", "film"):
         water = wetness(saturation, porosity, sphericity, reading)
-        on_grains = water.film * surface * (1.0 - porosity) / porosity
-        assert water.share * water.filled + on_grains == pytest.approx(saturation, rel=1e-9)
-        assert water.film <= THICKEST and 0.0 <= water.share <= 1.0
+        on_grains = water.relative_film_thickness * surface * (1.0 - porosity) / porosity
+        assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(saturation, rel=1e-9)
+        assert water.relative_film_thickness <= THICKEST and 0.0 <= water.wet_fraction <= 1.0
 
 
 def test_films_are_the_outermost_coating():
     sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), readings={"water": "film"})
-    grains, names = sand.grains(), sand.materials()
+    grains, names = sand.make_grain_population(), sand.list_materials()
     assert names[:3] == ("air", "water", "water film")
-    rows = zip(grains.types.material, grains.types.shells, strict=True)
+    rows = zip(grains.types.material, grains.types.n_shells, strict=True)
     layers = [tuple(names[m] for m in row[:n]) for row, n in rows]
     assert layers == [
         ("water film", "quartz with goethite"),
         ("water film", "kaolinite with goethite", "quartz"),
     ]
-    thickness = grains.types.thickness
-    assert (thickness[:, 0] == sand._wetness.film).all()
+    thickness = grains.types.coating_thickness
+    assert (thickness[:, 0] == sand._water.film).all()
     assert thickness[1, 1] == sand.relative_coating_thickness
-    water = Sand(saturation=1.0).indices(W)[:, 1]
-    np.testing.assert_array_equal(sand.indices(W)[:, 2], water)
-    assert sand.wet_share == 0.0
-    assert sand.describe()["film_thickness_per_major_axis"] == sand._wetness.film
+    water = Sand(saturation=1.0).compute_refractive_indices(W)[:, 1]
+    np.testing.assert_array_equal(sand.compute_refractive_indices(W)[:, 2], water)
+    assert sand.wet_fraction == 0.0
+    assert sand.describe()["film_thickness_per_major_axis"] == sand._water.film
 
 
 def test_what_a_film_cannot_hold_fills_pores():
     sand = Sand(saturation=0.9, readings={"water": "film"})
-    assert sand._wetness.film == THICKEST and 0.7 < sand.wet_share < 0.9
-    assert Sand(saturation=1.0, readings={"water": "film"}).wet_share == 1.0
+    assert sand._water.film == THICKEST and 0.7 < sand.wet_fraction < 0.9
+    assert Sand(saturation=1.0, readings={"water": "film"}).wet_fraction == 1.0
 
 
 def test_wet_legs_absorb_by_the_part_that_is_water():
@@ -70,9 +70,9 @@ def test_wet_legs_absorb_by_the_part_that_is_water():
         Sand(saturation=0.1, readings={"water": reading})
         for reading in ("whole_pores", "narrow_pores")
     )
-    ratio = narrow.indices(W)[:, 1].imag / whole.indices(W)[:, 1].imag
-    np.testing.assert_allclose(ratio * narrow.wet_share, whole.wet_share, rtol=1e-12)
-    np.testing.assert_array_equal(narrow.indices(W).real, whole.indices(W).real)
+    ratio = narrow.compute_refractive_indices(W)[:, 1].imag / whole.compute_refractive_indices(W)[:, 1].imag
+    np.testing.assert_allclose(ratio * narrow.wet_fraction, whole.wet_fraction, rtol=1e-12)
+    np.testing.assert_array_equal(narrow.compute_refractive_indices(W).real, whole.compute_refractive_indices(W).real)
 
 
 def test_dry_and_full_sands_do_not_ask_where_water_is():
@@ -81,8 +81,8 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
             Sand(saturation=saturation, readings={"water": reading})
             for reading in ("whole_pores", "narrow_pores")
         ]
-        np.testing.assert_array_equal(sands[0].indices(W), sands[1].indices(W))
-        assert sands[0].wet_share == sands[1].wet_share == saturation
+        np.testing.assert_array_equal(sands[0].compute_refractive_indices(W), sands[1].compute_refractive_indices(W))
+        assert sands[0].wet_fraction == sands[1].wet_fraction == saturation
 
 
 @pytest.mark.parametrize("reading", ["narrow_pores", "film"])

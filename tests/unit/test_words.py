@@ -86,7 +86,7 @@ def test_tables_do_not_fill_the_page():
     spectrum = {"wave_number_per_m": w.tolist(), "density": w.tolist()}
     for one in (
         splits.Snow(ground=table),
-        Ground.of(table),
+        Ground.from_input(table),
         splits.Snow(refractive_index={"ice": {"wavelength_nm": w, "n": w / w, "k": 0.0 * w}}),
         splits.Layer(phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}),
         SurfaceField(0.1, correlation="spectrum", spectrum=spectrum),

@@ -113,7 +113,7 @@ def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory
 def test_experiments_to_pack_are_given_as_those_to_run(given, names):
     accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
     settings = load_settings(accuracies | {"archive": given, "experiments": given})
-    assert settings.archive == settings.experiments == settings.archived().experiments == names
+    assert settings.archive == settings.experiments == settings.select_archived().experiments == names
 
 
 def test_a_time_that_is_none_is_refused_before_anything_runs(project, monkeypatch):
@@ -159,7 +159,7 @@ def made(tmp_path, monkeypatch):
 def test_an_archive_is_an_ro_crate(made, tmp_path):
     authors = Settings(
         accuracies={"standard": {"max_stderr": 0.1}}, archive_authors=[ADA]
-    ).authors()
+    ).list_authors()
     path = made(repository=ROOT, licence="https://example.org/licence", authors=authors)
     unpack(path, tmp_path / "crate")
     crate = ROCrate(tmp_path / "crate")
@@ -227,7 +227,7 @@ def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
     citation = {"authors": [ada, {"name": "A group"}], "license": "MIT"}
     (tmp_path / "CITATION.cff").write_text(yaml.safe_dump(citation))
     authors = software(tmp_path).authors
-    assert authors == (Author(**ADA), Author("A group", person=False))
+    assert authors == (Author(**ADA), Author("A group", is_person=False))
     crate = json.loads(contents(made(repository=tmp_path))[METADATA])
     root = next(entity for entity in crate["@graph"] if entity["@id"] == "./")
     assert root["author"] == [{"@id": "https://orcid.org/0000-0002-1825-0097"}, {"@id": "#A-group"}]

@@ -141,7 +141,7 @@ def do(project, name, results):
     content = yaml.safe_load((project.folder / "config" / "config.yaml").read_text())
     settings = load_settings(content)
     experiment = read(project, name)
-    simulation, figure = json.loads(json.dumps([experiment.simulation(), experiment.drawing()]))
+    simulation, figure = json.loads(json.dumps([experiment.dump_simulation(), experiment.resolve_figure()]))
     accuracy = settings.accuracies["tiny"]
     dataset = run(Simulation.model_validate(simulation), accuracy, settings.seed)
     path = results / "data" / f"{name}.nc"
@@ -168,7 +168,7 @@ def test_each_kind_is_there(finished):
     project, _ = finished
     made = [read(project, name) for name in CASES]
     assert {one.instrument.kind for one in made} == set(FIGURES)
-    assert {one.drawing()["kind"] for one in made} >= {kinds[0] for kinds in FIGURES.values()}
+    assert {one.resolve_figure()["kind"] for one in made} >= {kinds[0] for kinds in FIGURES.values()}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -204,6 +204,6 @@ def test_a_dataset_follows_the_cf_conventions(finished, name):
 def test_what_a_job_is_handed_is_the_same_simulation(finished, name):
     project, _ = finished
     experiment = read(project, name)
-    handed = Simulation.model_validate(experiment.simulation())
-    assert handed.simulation() == experiment.simulation()
+    handed = Simulation.model_validate(experiment.dump_simulation())
+    assert handed.dump_simulation() == experiment.dump_simulation()
     assert isinstance(experiment, Experiment)

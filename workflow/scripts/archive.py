@@ -10,5 +10,5 @@ pack(
     snakemake.output[0],
     snakemake.params.repository,
     settings.archive_license,
-    settings.authors(),
+    settings.list_authors(),
 )

@@ -22,5 +22,5 @@ with progress_log(snakemake.log[0]) as say:
     )
     write_table(retrieved_table(found, section.known), snakemake.output.table)
     joined = together(found, snakemake.wildcards.experiment)
-    figure = retrievals(joined, section.known, section.groups())
+    figure = retrievals(joined, section.known, section.list_sample_prefixes())
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -30,15 +30,15 @@ def keep(kernel: Any) -> Any:
     """Let what a compiled function is compiled to be kept, and return the function."""
     if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         kernel._cache = cache = KernelCache(kernel.py_func)
-        kernel._compiler.compile = cache.ending_turns(kernel._compiler.compile)
+        kernel._compiler.compile = cache.release_locks_on_failure(kernel._compiler.compile)
     return kernel
 
 
 class _Place:
     """What Numba asks of a place of cached functions; `Entries` knows the files."""
 
-    def __init__(self, line: int) -> None:
-        self.line = line
+    def __init__(self, first_line: int) -> None:
+        self.first_line = first_line
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> _Place:
@@ -55,7 +55,7 @@ class _Place:
         return ""
 
     def get_disambiguator(self) -> str:
-        return str(self.line)
+        return str(self.first_line)
 
 
 class _Parts(CompileResultCacheImpl):
@@ -73,11 +73,11 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was kept for a signature, or None: then it is this process's to compile."""
-        found = self._kept(sig, target_context)
+        found = self._load_cached(sig, target_context)
         if found is not None or not self._cache_file.take_turn(sig):
             return found
         # Another process may have compiled it meanwhile.
-        found = self._kept(sig, target_context)
+        found = self._load_cached(sig, target_context)
         if found is not None:
             self._cache_file.leave_turn(sig)
         return found
@@ -89,7 +89,7 @@ class KernelCache(FunctionCache):
         finally:
             self._cache_file.leave_turn(sig)
 
-    def ending_turns(self, compile: Callable[..., Any]) -> Callable[..., Any]:
+    def release_locks_on_failure(self, compile: Callable[..., Any]) -> Callable[..., Any]:
         """Return what compiles, and lets others go on if that fails or is interrupted."""
 
         def compiled(*given: Any) -> Any:
@@ -102,7 +102,7 @@ class KernelCache(FunctionCache):
 
         return compiled
 
-    def _kept(self, sig: Any, target_context: Any) -> Any:
+    def _load_cached(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:
@@ -124,15 +124,15 @@ class Entries:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._taken: dict[Any, Path] = {}
+        self._locked_folders: dict[Any, Path] = {}
 
-    def file(self, key: Any) -> str:
+    def make_file_name(self, key: Any) -> str:
         """Return the name of a key's file."""
         return f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
         """Return what was saved under a key, or None; drop what is damaged."""
-        name = self.file(key)
+        name = self.make_file_name(key)
         for folder in folders():
             content = folder.read(name)
             if content is None:
@@ -144,7 +144,7 @@ class Entries:
                 saved, data = pickle.loads(whole)
             except Exception:
                 tell(f"{folder.path}: damaged compiled kernels are dropped and compiled again")
-                folder.drop(name)
+                folder.remove(name)
                 continue
             # Names of types may coincide where types do not.
             if saved == key:
@@ -158,34 +158,34 @@ class Entries:
         reasons = []
         for folder in folders():
             try:
-                folder.write(self.file(key), content)
+                folder.write(self.make_file_name(key), content)
                 return
             except OSError as error:
                 reasons.append(f"{folder.path}: {error.strerror or error}")
         tell(f"compiled kernels are not kept for the next process ({'; '.join(reasons)})")
 
-    def take_turn(self, sig: Any) -> bool:
+    def acquire_lock(self, sig: Any) -> bool:
         """Wait until no other process compiles for a signature; tell whether one may have."""
         for folder in folders():
             with suppress(OSError):
-                folder.make()
+                folder.create()
                 if turns.take(folder.path, f"{self.name} {sig}"):
-                    self._taken[sig] = folder.path
+                    self._locked_folders[sig] = folder.path
                     return True
         return False
 
-    def leave_turn(self, sig: Any) -> None:
+    def release_lock(self, sig: Any) -> None:
         """Let others compile for a signature, or find what this process has compiled."""
-        if sig in self._taken:
-            turns.leave(self._taken.pop(sig), f"{self.name} {sig}")
+        if sig in self._locked_folders:
+            turns.leave(self._locked_folders.pop(sig), f"{self.name} {sig}")
 
-    def leave_turns(self) -> None:
+    def release_all_locks(self) -> None:
         """Let others compile for all signatures."""
-        for sig in list(self._taken):
-            self.leave_turn(sig)
+        for sig in list(self._locked_folders):
+            self.release_lock(sig)
 
     def flush(self) -> None:
         """Forget what was saved."""
         for folder in folders():
             for path in folder.path.glob(f"{glob.escape(self.name)}.*.nbc"):
-                folder.drop(path.name)
+                folder.remove(path.name)

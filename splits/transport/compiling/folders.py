@@ -59,12 +59,12 @@ class Folder:
     """
 
     path: Path
-    named: bool
+    user_defined: bool
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a file, or None."""
         try:
-            if not self._own():
+            if not self._is_trusted():
                 tell(f"{self.path}: not a folder of the user's own, its kernels are not used")
                 return None
             with open(self.path / name, "rb") as file:
@@ -85,15 +85,15 @@ class Folder:
             If it cannot be written, the folder is not the user's own, or the name is taken by a
             file that is not trusted.
         """
-        self.make()
+        self.create()
         with suppress(FileNotFoundError):
             # Users that replaced each other's files would compile again and again.
-            if self.named and not _is_trusted((self.path / name).stat()):
+            if self.user_defined and not _is_trusted((self.path / name).stat()):
                 raise PermissionError("holds kernels of other users")
         with whole(self.path / name) as aside, open(aside, "xb") as file:
             file.write(content)
 
-    def make(self) -> None:
+    def create(self) -> None:
         """Make the folder if there is none, and see that it may be used.
 
         Raises
@@ -103,18 +103,18 @@ class Folder:
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
-            self.path.mkdir(mode=0o777 if self.named else 0o700)
-            if not self.named:
-                self._sweep()
-        if not self._own():
+            self.path.mkdir(mode=0o777 if self.user_defined else 0o700)
+            if not self.user_defined:
+                self._remove_stale_versions()
+        if not self._is_trusted():
             raise PermissionError("not a folder of the user's own")
 
-    def drop(self, name: str) -> None:
+    def remove(self, name: str) -> None:
         """Remove a file, if that is possible."""
         with suppress(OSError):
             (self.path / name).unlink()
 
-    def _sweep(self) -> None:
+    def _remove_stale_versions(self) -> None:
         """Remove what other versions have kept here and not added to for `KEPT_S`."""
         prefix = self.path.name.removesuffix(kernels_digest())
         for other in self.path.parent.glob(f"{glob.escape(prefix)}*"):
@@ -122,23 +122,23 @@ class Folder:
                 if other != self.path and time.time() - other.lstat().st_mtime > KEPT_S:
                     shutil.rmtree(other)
 
-    def _own(self) -> bool:
+    def _is_trusted(self) -> bool:
         """Return whether the user has named the folder, or nobody else can put files into it."""
-        if self.named:
+        if self.user_defined:
             return True
         about = self.path.lstat()
         return stat.S_ISDIR(about.st_mode) and about.st_uid == _user() and _is_closed(about)
 
 
-def _is_trusted(about: os.stat_result) -> bool:
+def _is_trusted(status: os.stat_result) -> bool:
     """Return whether the user or root owns a file, and nobody else can write to it."""
-    return about.st_uid in (_user(), 0) and _is_closed(about)
+    return status.st_uid in (_user(), 0) and _is_closed(status)
 
 
-def _is_closed(about: os.stat_result) -> bool:
+def _is_closed(status: os.stat_result) -> bool:
     """Return whether only its owner can write to a file or folder."""
     # Windows knows neither users' numbers nor these permissions.
-    return os.name == "nt" or not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return os.name == "nt" or not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _user() -> int:
@@ -169,6 +169,6 @@ def folders() -> tuple[Folder, ...]:
 
 
 @functools.cache
-def tell(line: str) -> None:
+def tell(message: str) -> None:
     """Say something about the cache, once in a process."""
-    logging.getLogger(__name__).warning(line)
+    logging.getLogger(__name__).warning(message)

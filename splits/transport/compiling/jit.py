@@ -26,17 +26,17 @@ class Kernel:
 
     def __init__(self, function: Any) -> None:
         functools.update_wrapper(self, function)
-        self.compiled = keep(njit(**ALIKE, pipeline_class=Checked)(function))
+        self.dispatcher = keep(njit(**ALIKE, pipeline_class=Checked)(function))
         _inside(self, function)
 
     def __call__(self, *values: Any) -> Any:
         """Return what the compiled function does."""
-        return self.compiled(*values)
+        return self.dispatcher(*values)
 
 
-def _inside(name: Any, function: Any, options: Any = INSIDE) -> None:
+def _inside(target: Any, function: Any, options: Any = INSIDE) -> None:
     """Let what kernels call by a name be a function, compiled into them."""
-    overload(name, jit_options=options, strict=False)(lambda *types: function)
+    overload(target, jit_options=options, strict=False)(lambda *types: function)
 
 
 def kernel(function: Any) -> Any:

@@ -36,33 +36,33 @@ class _Session:
     """
 
     def __init__(self) -> None:
-        self.now = ""
-        self.begun = self.ended = time.monotonic()
-        self._told = ""
-        threading.Thread(target=self._watch, daemon=True).start()
+        self.activity = ""
+        self.start_time = self.last_end_time = time.monotonic()
+        self._last_message = ""
+        threading.Thread(target=self._run, daemon=True).start()
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether nothing has been compiled for a while."""
-        return not self.now and time.monotonic() - self.ended > FIRST_S
+        return not self.activity and time.monotonic() - self.last_end_time > FIRST_S
 
-    def _watch(self) -> None:
-        while not self.over:
+    def _run(self) -> None:
+        while not self.is_over:
             time.sleep(_STEP_S)
-            now, seconds = self.now, time.monotonic() - self.begun
+            now, seconds = self.activity, time.monotonic() - self.start_time
             if now and seconds > FIRST_S:
-                self._tell(now, seconds)
-        if self._told:
-            self._tell(DONE, self.ended - self.begun)
+                self._publish(now, seconds)
+        if self._last_message:
+            self._publish(DONE, self.last_end_time - self.start_time)
 
-    def _tell(self, what: str, seconds: float) -> None:
-        text = f"{what}: {seconds:.0f} s"
+    def _publish(self, message: str, seconds: float) -> None:
+        text = f"{message}: {seconds:.0f} s"
         for listener in list(listeners):
             with suppress(Exception):
                 listener(text)
-        if what != self._told and not listeners:
-            _write(text if what == DONE else what)
-        self._told = what
+        if message != self._last_message and not listeners:
+            _write(text if message == DONE else message)
+        self._last_message = message
 
 
 _session: _Session | None = None
@@ -70,20 +70,20 @@ _session: _Session | None = None
 
 
 @contextmanager
-def notice(what: str) -> Iterator[None]:
+def notice(activity: str) -> Iterator[None]:
     """Say what goes on meanwhile, if it takes longer than `FIRST_S` and a person sees it."""
     global _session
-    outermost = _session is None or not _session.now
+    outermost = _session is None or not _session.activity
     if outermost and (listeners or _terminal()):
         with suppress(RuntimeError):
-            if _session is None or _session.over:
+            if _session is None or _session.is_over:
                 _session = _Session()
-            _session.now = what
+            _session.activity = activity
     try:
         yield
     finally:
         if outermost and _session is not None:
-            _session.now, _session.ended = "", time.monotonic()
+            _session.activity, _session.last_end_time = "", time.monotonic()
 
 
 def _terminal() -> bool:

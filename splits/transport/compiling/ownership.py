@@ -45,11 +45,11 @@ def _passed(state: Any) -> list[Any]:
     return found
 
 
-def _counted(state: Any, kind: Any) -> bool:
+def _counted(state: Any, value_type: Any) -> bool:
     """Tell whether a value has something in it whose holders are counted, as an array."""
-    inside: bool = state.targetctx.data_model_manager[kind].contains_nrt_meminfo()
+    inside: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
     # What a generator holds does not show in its type.
-    return inside or isinstance(kind, types.Generator)
+    return inside or isinstance(value_type, types.Generator)
 
 
 class Checked(Pruned):

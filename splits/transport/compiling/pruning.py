@@ -55,15 +55,15 @@ def _answer(value: Any, definitions: Any, args: Any) -> bool | None:
     return isinstance(left, types.NoneType) == _COMPARISONS[value.fn]
 
 
-def _single(name: Any, definitions: Any) -> Any:
+def _single(variable: Any, definitions: Any) -> Any:
     """Return what a variable is set to, None if more than once."""
-    found = definitions.get(name.name, [])
+    found = definitions.get(variable.name, [])
     return found[0] if len(found) == 1 else None
 
 
-def _type_of(name: Any, definitions: Any, args: Any) -> Any:
+def _type_of(variable: Any, definitions: Any, args: Any) -> Any:
     """Return the type of an argument, or of a field of one, None of anything else."""
-    value = _single(name, definitions)
+    value = _single(variable, definitions)
     if isinstance(value, ir.Var):
         return _type_of(value, definitions, args)
     if isinstance(value, ir.Arg):
@@ -71,17 +71,17 @@ def _type_of(name: Any, definitions: Any, args: Any) -> Any:
     if isinstance(value, ir.Expr) and value.op == "getattr":
         owner = _type_of(value.value, definitions, args)
         named = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
-        if named and value.attr in owner.fields:
-            return owner[owner.fields.index(value.attr)]
+        if named and value.attr in owner.make_height_fields:
+            return owner[owner.make_height_fields.index(value.attr)]
     return None
 
 
-def with_step(ways: list[Any], before: Any, step: Any, why: str) -> list[Any]:
+def with_step(pipelines: list[Any], before: Any, new_pass: Any, description: str) -> list[Any]:
     """Return ways of compiling with one step more, before another."""
-    for way in ways:
+    for way in pipelines:
         place = [known for known, _ in way.passes].index(before)
-        way.passes.insert(place, (step, why))
-    return ways
+        way.passes.insert(place, (new_pass, description))
+    return pipelines
 
 
 class Pruned(Compiler):

@@ -45,39 +45,39 @@ class Sent(NamedTuple):
 
     reflected: float
     transmitted: float
-    legs: int
+    n_segments: int
     lost: bool
 
 
 @owner
-def split(state, member, worth, waiting):
+def split(state, split_ray, importance, bank):
     """Split a ray that is worth too much; all but one wait."""
-    copies = min(int(worth + 0.5), MOST)
-    weight = member.weight / copies
+    copies = min(int(importance + 0.5), MOST)
+    weight = split_ray.weight / copies
     for copy in range(1, copies):
         stream = mix64(state[0] ^ mix64(np.uint64(copy)))
-        waiting.append(Member(member.ray, weight, stream))
+        bank.append(Member(split_ray.ray, weight, stream))
     # The ray itself goes on in a stream of its own, too: no two may meet.
     state[0] = mix64(state[0] ^ mix64(np.uint64(0)))
-    return Member(member.ray, weight, member.stream)
+    return Member(split_ray.ray, weight, split_ray.stream)
 
 
 @owner
-def family(state, first, scene, optics, kappa, profile):
+def family(state, source_ray, scene, optics, kappa, profile):
     """Follow a ray and all that it is split into; see `families`."""
     length = np.zeros(optics.n.size)
     reflected, transmitted, legs = 0.0, 0.0, 0
-    waiting = [first]
+    waiting = [source_ray]
     while len(waiting) > 0:
         member = waiting.pop()
         state[0] = member.stream
         ray = member.ray
-        while ray.fate == TRAVELS:
+        while ray.status == TRAVELS:
             window = Window(member.weight, kappa, LOWER, UPPER, profile)
-            before = ray.legs
+            before = ray.n_segments
             ray = follow(state, ray, scene, optics, length, None, window, None)
-            legs += ray.legs - before
-            if ray.fate != TRAVELS:
+            legs += ray.n_segments - before
+            if ray.status != TRAVELS:
                 break
             member = Member(ray, member.weight, member.stream)
             worth = worth_of(ray, scene.layers, member.weight, kappa)
@@ -87,12 +87,12 @@ def family(state, first, scene, optics, kappa, profile):
                 member = Member(ray, member.weight / worth, member.stream)
             elif worth > UPPER and len(waiting) + MOST < CAPACITY:
                 member = split(state, member, worth, waiting)
-        weight = member.weight * math.exp(-ray.beam.purse.depth)
-        if ray.fate == LOST:
+        weight = member.weight * math.exp(-ray.payload.roulette.optical_depth)
+        if ray.status == LOST:
             return Sent(reflected, transmitted, legs, True)
-        if ray.fate == REFLECTED:
+        if ray.status == REFLECTED:
             reflected += weight
-        elif ray.fate == TRANSMITTED:
+        elif ray.status == TRANSMITTED:
             transmitted += weight
     return Sent(reflected, transmitted, legs, False)
 
@@ -126,11 +126,11 @@ def families(seed, work, scene, optics, kappa, moments, profile):
         start_stream(state, seed, work[0], number)
         ray = launch(state, scene, optics, None, UNLIMITED)
         # Where worth decides, roulette does not.
-        beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, Purse(0.0, math.inf, 1.0))
-        ray = Ray(ray.fate, ray.flier, beam, ray.legs, ray.order, ray.most)
+        beam = Beam(ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, Purse(0.0, math.inf, 1.0))
+        ray = Ray(ray.status, ray.geometry, beam, ray.n_segments, ray.order, ray.max_order)
         first = Member(ray, 1.0, state[0])
         sent = family(state, first, scene, optics, kappa, profile)
-        legs += sent.legs
+        legs += sent.n_segments
         if sent.lost:
             return Traced(legs, True)
         for row, weight in ((0, sent.reflected), (1, sent.transmitted)):

@@ -39,7 +39,7 @@ class Choice(NamedTuple):
 
     accepted: bool
     cos_azimuth: float
-    cos: float
+    cos_incidence: float
 
 
 class Facet(NamedTuple):
@@ -64,11 +64,11 @@ class Facet(NamedTuple):
     normal: Vector
     cos_i: float
     accepted: bool
-    turned: bool
-    cos: float
-    leaned: Angle
+    back_side: bool
+    cos_facet: float
+    tilt: Angle
     azimuth: Angle
-    cos_lobe: float
+    cos_lobe_azimuth: float
 
 
 @kernel
@@ -109,7 +109,7 @@ def other_choice(tilt, cos_azimuth, incidence, u, rule):
 
 
 @kernel
-def facet_normal(d, n, cos_i, leaned, azimuth):
+def facet_normal(d, n, cos_i, tilt, azimuth):
     """Return the facet's normal, its azimuth counted from the tangential part of −d.
 
     c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
@@ -123,9 +123,9 @@ def facet_normal(d, n, cos_i, leaned, azimuth):
         Cosine c of the tilt, and s / sinθ in place of its sine.
     azimuth : Angle
     """
-    p = leaned.sin * azimuth.cos
-    q = leaned.sin * azimuth.sin
-    a = fused(-p, cos_i, leaned.cos)
+    p = tilt.sin * azimuth.cos
+    q = tilt.sin * azimuth.sin
+    a = fused(-p, cos_i, tilt.cos)
     return along(q, cross(d, n), along(-p, d, scaled(a, n)))
 
 
@@ -133,38 +133,38 @@ def facet_normal(d, n, cos_i, leaned, azimuth):
 def facing(d, grain, side):
     """Return the smooth surface where a ray along d is, as its own only facet."""
     normal = scaled(side, normal_at(grain))
-    cos_i = max(-dot(d, normal), precise(d.x).grazing)
+    cos_i = max(-dot(d, normal), precise(d.x).min_cos_incidence)
     numbers = precise(d.x)
     flat = Angle(numbers.one, numbers.zero)
     return Facet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
 
 
 @kernel
-def rough(d, smooth, roughness, numbers, lobe, rule):
+def rough(d, smooth, roughness, variates, in_lobe, rule):
     """Return a facet of a rough surface, drawn by a rule; by default `PROJECTED`."""
     normal, cos_i = smooth.normal, smooth.cos_i
     tangential = along(cos_i, normal, d)
-    square = max(dot(tangential, tangential), precise(d.x).normal)
+    square = max(dot(tangential, tangential), precise(d.x).min_sin2_incidence)
     per_sin = reciprocal_root(square)
     incidence = Angle(cos_i, square * per_sin)
     # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
-    lean = roughness * numbers.normal
+    lean = roughness * variates.half_normal
     # A lobe's sine takes the same root.
     tilt = Angle(
-        ONE - lean, root(max(ONE - numbers.fresnel if lobe else lean * (TWO - lean), ZERO))
+        ONE - lean, root(max(ONE - variates.u_fresnel if in_lobe else lean * (TWO - lean), ZERO))
     )
-    half = numbers.azimuth
-    cos_lobe = -half.cos if numbers.choice < HALF else half.cos
+    half = variates.azimuth
+    cos_lobe = -half.cos if variates.u_facet < HALF else half.cos
     if rule != PROJECTED:
-        choice = other_choice(tilt, half.cos, incidence, numbers.choice, rule)
+        choice = other_choice(tilt, half.cos, incidence, variates.u_facet, rule)
     else:
-        choice = projected_choice(tilt, half.cos, incidence, numbers.choice)
+        choice = projected_choice(tilt, half.cos, incidence, variates.u_facet)
     return Facet(
         normal,
         cos_i,
         choice.accepted & (lean < ONE),
-        choice.cos < ZERO,
-        max(abs(choice.cos), precise(d.x).grazing),
+        choice.cos_incidence < ZERO,
+        max(abs(choice.cos_incidence), precise(d.x).min_cos_incidence),
         Angle(tilt.cos, tilt.sin * per_sin),
         Angle(choice.cos_azimuth, half.sin),
         cos_lobe,

@@ -42,16 +42,16 @@ class Purse(NamedTuple):
         Inverse probability of having survived.
     """
 
-    depth: float
-    limit: float
+    optical_depth: float
+    next_roulette: float
     weight: float
 
 
 class Played(NamedTuple):
     """A purse after roulette, and whether the ray ended."""
 
-    purse: Purse
-    ended: bool
+    roulette: Purse
+    terminated: bool
 
 
 class Flier(NamedTuple):
@@ -72,11 +72,11 @@ class Flier(NamedTuple):
         through which the ray came into its layer.
     """
 
-    place: Vector
-    way: Vector
-    d: Vector
-    last: Segment
-    skipped: float
+    position: Vector
+    exit_offset: Vector
+    direction: Vector
+    previous_segment: Segment
+    start_distance: float
 
 
 class Space(NamedTuple):
@@ -94,12 +94,12 @@ class Space(NamedTuple):
         Height (m) above which no grain may reach: the ceiling, or the mean height of a rough one.
     """
 
-    mean_leg: float
-    low: float
-    high: float
-    floor: float
-    ceiling: float
-    brim: float
+    mean_free_path: float
+    bottom: float
+    top: float
+    slab_bottom: float
+    slab_top: float
+    grain_ceiling: float
 
 
 class Fates(NamedTuple):
@@ -115,11 +115,11 @@ class Fates(NamedTuple):
         again from the ray's origin.
     """
 
-    entry: int
-    refuse_on_last_leg: bool
-    refuse_across_boundary: bool
-    skip_on_last_leg: bool
-    skip_across_boundary: bool
+    entry_sampling: int
+    reject_segment_overlap: bool
+    reject_boundary_overlap: bool
+    skip_segment_overlap: bool
+    skip_boundary_overlap: bool
 
 
 class Meeting(NamedTuple):
@@ -140,32 +140,32 @@ class Meeting(NamedTuple):
         Distance from which the next trial counts (m).
     """
 
-    leg: float
+    distance: float
     height: float
     entry: Entry
-    outside: bool
-    fits: bool
-    skipped: float
+    leaves_layer: bool
+    accepted: bool
+    start_distance: float
 
 
 class Arrival(NamedTuple):
     """A ray at a face: the place and the leg that led there (m)."""
 
-    place: Vector
-    leg: float
+    position: Vector
+    distance: float
 
 
 @kernel
-def roulette(purse, u, active):
+def roulette(roulette_state, u, active):
     """Let a ray that has become light end, or go on heavier."""
-    played = active & (purse.depth > purse.limit)
-    limit = purse.limit + _NEXT if played else purse.limit
-    weight = purse.weight * _LIGHTER if played else purse.weight
-    return Played(Purse(purse.depth, limit, weight), played & (u > _SURVIVAL))
+    played = active & (roulette_state.optical_depth > roulette_state.next_roulette)
+    limit = roulette_state.next_roulette + _NEXT if played else roulette_state.next_roulette
+    weight = roulette_state.weight * _LIGHTER if played else roulette_state.weight
+    return Played(Purse(roulette_state.optical_depth, limit, weight), played & (u > _SURVIVAL))
 
 
 @kernel
-def next_grain(ray, size, aim, u, space, fates):
+def next_grain(geometry, size, variates, u, layer_geometry, rejection_rules):
     """Draw the next grain on a ray.
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
@@ -185,29 +185,29 @@ def next_grain(ray, size, aim, u, space, fates):
     -------
     Meeting
     """
-    d, way = ray.d, ray.way
-    leg = -logarithm(u) * space.mean_leg
-    leg += ray.skipped
+    d, way = geometry.direction, geometry.exit_offset
+    leg = -logarithm(u) * layer_geometry.mean_free_path
+    leg += geometry.start_distance
     # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
-    start = min(max(ray.place.z + way.z, space.floor), space.ceiling)
+    start = min(max(geometry.position.z + way.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
     height = fused(leg, d.z, start)
-    outside = (height > space.high) if d.z > ZERO else (height < space.low)
-    entry = strike(d, size, aim, fates.entry)
-    across = fates.refuse_across_boundary & crosses(entry, height, space.floor, space.brim)
-    behind = Segment(combined(-leg, d, -ONE, way), ray.last.d, ray.last.length)
-    backwards = fates.refuse_on_last_leg & cuts(entry.grain, behind)
+    outside = (height > layer_geometry.top) if d.z > ZERO else (height < layer_geometry.bottom)
+    entry = strike(d, size, variates, rejection_rules.entry_sampling)
+    across = rejection_rules.reject_boundary_overlap & crosses(entry, height, layer_geometry.slab_bottom, layer_geometry.grain_ceiling)
+    behind = Segment(combined(-leg, d, -ONE, way), geometry.previous_segment.direction, geometry.previous_segment.length)
+    backwards = rejection_rules.reject_segment_overlap & cuts(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)
-    skips = fates.skip_across_boundary if across else fates.skip_on_last_leg & backwards
-    skipped = leg if (not outside) & skips else ray.skipped
+    skips = rejection_rules.skip_boundary_overlap if across else rejection_rules.skip_segment_overlap & backwards
+    skipped = leg if (not outside) & skips else geometry.start_distance
     skipped = ZERO if fits | outside else skipped
     return Meeting(leg, height, entry, outside, fits, skipped)
 
 
 @kernel
-def to_boundary(ray, space):
+def to_boundary(geometry, layer_geometry):
     """Return where a ray meets the face of its layer ahead of it."""
-    place = Vector(ray.place.x + ray.way.x, ray.place.y + ray.way.y, ray.place.z + ray.way.z)
-    goal = space.low if ray.d.z < ZERO else space.high
-    height = min(max(place.z, space.floor), space.ceiling)
-    leg = (goal - height) / ray.d.z
-    return Arrival(Vector(place.x + leg * ray.d.x, place.y + leg * ray.d.y, goal), leg)
+    place = Vector(geometry.position.x + geometry.exit_offset.x, geometry.position.y + geometry.exit_offset.y, geometry.position.z + geometry.exit_offset.z)
+    goal = layer_geometry.bottom if geometry.direction.z < ZERO else layer_geometry.top
+    height = min(max(place.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
+    leg = (goal - height) / geometry.direction.z
+    return Arrival(Vector(place.x + leg * geometry.direction.x, place.y + leg * geometry.direction.y, goal), leg)

@@ -63,79 +63,79 @@ from splits.transport.sums.tally import (
 
 
 @part
-def at_face(state, ray, scene, optics, length, notes):
+def at_face(state, ray, scene, optics, path_lengths, crossings):
     """Return a ray that passes the face at which it stands, or is sent back there."""
-    layers, beam = scene.layers, ray.beam
-    other = beyond(layers, beam.layer, beam.d)
+    layers, beam = scene.layers, ray.payload
+    other = beyond(layers, beam.layer, beam.direction)
     inside = 0 <= other < layers.attenuation.size
-    near = index_of(optics, pore_of(layers, beam.layer, beam.u))
+    near = index_of(optics, pore_of(layers, beam.layer, beam.pore_variate))
     far = index_of(optics, layers.pore[beam.layer])
-    matrix = layers.particles[beam.layer] != GRAINS
+    matrix = layers.particle_row[beam.layer] != GRAINS
     if inside:
-        far = index_of(optics, pore_of(layers, other, beam.u))
-        matrix |= layers.particles[other] != GRAINS
+        far = index_of(optics, pore_of(layers, other, beam.pore_variate))
+        matrix |= layers.particle_row[other] != GRAINS
     # The reading is about wet pores; what particles lie in has a face in any case.
     if not (scene.rules.boundary_fresnel or matrix):
         far = near
-    crossing = meet(beam.d, facing(beam.d), near, far, uniform(state))
-    fate, layer, u = TRAVELS, beam.layer, beam.u
-    if crossing.passed and inside:
+    crossing = meet(beam.direction, facing(beam.direction), near, far, uniform(state))
+    fate, layer, u = TRAVELS, beam.layer, beam.pore_variate
+    if crossing.transmitted and inside:
         layer = other
-        pass_face(notes, scene, beam.layer, layer < beam.layer, beam.purse, length)
-    elif crossing.passed:
-        below = TRANSMITTED if scene.ground == NO_GROUND else BELOW
+        pass_face(crossings, scene, beam.layer, layer < beam.layer, beam.roulette, path_lengths)
+    elif crossing.transmitted:
+        below = TRANSMITTED if scene.ground_column == NO_GROUND else BELOW
         fate = REFLECTED if other < 0 else below
-    if layers.particles[layer] != GRAINS:
+    if layers.particle_row[layer] != GRAINS:
         # Light that comes from there to pores, now or after another reflection, comes to new ones.
         u = uniform(state)
-    beam = Beam(crossing.d, layer, u, beam.purse)
-    return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order, ray.most)
+    beam = Beam(crossing.direction, layer, u, beam.roulette)
+    return Ray(fate, turned(ray.geometry, beam.direction), beam, ray.n_segments, ray.order, ray.max_order)
 
 
 @part
-def scattered_by_particle(state, beam, scene):
+def scattered_by_particle(state, payload, scene):
     """Return the beam that a particle scatters, if it is not absorbed there."""
-    row = scene.layers.particles[beam.layer]
-    albedo, purse = scene.particles.albedo[row], beam.purse
+    row = scene.layers.particle_row[payload.layer]
+    albedo, purse = scene.particles.albedo[row], payload.roulette
     if albedo == 0.0 or (scene.rules.analog and uniform(state) >= albedo):
-        return Entered(False, beam)
+        return Entered(False, payload)
     if not scene.rules.analog:
         # Roulette must hear of it; all wavelengths lose as much.
-        purse = Purse(purse.depth - math.log(albedo), purse.limit, purse.weight * albedo)
-    d = deflected(state, scene.particles, row, beam.d)
+        purse = Purse(purse.optical_depth - math.log(albedo), purse.next_roulette, purse.weight * albedo)
+    d = deflected(state, scene.particles, row, payload.direction)
     # Another leg begins; its pore matters in the next layer, if that has two.
-    return Entered(True, Beam(d, beam.layer, uniform(state), purse))
+    return Entered(True, Beam(d, payload.layer, uniform(state), purse))
 
 
 @part
-def met(state, ray, found, scene, optics, length):
+def met(state, ray, event, scene, optics, path_lengths):
     """Return a ray after the particle or the grain that it has met."""
-    if ray.order == ray.most:
+    if ray.order == ray.max_order:
         return ended(ray, ABSORBED)
-    if scene.layers.particles[ray.beam.layer] != GRAINS:
-        after = scattered_by_particle(state, ray.beam, scene)
-        fate = TRAVELS if after.passed else ABSORBED
-        flier = turned(ray.flier, after.beam.d)
-        return Ray(fate, flier, after.beam, ray.legs, ray.order + 1, ray.most)
-    walked = walk(state, ray.beam, found, scene, optics, length)
+    if scene.layers.particle_row[ray.payload.layer] != GRAINS:
+        after = scattered_by_particle(state, ray.payload, scene)
+        fate = TRAVELS if after.continues else ABSORBED
+        flier = turned(ray.geometry, after.payload.direction)
+        return Ray(fate, flier, after.payload, ray.n_segments, ray.order + 1, ray.max_order)
+    walked = walk(state, ray.payload, event, scene, optics, path_lengths)
     fate = TRAVELS if walked.alive else ABSORBED
-    way = ORIGIN if scene.rules.point_grains else walked.way
-    flier = Flier(ray.flier.place, way, walked.beam.d, ray.flier.last, 0.0)
-    return Ray(fate, flier, walked.beam, ray.legs, ray.order + 1, ray.most)
+    way = ORIGIN if scene.rules.point_grains else walked.displacement
+    flier = Flier(ray.geometry.position, way, walked.payload.direction, ray.geometry.previous_segment, 0.0)
+    return Ray(fate, flier, walked.payload, ray.n_segments, ray.order + 1, ray.max_order)
 
 
 @part
-def played(state, purse):
+def played(state, roulette_state):
     """Let a ray play roulette as often as it is due, see `splits.transport.grains.flight`."""
     alive = True
-    while alive and purse.depth > purse.limit:
-        result = roulette(purse, uniform(state), True)
-        purse, alive = result.purse, not result.ended
-    return Paid(purse, alive)
+    while alive and roulette_state.optical_depth > roulette_state.next_roulette:
+        result = roulette(roulette_state, uniform(state), True)
+        roulette_state, alive = result.roulette, not result.terminated
+    return Paid(roulette_state, alive)
 
 
 @part
-def follow(state, ray, scene, optics, length, notes, window, roof):
+def follow(state, ray, scene, optics, path_lengths, crossings, window, rough_top):
     """Follow a ray until it leaves the scene or is absorbed, or until its worth wants a decision.
 
     Parameters
@@ -161,41 +161,41 @@ def follow(state, ray, scene, optics, length, notes, window, roof):
         window is left, or where there might not be room for the next leg's notes.
     """
     layers = scene.layers
-    while ray.fate == TRAVELS:
-        if notes is not None and not has_room(notes, 2 * layers.face.size):
+    while ray.status == TRAVELS:
+        if crossings is not None and not has_room(crossings, 2 * layers.boundaries.size):
             break
-        payment = played(state, ray.beam.purse)
+        payment = played(state, ray.payload.roulette)
         if not payment.alive:
             return ended(ray, ABSORBED)
-        beam = Beam(ray.beam.d, ray.beam.layer, ray.beam.u, payment.purse)
-        flier, beam = settled(ray.flier, beam, scene, optics, length, notes)
+        beam = Beam(ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, payment.roulette)
+        flier, beam = settled(ray.geometry, beam, scene, optics, path_lengths, crossings)
         found = find(state, flier, beam, scene, optics)
         arrival = arrived(flier, found, space_of(layers, found.layer))
-        hit = facet_ahead(roof, flier, found, arrival.last.length)
+        hit = facet_ahead(rough_top, flier, found, arrival.previous_segment.length)
         if hit.distance != GONE:
-            arrival, found = cut_short(flier, found, hit, layers.face[1])
-        ray = Ray(TRAVELS, arrival, beam, ray.legs + 1, ray.order, ray.most)
+            arrival, found = cut_short(flier, found, hit, layers.boundaries[1])
+        ray = Ray(TRAVELS, arrival, beam, ray.n_segments + 1, ray.order, ray.max_order)
         if found.lost:
             return ended(ray, LOST)
-        leg = Segment(arrival.place, beam.d, arrival.last.length)
-        payment = travelled(state, beam, found, leg, scene, optics, length, notes)
-        beam = Beam(beam.d, found.layer, beam.u, payment.purse)
-        ray = Ray(TRAVELS, arrival, beam, ray.legs, ray.order, ray.most)
+        leg = Segment(arrival.position, beam.direction, arrival.previous_segment.length)
+        payment = travelled(state, beam, found, leg, scene, optics, path_lengths, crossings)
+        beam = Beam(beam.direction, found.layer, beam.pore_variate, payment.roulette)
+        ray = Ray(TRAVELS, arrival, beam, ray.n_segments, ray.order, ray.max_order)
         if not payment.alive:
             return ended(ray, ABSORBED)
         if hit.distance != GONE:
-            ray = struck(state, ray, hit.slope, scene, optics, roof)
-        elif found.meeting.outside:
-            ray = at_face(state, ray, scene, optics, length, notes)
+            ray = struck(state, ray, hit.slope, scene, optics, rough_top)
+        elif found.collision.leaves_layer:
+            ray = at_face(state, ray, scene, optics, path_lengths, crossings)
         else:
-            ray = met(state, ray, found, scene, optics, length)
-            if window is not None and ray.fate == TRAVELS and left_window(window, ray, layers):
+            ray = met(state, ray, found, scene, optics, path_lengths)
+            if window is not None and ray.status == TRAVELS and left_window(window, ray, layers):
                 break
     return ray
 
 
 @part
-def entered(state, d, layer, purse, scene, optics):
+def entered(state, direction, layer, roulette_state, scene, optics):
     """Return the beam of a ray that comes from outside to a layer, if that lets it in.
 
     Its pore there is drawn first: the boundary of a wet one may reflect it at once.
@@ -203,48 +203,48 @@ def entered(state, d, layer, purse, scene, optics):
     layers = scene.layers
     u = uniform(state)
     near, far = index_of(optics, layers.pore[layer]), index_of(optics, pore_of(layers, layer, u))
-    if not (scene.rules.boundary_fresnel or layers.particles[layer] != GRAINS):
+    if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != GRAINS):
         far = near
-    crossing = meet(d, facing(d), near, far, uniform(state))
-    return Entered(crossing.passed, Beam(crossing.d, layer, u, purse))
+    crossing = meet(direction, facing(direction), near, far, uniform(state))
+    return Entered(crossing.transmitted, Beam(crossing.direction, layer, u, roulette_state))
 
 
 @part
-def launch(state, scene, optics, roof, most):
+def launch(state, scene, optics, rough_top, max_order):
     """Start a ray at the top, which may meet so many grains."""
-    light = scene.light
-    d = launched(light, uniform(state) if light.diffuse > 0.0 else 1.0)
+    light = scene.source
+    d = launched(light, uniform(state) if light.diffuse_fraction > 0.0 else 1.0)
     purse = Purse(0.0, math.inf if scene.rules.analog else FIRST_ROULETTE, 1.0)
-    if roof is not None:
-        return outside(state, aimed(d, purse, roof, most), scene, optics, roof)
+    if rough_top is not None:
+        return outside(state, aimed(d, purse, rough_top, max_order), scene, optics, rough_top)
     passed, beam = entered(state, d, 0, purse, scene, optics)
     fate = TRAVELS if passed else REFLECTED
-    return Ray(fate, Flier(ORIGIN, ORIGIN, beam.d, NO_LEG, 0.0), beam, 0, 0, most)
+    return Ray(fate, Flier(ORIGIN, ORIGIN, beam.direction, NO_LEG, 0.0), beam, 0, 0, max_order)
 
 
 @part
-def risen(state, ray, scene, optics, length):
+def risen(state, ray, scene, optics, path_lengths):
     """Return a ray that comes back from the ground by Lambert's law, or stays there.
 
     One that the sample's lower face sends down again is still below.  Among the grains that it may
     meet the ground counts as one.
     """
-    purse, analog = ray.beam.purse, scene.rules.analog
-    payment = paid(state, purse, 1.0, scene.ground, optics, analog, length)
+    purse, analog = ray.payload.roulette, scene.rules.analog
+    payment = paid(state, purse, 1.0, scene.ground_column, optics, analog, path_lengths)
     if not payment.alive:
         return ended(ray, TRANSMITTED)
-    payment = played(state, payment.purse)
-    if not payment.alive or ray.order == ray.most:
+    payment = played(state, payment.roulette)
+    if not payment.alive or ray.order == ray.max_order:
         return ended(ray, ABSORBED)
     d = lobe(UP, uniform(state), uniform(state))
     lowest = scene.layers.attenuation.size - 1
-    passed, beam = entered(state, d, lowest, payment.purse, scene, optics)
+    passed, beam = entered(state, d, lowest, payment.roulette, scene, optics)
     fate = TRAVELS if passed else BELOW
-    return Ray(fate, turned(ray.flier, beam.d), beam, ray.legs, ray.order + 1, ray.most)
+    return Ray(fate, turned(ray.geometry, beam.direction), beam, ray.n_segments, ray.order + 1, ray.max_order)
 
 
 @entry
-def batch(seed, work, scene, optics, exits, fields, room):
+def batch(seed, work, scene, optics, exits, height_fields, surface_buffer):
     """Trace rays and record how they leave.
 
     Parameters
@@ -270,28 +270,28 @@ def batch(seed, work, scene, optics, exits, fields, room):
     length = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     notes = no_notes(optics.n.size)
-    most, faces = 2 * scene.layers.face.size, scene.layers.face.size
+    most, faces = 2 * scene.layers.boundaries.size, scene.layers.boundaries.size
     for number in range(work[2]):
         start_stream(state, seed, work[0], work[1] + number)
         of_ray(notes, number)
         length[:] = 0.0
-        roof = realised(state, fields, room)
+        roof = realised(state, height_fields, surface_buffer)
         ray = launch(state, scene, optics, roof, work[3])
-        while ray.fate == TRAVELS or ray.fate == BELOW:
+        while ray.status == TRAVELS or ray.status == BELOW:
             notes = room_for(notes, most)
-            if ray.fate == TRAVELS:
+            if ray.status == TRAVELS:
                 ray = follow(state, ray, scene, optics, length, notes, None, roof)
             else:
                 if not scene.rules.analog:
-                    note(notes, passage(faces - 1, False), ray.beam.purse.weight, length)
+                    note(notes, passage(faces - 1, False), ray.payload.roulette.weight, length)
                 ray = risen(state, ray, scene, optics, length)
-        legs += ray.legs
-        if ray.fate == LOST:
+        legs += ray.n_segments
+        if ray.status == LOST:
             return Told(legs, True, taken(notes))
-        if ray.fate != ABSORBED:
-            purse = ray.beam.purse
+        if ray.status != ABSORBED:
+            purse = ray.payload.roulette
             record(
-                exits[number], ray.fate == REFLECTED, ray.flier.place, ray.beam.d, purse.weight,
+                exits[number], ray.status == REFLECTED, ray.geometry.position, ray.payload.direction, purse.weight,
                 ray.order,
             )  # fmt: skip
             write(exits[number], EXIT_LENGTH, length)

@@ -30,108 +30,108 @@ from splits.transport.sums.notes import note, passage
 
 
 @part
-def beyond(layers, layer, d):
+def beyond(layers, layer, direction):
     """Return the layer behind the face that a ray along d has ahead; −1 or their number outside."""
-    return layer - 1 if d.z > 0.0 else layer + 1
+    return layer - 1 if direction.z > 0.0 else layer + 1
 
 
 @part
-def alike(layers, optics, one, other, u):
+def alike(layers, optics, layer, other, pore_variate):
     """Tell whether the pores of two layers are the same to light."""
-    a = index_of(optics, pore_of(layers, one, u))
-    b = index_of(optics, pore_of(layers, other, u))
+    a = index_of(optics, pore_of(layers, layer, pore_variate))
+    b = index_of(optics, pore_of(layers, other, pore_variate))
     return a.n == b.n and a.k == b.k
 
 
 @part
-def pass_face(notes, scene, layer, upward, purse, length):
+def pass_face(crossings, scene, layer, upward, roulette_state, path_lengths):
     """Note a ray that passes from a layer into the next one, where somebody listens."""
-    if notes is not None and scene.listens:
-        note(notes, passage(layer if upward else layer + 1, upward), purse.weight, length)
+    if crossings is not None and scene.record_crossings:
+        note(crossings, passage(layer if upward else layer + 1, upward), roulette_state.weight, path_lengths)
 
 
 @part
-def settled(flier, beam, scene, optics, length, notes):
+def settled(geometry, payload, scene, optics, path_lengths, crossings):
     """Return a ray that left a grain, its layer that in which it now is.
 
     Only a grain that reaches across a face lets a ray out on its other side.  If there are other
     pores, as outside the sample, the ray counts as standing on that face.
     """
     layers = scene.layers
-    z = flier.place.z + flier.way.z
-    layer = beam.layer
-    while z > layers.face[layer] or z < layers.face[layer + 1]:
-        step = -1 if z > layers.face[layer] else 1
-        face = layers.face[layer] if step < 0 else layers.face[layer + 1]
+    z = geometry.position.z + geometry.exit_offset.z
+    layer = payload.layer
+    while z > layers.boundaries[layer] or z < layers.boundaries[layer + 1]:
+        step = -1 if z > layers.boundaries[layer] else 1
+        face = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
         other = layer + step
         inside = 0 <= other < layers.attenuation.size
-        if not inside or not alike(layers, optics, layer, other, beam.u):
+        if not inside or not alike(layers, optics, layer, other, payload.pore_variate):
             z = face
             break
-        pass_face(notes, scene, layer, step < 0, beam.purse, length)
+        pass_face(crossings, scene, layer, step < 0, payload.roulette, path_lengths)
         layer = other
-    way = Vector(flier.way.x, flier.way.y, z - flier.place.z)
-    return Flier(flier.place, way, beam.d, flier.last, 0.0), Beam(beam.d, layer, beam.u, beam.purse)
+    way = Vector(geometry.exit_offset.x, geometry.exit_offset.y, z - geometry.position.z)
+    return Flier(geometry.position, way, payload.direction, geometry.previous_segment, 0.0), Beam(payload.direction, layer, payload.pore_variate, payload.roulette)
 
 
 @part
-def find(state, flier, beam, scene, optics):
+def find(state, geometry, payload, scene, optics):
     """Draw the next grain on a ray, or find the face that it reaches first.
 
     A grain that does not fit is drawn again from where the ray set out, from where the last one
     was left out, or from where the last layer of particles was left.
     """
     layers, usual = scene.layers, fates_of(scene.rules)
-    start, layer = beam.layer, beam.layer
-    ahead = Flier(flier.place, flier.way, flier.d, flier.last, 0.0)
+    start, layer = payload.layer, payload.layer
+    ahead = Flier(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, 0.0)
     tries = 0
     while True:
         space = space_of(layers, layer)
         candidate = candidate_of(state, scene, layer)
         aim = aim_of(state, candidate.size.flattening)
         fates = usual
-        if layers.particles[layer] != GRAINS:
+        if layers.particle_row[layer] != GRAINS:
             # A particle is a point: it fits everywhere.
-            fates = Fates(usual.entry, False, False, False, False)
+            fates = Fates(usual.entry_sampling, False, False, False, False)
         meeting = next_grain(ahead, candidate.size, aim, uniform(state), space, fates)
-        if meeting.fits:
+        if meeting.accepted:
             return Found(candidate, meeting, layer, False)
-        if meeting.outside:
-            other = beyond(layers, layer, flier.d)
+        if meeting.leaves_layer:
+            other = beyond(layers, layer, geometry.direction)
             inside = 0 <= other < layers.attenuation.size
-            if not inside or not alike(layers, optics, layer, other, beam.u):
+            if not inside or not alike(layers, optics, layer, other, payload.pore_variate):
                 return Found(candidate, meeting, layer, False)
-            reach = to_boundary(flier, space).leg
-            ahead = Flier(flier.place, flier.way, flier.d, flier.last, reach)
-            if layers.particles[layer] != GRAINS:
+            reach = to_boundary(geometry, space).distance
+            ahead = Flier(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, reach)
+            if layers.particle_row[layer] != GRAINS:
                 # Particles let the ray pass, whatever grain beyond them does not fit.
-                start, flier = other, ahead
+                start, geometry = other, ahead
             layer = other
             continue
-        if meeting.skipped == meeting.leg:
+        if meeting.start_distance == meeting.distance:
             start = layer
-            flier = Flier(flier.place, flier.way, flier.d, flier.last, meeting.skipped)
+            geometry = Flier(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, meeting.start_distance)
         layer = start
-        ahead = flier
+        ahead = geometry
         tries += 1
         if tries == MAX_REJECTIONS:
             return Found(candidate, meeting, layer, True)
 
 
 @part
-def arrived(flier, found, space):
+def arrived(geometry, event, layer_geometry):
     """Return a ray at the grain that it meets, or at the face that comes before."""
-    leg, height = found.meeting.leg, found.meeting.height
-    if found.meeting.outside:
-        arrival = to_boundary(flier, space)
-        leg, height = arrival.leg, arrival.place.z
-    x = flier.place.x + flier.way.x + leg * flier.d.x
-    y = flier.place.y + flier.way.y + leg * flier.d.y
-    return Flier(Vector(x, y, height), ORIGIN, flier.d, Segment(ORIGIN, flier.d, leg), 0.0)
+    leg, height = event.collision.distance, event.collision.height
+    if event.collision.leaves_layer:
+        arrival = to_boundary(geometry, layer_geometry)
+        leg, height = arrival.distance, arrival.position.z
+    x = geometry.position.x + geometry.exit_offset.x + leg * geometry.direction.x
+    y = geometry.position.y + geometry.exit_offset.y + leg * geometry.direction.y
+    return Flier(Vector(x, y, height), ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, leg), 0.0)
 
 
 @part
-def travelled(state, beam, goal, leg, scene, optics, length, notes):
+def travelled(state, payload, event, segment, scene, optics, path_lengths, crossings):
     """Take a leg through the pores of the layers up to that in which it ends.
 
     Parameters
@@ -145,19 +145,19 @@ def travelled(state, beam, goal, leg, scene, optics, length, notes):
     length, notes
         See `follow`.
     """
-    layers, d, analog = scene.layers, beam.d, scene.rules.analog
-    payment = Paid(beam.purse, True)
-    rest, layer = leg.length, beam.layer
-    z = leg.end.z - leg.length * d.z
-    while layer != goal.layer and payment.alive:
-        face = layers.face[layer] if d.z > 0.0 else layers.face[layer + 1]
+    layers, d, analog = scene.layers, payload.direction, scene.rules.analog
+    payment = Paid(payload.roulette, True)
+    rest, layer = segment.length, payload.layer
+    z = segment.end.z - segment.length * d.z
+    while layer != event.layer and payment.alive:
+        face = layers.boundaries[layer] if d.z > 0.0 else layers.boundaries[layer + 1]
         piece = min(max((face - z) / d.z, 0.0), rest)
-        pore = pore_of(layers, layer, beam.u)
-        payment = paid(state, payment.purse, piece, pore, optics, analog, length)
+        pore = pore_of(layers, layer, payload.pore_variate)
+        payment = paid(state, payment.roulette, piece, pore, optics, analog, path_lengths)
         if payment.alive:
-            pass_face(notes, scene, layer, d.z > 0.0, payment.purse, length)
+            pass_face(crossings, scene, layer, d.z > 0.0, payment.roulette, path_lengths)
         z, rest, layer = face, rest - piece, beyond(layers, layer, d)
     if payment.alive:
-        pore = pore_of(layers, layer, beam.u)
-        payment = paid(state, payment.purse, rest, pore, optics, analog, length)
+        pore = pore_of(layers, layer, payload.pore_variate)
+        payment = paid(state, payment.roulette, rest, pore, optics, analog, path_lengths)
     return payment

@@ -34,40 +34,40 @@ root of −ln u, u the least random number, is below it."""
 
 
 @part
-def facet_ahead(roof, flier, found, leg):
+def facet_ahead(rough_top, geometry, event, segment_length):
     """Return the facet, a `march.Hit`, that a ray in the sample meets before its leg's end (m)."""
-    if roof is None:
+    if rough_top is None:
         return no_hit(GONE, 0)
-    begin = _begin(flier)
-    if found.lost or max(begin.z, begin.z + leg * flier.d.z) <= -roof.reach:
+    begin = _begin(geometry)
+    if event.lost or max(begin.z, begin.z + segment_length * geometry.direction.z) <= -rough_top.max_height:
         return no_hit(GONE, 0)
-    return first_crossing(roof, begin, flier.d, -1.0, leg)
+    return first_crossing(rough_top, begin, geometry.direction, -1.0, segment_length)
 
 
 @part
-def _begin(flier):
+def _begin(geometry):
     """Return where a ray's leg begins."""
-    place, way = flier.place, flier.way
+    place, way = geometry.position, geometry.exit_offset
     return Vector(place.x + way.x, place.y + way.y, place.z + way.z)
 
 
 @part
-def cut_short(flier, found, hit, low):
+def cut_short(geometry, event, hit, layer_bottom):
     """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer.
 
     The surface should end above the layer's lower face, `low` (m); see `Layer.depth_m`.
     """
-    place = along(hit.distance, flier.d, _begin(flier))
-    flier = Flier(place, ORIGIN, flier.d, Segment(ORIGIN, flier.d, hit.distance), 0.0)
-    lost = hit.distance == ASTRAY or place.z < low
-    return flier, Found(found.candidate, found.meeting, 0, lost)
+    place = along(hit.distance, geometry.direction, _begin(geometry))
+    geometry = Flier(place, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0)
+    lost = hit.distance == ASTRAY or place.z < layer_bottom
+    return geometry, Found(event.grain_sample, event.collision, 0, lost)
 
 
 @part
-def aimed(d, purse, roof, most):
+def aimed(direction, roulette_state, rough_top, max_order):
     """Return a ray along d from outside that aims at the origin of the mean surface."""
-    flier = Flier(entrance(d, roof), ORIGIN, d, NO_LEG, 0.0)
-    return Ray(TRAVELS, flier, Beam(d, 0, 0.0, purse), 0, 0, most)
+    flier = Flier(entrance(direction, rough_top), ORIGIN, direction, NO_LEG, 0.0)
+    return Ray(TRAVELS, flier, Beam(direction, 0, 0.0, roulette_state), 0, 0, max_order)
 
 
 @part
@@ -90,15 +90,15 @@ def at_facet(state, ray, slope, side, scene, optics):
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = normal_of(slope)
-    crossing = meet(ray.beam.d, scaled(side, normal), near, far, uniform(state))
-    side = -side if crossing.passed else side
-    d = cleared(crossing.d, scaled(side, normal))
-    beam = Beam(d, 0, u, ray.beam.purse)
-    return Ray(ray.fate, turned(ray.flier, d), beam, ray.legs, ray.order + 1, ray.most), side
+    crossing = meet(ray.payload.direction, scaled(side, normal), near, far, uniform(state))
+    side = -side if crossing.transmitted else side
+    d = cleared(crossing.direction, scaled(side, normal))
+    beam = Beam(d, 0, u, ray.payload.roulette)
+    return Ray(ray.status, turned(ray.geometry, d), beam, ray.n_segments, ray.order + 1, ray.max_order), side
 
 
 @part
-def outside(state, ray, scene, optics, roof):
+def outside(state, ray, scene, optics, rough_top):
     """Follow a ray above the surface until it is in the sample, or away.
 
     Returns
@@ -109,28 +109,28 @@ def outside(state, ray, scene, optics, roof):
     """
     side = 1.0
     while side > 0.0:
-        hit = first_crossing(roof, ray.flier.place, ray.beam.d, side)
+        hit = first_crossing(rough_top, ray.geometry.position, ray.payload.direction, side)
         if hit.distance < 0.0:
-            away = hit.distance == GONE and ray.beam.d.z > 0.0
+            away = hit.distance == GONE and ray.payload.direction.z > 0.0
             return ended(ray, REFLECTED if away else LOST)
-        if ray.order >= ray.most:
+        if ray.order >= ray.max_order:
             return ended(ray, ABSORBED)
-        place = along(hit.distance, ray.beam.d, ray.flier.place)
-        flier = Flier(place, ORIGIN, ray.beam.d, NO_LEG, 0.0)
-        ray = Ray(TRAVELS, flier, ray.beam, ray.legs, ray.order, ray.most)
+        place = along(hit.distance, ray.payload.direction, ray.geometry.position)
+        flier = Flier(place, ORIGIN, ray.payload.direction, NO_LEG, 0.0)
+        ray = Ray(TRAVELS, flier, ray.payload, ray.n_segments, ray.order, ray.max_order)
         ray, side = at_facet(state, ray, hit.slope, side, scene, optics)
     return ray
 
 
 @part
-def struck(state, ray, slope, scene, optics, roof):
+def struck(state, ray, slope, scene, optics, rough_top):
     """Return a ray from the sample after a facet: sent back, away, or in the sample again.
 
     Parameters are those of `at_facet` and `outside`.
     """
-    if roof is None:
+    if rough_top is None:
         return ray
-    if ray.order >= ray.most:
+    if ray.order >= ray.max_order:
         return ended(ray, ABSORBED)
     ray, side = at_facet(state, ray, slope, -1.0, scene, optics)
-    return outside(state, ray, scene, optics, roof) if side > 0.0 else ray
+    return outside(state, ray, scene, optics, rough_top) if side > 0.0 else ray

@@ -34,10 +34,10 @@ class Beam(NamedTuple):
     purse : Purse
     """
 
-    d: Vector
+    direction: Vector
     layer: int
-    u: float
-    purse: Purse
+    pore_variate: float
+    roulette: Purse
 
 
 class Ray(NamedTuple):
@@ -56,18 +56,18 @@ class Ray(NamedTuple):
         As many of these, after which it counts as absorbed.
     """
 
-    fate: int
-    flier: Flier
-    beam: Beam
-    legs: int
+    status: int
+    geometry: Flier
+    payload: Beam
+    n_segments: int
     order: int
-    most: int
+    max_order: int
 
 
 class Candidate(NamedTuple):
     """A grain drawn, but not yet met: its type, size and half its facetness."""
 
-    kind: int
+    grain_type: int
     size: Size
     roughness: float
 
@@ -75,8 +75,8 @@ class Candidate(NamedTuple):
 class Found(NamedTuple):
     """What a ray meets next, and in which layer; `lost` where nothing was found."""
 
-    candidate: Candidate
-    meeting: Meeting
+    grain_sample: Candidate
+    collision: Meeting
     layer: int
     lost: bool
 
@@ -84,51 +84,51 @@ class Found(NamedTuple):
 class Entered(NamedTuple):
     """Whether a ray from outside passed the sample's face, and what it carries then."""
 
-    passed: bool
-    beam: Beam
+    continues: bool
+    payload: Beam
 
 
 class Paid(NamedTuple):
     """A purse after a leg, and whether the ray survived it."""
 
-    purse: Purse
+    roulette: Purse
     alive: bool
 
 
 @part
-def ended(ray, fate):
+def ended(ray, status):
     """Return a ray that has come to its end."""
-    return Ray(fate, ray.flier, ray.beam, ray.legs, ray.order, ray.most)
+    return Ray(status, ray.geometry, ray.payload, ray.n_segments, ray.order, ray.max_order)
 
 
 @part
-def turned(flier, d):
+def turned(geometry, direction):
     """Return a ray at the same place that goes along d now."""
-    return Flier(flier.place, flier.way, d, flier.last, 0.0)
+    return Flier(geometry.position, geometry.exit_offset, direction, geometry.previous_segment, 0.0)
 
 
 @part
-def paid(state, purse, leg, material, optics, analog, length):
+def paid(state, roulette_state, distance, material, optics, analog, path_lengths):
     """Take a leg through a material, and tell whether the ray goes on.
 
     Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
     pass.  Weighted rays add the leg to `length` (float64[materials], m), and end only by roulette.
     """
-    length[material] += leg
-    depth = optics.absorption[material] * leg
+    path_lengths[material] += distance
+    depth = optics.absorption[material] * distance
     if analog:
-        return Paid(purse, depth == 0.0 or uniform(state) < math.exp(-depth))
-    return Paid(Purse(purse.depth + depth, purse.limit, purse.weight), True)
+        return Paid(roulette_state, depth == 0.0 or uniform(state) < math.exp(-depth))
+    return Paid(Purse(roulette_state.optical_depth + depth, roulette_state.next_roulette, roulette_state.weight), True)
 
 
 @part
-def pore_of(layers, layer, u):
+def pore_of(layers, layer, pore_variate):
     """Return the material of the pore space for a leg in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
     pore = layers.pore[layer]
-    if u < layers.saturation[layer]:
+    if pore_variate < layers.saturation[layer]:
         return pore + 1
-    for other in range(layers.others.shape[1]):
-        if u < layers.others[layer, other]:
+    for other in range(layers.pore_cdf.shape[1]):
+        if pore_variate < layers.pore_cdf[layer, other]:
             return pore + 2 + other
     return pore
 
@@ -142,16 +142,16 @@ def index_of(optics, material):
 @part
 def space_of(layers, layer):
     """Return the space of a layer of a scene."""
-    bottom, top = layers.face[layers.face.size - 1], layers.face[0]
-    low, high = layers.face[layer + 1], layers.face[layer]
+    bottom, top = layers.boundaries[layers.boundaries.size - 1], layers.boundaries[0]
+    low, high = layers.boundaries[layer + 1], layers.boundaries[layer]
     return Space(1.0 / layers.attenuation[layer], low, high, bottom, top, min(top, 0.0))
 
 
 @part
 def candidate_of(state, scene, layer):
     """Draw type, size, shape and roughness of a grain of a layer."""
-    share, types = scene.layers.share[layer], scene.types
-    kind = scene.layers.first[layer]
+    share, types = scene.layers.type_cdf[layer], scene.types
+    kind = scene.layers.first_type[layer]
     if share.size > 1:
         kind += pick(share, uniform(state))
     major = 1.0 / from_table(types.curvature, kind, uniform(state))
@@ -166,27 +166,27 @@ def aim_of(state, flattening):
     while True:
         aim = Aim(uniform(state), _FORWARD, _FORWARD, uniform(state), uniform(state))
         if placed(aim, flattening):
-            return Aim(aim.facing, unit_circle(state), unit_circle(state), aim.axial, aim.area)
+            return Aim(aim.u_cos_incidence, unit_circle(state), unit_circle(state), aim.u_axial, aim.u_accept)
 
 
 @part
-def deflected(state, particles, row, d):
+def deflected(state, particles, row, direction):
     """Return the direction into which a layer's particle scatters light along d."""
-    size = particles.size[row]
+    size = particles.table_size[row]
     phase = Phase(
         particles.kind[row], particles.g[row], 0.0, particles.cosines[row, :size],
-        particles.density[row, :size], particles.quantiles[row, :size],
+        particles.density[row, :size], particles.cdf[row, :size],
     )  # fmt: skip
-    return scattered(state, phase, d)
+    return scattered(state, phase, direction)
 
 
 @part
 def fates_of(rules):
     """Return what becomes of grains that do not fit."""
     return Fates(
-        rules.entry,
-        rules.on_last_leg != KEPT,
-        rules.across_boundary != KEPT,
-        rules.on_last_leg == SKIPPED,
-        rules.across_boundary == SKIPPED,
+        rules.entry_sampling,
+        rules.segment_overlap != KEPT,
+        rules.boundary_overlap != KEPT,
+        rules.segment_overlap == SKIPPED,
+        rules.boundary_overlap == SKIPPED,
     )

@@ -28,7 +28,7 @@ class Tallied(NamedTuple):
     """Sums over all rays, and over parts of them, see `scatter`."""
 
     sums: np.ndarray
-    parts: np.ndarray
+    batches: np.ndarray
 
 
 class Solitary(NamedTuple):
@@ -37,17 +37,17 @@ class Solitary(NamedTuple):
     The layer of the scene gives no faces here, only the saturation around the grain.
     """
 
-    wet: float
+    wet_probability: float
     scene: Scene
     optics: Optics
 
 
 @kernel
-def met(state, solitary):
+def met(state, isolated_grain):
     """Draw the grain that a ray along +z strikes."""
-    candidate = candidate_of(state, solitary.scene, 0)
+    candidate = candidate_of(state, isolated_grain.scene, 0)
     aim = aim_of(state, candidate.size.flattening)
-    hit = strike(UP, candidate.size, aim, solitary.scene.rules.entry)
+    hit = strike(UP, candidate.size, aim, isolated_grain.scene.rules.entry_sampling)
     return Found(candidate, Meeting(0.0, 0.0, hit, False, True, 0.0), 0, False)
 
 
@@ -64,7 +64,7 @@ def legendre(x, values):
 
 
 @entry
-def scatter(seed, work, orders, solitary, absorption):
+def scatter(seed, work, n_orders, isolated_grain, absorption):
     """Let rays meet one grain each and tally their directions by weight.
 
     Parameters
@@ -89,10 +89,10 @@ def scatter(seed, work, orders, solitary, absorption):
     parts : float64[PARTS, orders + 4, wavelengths]
         Σ w x over every so many rays.
     """
-    sums = np.zeros((3, orders + 4, absorption.shape[0]))
-    parts = np.zeros((PARTS, orders + 4, absorption.shape[0]))
-    told = np.zeros(orders + 4)
-    saturation = solitary.scene.layers.saturation[0]
+    sums = np.zeros((3, n_orders + 4, absorption.shape[0]))
+    parts = np.zeros((PARTS, n_orders + 4, absorption.shape[0]))
+    told = np.zeros(n_orders + 4)
+    saturation = isolated_grain.scene.layers.saturation[0]
     length = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[1], work[1] + work[2]):
@@ -100,34 +100,34 @@ def scatter(seed, work, orders, solitary, absorption):
         length[:] = 0.0
         purse = Purse(0.0, FIRST_ROULETTE, 1.0)
         # A pore is wet where its number lies below the saturation.
-        beam = Beam(UP, 0, 0.0 if uniform(state) < solitary.wet else 1.0, purse)
-        found = met(state, solitary)
-        walked = walk(state, beam, found, solitary.scene, solitary.optics, length)
+        beam = Beam(UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, purse)
+        found = met(state, isolated_grain)
+        walked = walk(state, beam, found, isolated_grain.scene, isolated_grain.optics, length)
         if not walked.alive:
             continue
-        d = walked.beam.d
-        way = ORIGIN if solitary.scene.rules.point_grains else walked.way
+        d = walked.payload.direction
+        way = ORIGIN if isolated_grain.scene.rules.point_grains else walked.displacement
         # Rounding may carry the cosine past 1, which high orders would amplify.
-        legendre(min(1.0, max(-1.0, d.z)), told[:orders])
-        told[orders] = way.z
-        told[orders + 1] = dot(way, d)
-        told[orders + 2] = dot(way, way)
-        told[orders + 3] = 1.0 if walked.beam.u < saturation else 0.0
-        add(told, length, walked.beam.purse.weight, absorption, sums, parts[number % PARTS])
+        legendre(min(1.0, max(-1.0, d.z)), told[:n_orders])
+        told[n_orders] = way.z
+        told[n_orders + 1] = dot(way, d)
+        told[n_orders + 2] = dot(way, way)
+        told[n_orders + 3] = 1.0 if walked.payload.pore_variate < saturation else 0.0
+        add(told, length, walked.payload.roulette.weight, absorption, sums, parts[number % PARTS])
     return Tallied(sums, parts)
 
 
 @kernel
-def add(told, length, weight, absorption, sums, part):
+def add(scores, path_lengths, weight, absorption, sums, batch_sums):
     """Add what a ray told to the sums, with its weight at every wavelength."""
     for i in range(absorption.shape[0]):
         depth = 0.0
         for material in range(absorption.shape[1]):
-            depth += absorption[i, material] * length[material]
+            depth += absorption[i, material] * path_lengths[material]
         w = weight * math.exp(-depth)
-        for j in range(told.size):
-            wx = w * told[j]
+        for j in range(scores.size):
+            wx = w * scores[j]
             sums[0, j, i] += wx
             sums[1, j, i] += w * wx
             sums[2, j, i] += wx * wx
-            part[j, i] += wx
+            batch_sums[j, i] += wx

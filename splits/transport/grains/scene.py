@@ -71,9 +71,9 @@ class Types(NamedTuple):
     facetness : float64[rows, m]
     """
 
-    shells: np.ndarray
+    n_shells: np.ndarray
     material: np.ndarray
-    thickness: np.ndarray
+    coating_thickness: np.ndarray
     curvature: np.ndarray
     sphericity: np.ndarray
     facetness: np.ndarray
@@ -92,7 +92,7 @@ class Grains(NamedTuple):
     """
 
     attenuation: float
-    share: np.ndarray
+    type_cdf: np.ndarray
     types: Types
 
 
@@ -119,14 +119,14 @@ class Layers(NamedTuple):
         Row of `Particles` of a layer that has these and no grains; `GRAINS` of others.
     """
 
-    face: np.ndarray
+    boundaries: np.ndarray
     attenuation: np.ndarray
     saturation: np.ndarray
-    share: np.ndarray
-    first: np.ndarray
+    type_cdf: np.ndarray
+    first_type: np.ndarray
     pore: np.ndarray
-    others: np.ndarray
-    particles: np.ndarray
+    pore_cdf: np.ndarray
+    particle_row: np.ndarray
 
 
 class Particles(NamedTuple):
@@ -146,10 +146,10 @@ class Particles(NamedTuple):
     albedo: np.ndarray
     kind: np.ndarray
     g: np.ndarray
-    size: np.ndarray
+    table_size: np.ndarray
     cosines: np.ndarray
     density: np.ndarray
-    quantiles: np.ndarray
+    cdf: np.ndarray
 
 
 class Rules(NamedTuple):
@@ -160,12 +160,12 @@ class Rules(NamedTuple):
     leaves a grain at the point at which it entered.
     """
 
-    entry: int
-    facets: int
+    entry_sampling: int
+    facet_sampling: int
     wrong_side: int
     boundary_fresnel: bool
-    on_last_leg: int
-    across_boundary: int
+    segment_overlap: int
+    boundary_overlap: int
     analog: bool
     point_grains: bool
 
@@ -187,13 +187,13 @@ class Scene(NamedTuple):
         Whether rays that pass faces between layers are noted.
     """
 
-    light: Light
+    source: Light
     layers: Layers
     types: Types
     rules: Rules
     particles: Particles
-    ground: int
-    listens: bool
+    ground_column: int
+    record_crossings: bool
 
 
 class Optics(NamedTuple):
@@ -213,7 +213,7 @@ class Optics(NamedTuple):
     n: np.ndarray
     k: np.ndarray
     absorption: np.ndarray
-    absorbs: np.ndarray
+    is_absorbing: np.ndarray
 
 
 def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:

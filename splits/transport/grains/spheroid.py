@@ -47,13 +47,13 @@ class Spheroid(NamedTuple):
     q: Vector
     w: Vector
     flattening: float
-    minor: float
+    semi_minor: float
 
 
 class Size(NamedTuple):
     """Semi-major axis (m) and flattening."""
 
-    major: float
+    semi_major: float
     flattening: float
 
 
@@ -70,11 +70,11 @@ class Aim(NamedTuple):
         Uniform, for z/b of the entry point, and to accept it.
     """
 
-    facing: float
-    azimuth: Angle
-    turn: Angle
-    axial: float
-    area: float
+    u_cos_incidence: float
+    normal_azimuth: Angle
+    axis_azimuth: Angle
+    u_axial: float
+    u_accept: float
 
 
 class Entry(NamedTuple):
@@ -93,8 +93,8 @@ class Entry(NamedTuple):
 
     grain: Spheroid
     normal: Vector
-    axial: float
-    major: float
+    axial_position: float
+    semi_major: float
 
 
 class Chord(NamedTuple):
@@ -108,7 +108,7 @@ class Segment(NamedTuple):
     """A leg of a ray: its end, its direction, towards that end, and its length, −1 for none (m)."""
 
     end: Vector
-    d: Vector
+    direction: Vector
     length: float
 
 
@@ -135,30 +135,30 @@ def across(grain, d):
     q = along(chord, e, grain.q)
     # One step of Newton's method for 1/|q| from 1.
     q = scaled(HALF * (THREE - dot(q, q)), q)
-    return Chord(chord * grain.minor, Spheroid(q, grain.w, grain.flattening, grain.minor))
+    return Chord(chord * grain.semi_minor, Spheroid(q, grain.w, grain.flattening, grain.semi_minor))
 
 
 @kernel
-def slope_squared(axial, flattening):
+def slope_squared(axial_position, flattening):
     """Return 1 − e² z², z the axial position in units of b and e² = 1 − Ψ⁴.
 
     It is the squared length of the normal that `squeezed` makes of q, and the density of area
     over z is proportional to its root (SPLITS Eq 27, differentiated).
     """
-    return ONE - flattening * (TWO - flattening) * axial * axial
+    return ONE - flattening * (TWO - flattening) * axial_position * axial_position
 
 
 @kernel
-def placed(aim, flattening):
+def placed(variates, flattening):
     """Tell whether a trial of the axial position holds; otherwise another `Aim` is wanted.
 
     It is then uniform over the area of a spheroid, exactly and without inverting SPLITS Eq 27.
     """
-    return aim.area * aim.area < slope_squared(TWO * aim.axial - ONE, flattening)
+    return variates.u_accept * variates.u_accept < slope_squared(TWO * variates.u_axial - ONE, flattening)
 
 
 @kernel
-def strike(d, size, aim, entry):
+def strike(d, size, variates, entry_sampling):
     """Return where a ray along d strikes a grain, and how that grain lies.
 
     A grain turned at random shows the normal at any fixed point of it in a random direction; so
@@ -177,38 +177,38 @@ def strike(d, size, aim, entry):
     Entry
     """
     flattening = size.flattening
-    axial = TWO * aim.axial - ONE
+    axial = TWO * variates.u_axial - ONE
     square = slope_squared(axial, flattening)
-    facing = root(aim.facing) if entry == PROJECTED else aim.facing
+    facing = root(variates.u_cos_incidence) if entry_sampling == PROJECTED else variates.u_cos_incidence
     polar = Angle(facing, root(max(ONE - facing * facing, ZERO)))
-    n = around(Vector(-d.x, -d.y, -d.z), polar, aim.azimuth)
+    n = around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
     per_slope = reciprocal_root(square)
     slope = square * per_slope
     cos_axis = (ONE - flattening) * axial * per_slope
     sin_axis = root(max(ONE - axial * axial, ZERO)) * per_slope
-    w = around(n, Angle(cos_axis, sin_axis), aim.turn)
+    w = around(n, Angle(cos_axis, sin_axis), variates.axis_azimuth)
     q = combined(flattening * axial, w, slope, n)
-    minor = (ONE - flattening) * size.major
-    return Entry(Spheroid(q, w, flattening, minor), n, axial, size.major)
+    minor = (ONE - flattening) * size.semi_major
+    return Entry(Spheroid(q, w, flattening, minor), n, axial, size.semi_major)
 
 
 @kernel
-def crosses(entry, height, low, high):
+def crosses(entry, height, bottom, top):
     """Tell whether a grain entered at a height (m) reaches below `low` or above `high` (m)."""
     grain = entry.grain
-    minor = grain.minor
-    excess = (entry.major - minor) * grain.w.z
-    centre = height - fused(minor, grain.q.z, entry.axial * excess)
-    half = root(fused(minor, minor, (entry.major + minor) * excess * grain.w.z))
-    return (centre + half > high) | (centre - half < low)
+    minor = grain.semi_minor
+    excess = (entry.semi_major - minor) * grain.w.z
+    centre = height - fused(minor, grain.q.z, entry.axial_position * excess)
+    half = root(fused(minor, minor, (entry.semi_major + minor) * excess * grain.w.z))
+    return (centre + half > top) | (centre - half < bottom)
 
 
 @kernel
 def cuts(grain, segment):
     """Tell whether a grain overlaps a segment, whose end counts from where the ray is on it (m)."""
     a = squeezed(segment.end, grain.w, grain.flattening)
-    a = along(grain.minor, grain.q, a)
-    b = squeezed(segment.d, grain.w, grain.flattening)
+    a = along(grain.semi_minor, grain.q, a)
+    b = squeezed(segment.direction, grain.w, grain.flattening)
     t = dot(a, b) / dot(b, b)
     a = along(-min(max(t, ZERO), segment.length), b, a)
-    return (segment.length > ZERO) & (dot(a, a) < grain.minor * grain.minor)
+    return (segment.length > ZERO) & (dot(a, a) < grain.semi_minor * grain.semi_minor)

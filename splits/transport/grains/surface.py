@@ -47,10 +47,10 @@ class Numbers(NamedTuple):
         Uniform on the right half of the circle.
     """
 
-    choice: float
-    fresnel: float
-    pore: float
-    normal: float
+    u_facet: float
+    u_fresnel: float
+    u_pore: float
+    half_normal: float
     azimuth: Angle
 
 
@@ -71,8 +71,8 @@ class Stand(NamedTuple):
 
     shell: float
     side: float
-    lobe: bool
-    through: bool
+    in_lobe: bool
+    transmitted_lobe: bool
 
 
 class Contrast(NamedTuple):
@@ -91,17 +91,17 @@ class Contrast(NamedTuple):
     """
 
     m: float
-    less_one: float
+    m_minus_1: float
     k: float
-    ratio: float
-    same: bool
+    inverse: float
+    equal: bool
 
 
 class Refraction(NamedTuple):
     """The wave beyond an interface, and the ratio of the sines of the angles on both sides."""
 
     wave: Component
-    ratio: float
+    sine_ratio: float
 
 
 class Outcome(NamedTuple):
@@ -121,11 +121,11 @@ class Outcome(NamedTuple):
         Cosine between d and the surface's normal on the side that the ray came from.
     """
 
-    d: Vector
-    passed: bool
-    done: bool
-    to_lobe: bool
-    out: float
+    direction: Vector
+    transmitted: bool
+    accepted: bool
+    needs_lobe: bool
+    cos_out: float
 
 
 class Goings(NamedTuple):
@@ -141,10 +141,10 @@ class Goings(NamedTuple):
         It crosses a coating, or the core.
     """
 
-    stand: Stand
-    out: bool
-    coating: bool
-    core: bool
+    interface: Stand
+    in_pore: bool
+    in_coating: bool
+    in_core: bool
 
 
 @kernel
@@ -160,19 +160,19 @@ def contrast(near, far):
 def refraction(media, cos_facet, sin2, features):
     """Return the wave beyond an interface and the ratio of the sines, see `fresnel.Passage`."""
     if features.mixed is None and features.absorbing is None:
-        wave = normal_component(media.m, media.less_one, ZERO, cos_facet, False)
-        return Refraction(wave, media.ratio)
-    wave = normal_component(media.m, media.less_one, media.k, cos_facet, True)
+        wave = normal_component(media.m, media.m_minus_1, ZERO, cos_facet, False)
+        return Refraction(wave, media.inverse)
+    wave = normal_component(media.m, media.m_minus_1, media.k, cos_facet, True)
     if features.mixed is None:
         return Refraction(wave, reciprocal_root(fused(wave.a, wave.a, sin2)))
-    a = cos_facet if media.same else wave.a
-    b2 = ZERO if media.same else wave.b2
-    ratio = ONE if media.same else reciprocal_root(fused(a, a, sin2))
+    a = cos_facet if media.equal else wave.a
+    b2 = ZERO if media.equal else wave.b2
+    ratio = ONE if media.equal else reciprocal_root(fused(a, a, sin2))
     return Refraction(Component(a, b2), ratio)
 
 
 @kernel
-def outcome(d, stand, facet, media, u, turn, features):
+def outcome(d, interface, facet, media, u, mirror_wrong_side, features):
     """Reflect or refract a ray at a facet, or send it into a lobe.
 
     Parameters
@@ -192,27 +192,27 @@ def outcome(d, stand, facet, media, u, turn, features):
     -------
     Outcome
     """
-    normal, cos_facet, lobe = facet.normal, facet.cos, stand.lobe
+    normal, cos_facet, lobe = facet.normal, facet.cos_facet, interface.in_lobe
     sin2 = max((ONE - cos_facet) * (ONE + cos_facet), ZERO)
     wave, ratio = refraction(media, cos_facet, sin2, features)
-    share = fraction(media.m, media.less_one, media.k, cos_facet, sin2, wave)
+    share = fraction(media.m, media.m_minus_1, media.k, cos_facet, sin2, wave)
     reflected = (u * share.denominator < share.numerator) | (wave.a == ZERO)
     if features.mixed is not None:
-        reflected = reflected & (not media.same)
+        reflected = reflected & (not media.equal)
     passed = not reflected
     # Both outcomes are g d + h n' for a facet of normal n'; a lobe is n' alone.
     g = ONE if reflected else ratio
     h = TWO * cos_facet if reflected else ratio * (cos_facet - wave.a)
     struck = normal
     if features.faceted is not None:
-        h = -h if facet.turned else h
+        h = -h if facet.back_side else h
         g = ZERO if lobe else g
         h = ONE if lobe else h
-        passed = stand.through if lobe else passed
+        passed = interface.transmitted_lobe if lobe else passed
         cos_lobe = root(u)
-        c = (-cos_lobe if passed else cos_lobe) if lobe else facet.leaned.cos
-        cos_azimuth = facet.cos_lobe if lobe else facet.azimuth.cos
-        leaned, azimuth = Angle(c, facet.leaned.sin), Angle(cos_azimuth, facet.azimuth.sin)
+        c = (-cos_lobe if passed else cos_lobe) if lobe else facet.tilt.cos
+        cos_azimuth = facet.cos_lobe_azimuth if lobe else facet.azimuth.cos
+        leaned, azimuth = Angle(c, facet.tilt.sin), Angle(cos_azimuth, facet.azimuth.sin)
         struck = facet_normal(d, normal, facet.cos_i, leaned, azimuth)
     # Normals come out shorter than 1 by 1e-8 on average.  Left so, rays in smooth spheres, in
     # which all reflections are alike, would creep into total reflection and stay for ever;
@@ -223,14 +223,14 @@ def outcome(d, stand, facet, media, u, turn, features):
     if features.faceted is None:
         return Outcome(e, passed, True, False, out)
     right = (out < ZERO) if passed else (out > ZERO)
-    e = chosen(turn & (not right), mirrored(e, normal), e)
-    right = right | turn
+    e = chosen(mirror_wrong_side & (not right), mirrored(e, normal), e)
+    right = right | mirror_wrong_side
     done = lobe | (facet.accepted & right)
     return Outcome(e, passed, done, (not lobe) & facet.accepted & (not right), out)
 
 
 @kernel
-def goings(stand, after, core, mixed):
+def goings(interface, result, core_shell, mixed):
     """Return where a ray goes that leaves a surface as `after` says.
 
     Parameters
@@ -242,24 +242,24 @@ def goings(stand, after, core, mixed):
     mixed : True or None
         None where all grains are without coatings.
     """
-    done = after.done
-    shell = stand.shell + stand.side if after.passed else stand.shell
+    done = result.accepted
+    shell = interface.shell + interface.side if result.transmitted else interface.shell
     out = shell == ZERO
     if mixed is None:
         in_core = not out
         side = -ONE
     else:
-        in_core = shell == core
-        side = stand.side if after.passed else -stand.side
+        in_core = shell == core_shell
+        side = interface.side if result.transmitted else -interface.side
         side = -ONE if in_core else side
-    shell = shell if done else stand.shell
-    side = side if done else stand.side
-    stand = Stand(shell, side, after.to_lobe, after.passed)
-    return Goings(stand, done & out, done & (not out) & (not in_core), done & in_core)
+    shell = shell if done else interface.shell
+    side = side if done else interface.side
+    interface = Stand(shell, side, result.needs_lobe, result.transmitted)
+    return Goings(interface, done & out, done & (not out) & (not in_core), done & in_core)
 
 
 @kernel
-def film(thickness, after, crossed):
+def film(thickness, result, in_coating):
     """Return the way through a coating (m), 0 where none is crossed."""
-    length = thickness / max(abs(after.out), precise(after.out).grazing)
-    return length if crossed else ZERO
+    length = thickness / max(abs(result.cos_out), precise(result.cos_out).min_cos_incidence)
+    return length if in_coating else ZERO

@@ -28,49 +28,49 @@ class Walk(NamedTuple):
     """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""
 
     alive: bool
-    way: Vector
-    beam: Beam
+    displacement: Vector
+    payload: Beam
 
 
 class Sides(NamedTuple):
     """The media on both sides of a surface, and the number that decides the pore outside."""
 
-    contrast: Contrast
-    u: float
+    relative_index: Contrast
+    pore_variate: float
 
 
 @part
-def media_of(state, stand, kind, beam, scene, optics):
+def media_of(state, interface, grain_type, payload, scene, optics):
     """Return the media that a ray at a grain has on both sides."""
-    shell, beyond = int(stand.shell), int(stand.shell + stand.side)
+    shell, beyond = int(interface.shell), int(interface.shell + interface.side)
     materials, layers = scene.types.material, scene.layers
-    u = beam.u
+    u = payload.pore_variate
     # On its way into a lobe a ray keeps the pore that let it through.
-    if beyond == 0 and not stand.lobe:
+    if beyond == 0 and not interface.in_lobe:
         u = uniform(state)
-    here = materials[kind, shell - 1] if shell > 0 else pore_of(layers, beam.layer, u)
-    there = materials[kind, beyond - 1] if beyond > 0 else pore_of(layers, beam.layer, u)
+    here = materials[grain_type, shell - 1] if shell > 0 else pore_of(layers, payload.layer, u)
+    there = materials[grain_type, beyond - 1] if beyond > 0 else pore_of(layers, payload.layer, u)
     return Sides(contrast(index_of(optics, here), index_of(optics, there)), u)
 
 
 @part
-def trial(state, d, stand, grain, roughness, media, rules):
+def trial(state, d, interface, grain, roughness, media, rules):
     """Return what one trial at a grain's surface leads to."""
-    facet = facing(d, grain, stand.side)
+    facet = facing(d, grain, interface.side)
     u = uniform(state)
     while roughness > 0.0:
         azimuth = unit_circle(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         numbers = Numbers(uniform(state), u, 0.0, half_normal(state), azimuth)
-        found = rough(d, facet, roughness, numbers, stand.lobe, rules.facets)
-        if found.accepted or stand.lobe:
+        found = rough(d, facet, roughness, numbers, interface.in_lobe, rules.facet_sampling)
+        if found.accepted or interface.in_lobe:
             facet = found
             break
-    return outcome(d, stand, facet, media, u, rules.wrong_side != LOBE, EVERYTHING)
+    return outcome(d, interface, facet, media, u, rules.wrong_side != LOBE, EVERYTHING)
 
 
 @part
-def walk(state, beam, found, scene, optics, length):
+def walk(state, payload, event, scene, optics, path_lengths):
     """Follow a ray from its entry point on a grain until it is back in the pore space.
 
     Parameters
@@ -88,30 +88,30 @@ def walk(state, beam, found, scene, optics, length):
     -------
     Walk
     """
-    kind, size, roughness = found.candidate
-    grain, types = found.meeting.entry.grain, scene.types
+    kind, size, roughness = event.grain_sample
+    grain, types = event.collision.entry.grain, scene.types
     way = ORIGIN
     stand = Stand(0.0, 1.0, False, False)
     while True:
-        media = media_of(state, stand, kind, beam, scene, optics)
-        after = trial(state, beam.d, stand, grain, roughness, media.contrast, scene.rules)
-        if not after.done:
-            beam = Beam(beam.d, beam.layer, media.u, beam.purse)
-            stand = Stand(stand.shell, stand.side, after.to_lobe, after.passed)
+        media = media_of(state, stand, kind, payload, scene, optics)
+        after = trial(state, payload.direction, stand, grain, roughness, media.relative_index, scene.rules)
+        if not after.accepted:
+            payload = Beam(payload.direction, payload.layer, media.pore_variate, payload.roulette)
+            stand = Stand(stand.shell, stand.side, after.needs_lobe, after.transmitted)
             continue
-        gone = goings(stand, after, float(types.shells[kind]), True)
-        stand = gone.stand
-        if gone.out:
-            u = media.u if after.passed else uniform(state)
-            return Walk(True, way, Beam(after.d, beam.layer, u, beam.purse))
+        gone = goings(stand, after, float(types.n_shells[kind]), True)
+        stand = gone.interface
+        if gone.in_pore:
+            u = media.pore_variate if after.transmitted else uniform(state)
+            return Walk(True, way, Beam(after.direction, payload.layer, u, payload.roulette))
         shell = int(stand.shell) - 1
-        if gone.core:
-            leg, grain = across(grain, after.d)
-            way = along(leg, after.d, way)
+        if gone.in_core:
+            leg, grain = across(grain, after.direction)
+            way = along(leg, after.direction, way)
         else:
-            leg = film(2.0 * size.major * types.thickness[kind, shell], after, True)
+            leg = film(2.0 * size.semi_major * types.coating_thickness[kind, shell], after, True)
         material = types.material[kind, shell]
-        payment = paid(state, beam.purse, leg, material, optics, scene.rules.analog, length)
-        beam = Beam(after.d, beam.layer, media.u, payment.purse)
+        payment = paid(state, payload.roulette, leg, material, optics, scene.rules.analog, path_lengths)
+        payload = Beam(after.direction, payload.layer, media.pore_variate, payment.roulette)
         if not payment.alive:
-            return Walk(False, way, beam)
+            return Walk(False, way, payload)

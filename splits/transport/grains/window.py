@@ -35,23 +35,23 @@ class Window(NamedTuple):
 @part
 def height(ray, layers):
     """Return the height at which a ray stands (m)."""
-    bottom = layers.face[layers.face.size - 1]
-    return min(max(ray.flier.place.z + ray.flier.way.z, bottom), 0.0)
+    bottom = layers.boundaries[layers.boundaries.size - 1]
+    return min(max(ray.geometry.position.z + ray.geometry.exit_offset.z, bottom), 0.0)
 
 
 @part
 def worth_of(ray, layers, weight, kappa):
     """Return what a ray can be expected to contribute, see `Window`."""
-    return weight * math.exp(-ray.beam.purse.depth - kappa * height(ray, layers))
+    return weight * math.exp(-ray.payload.roulette.optical_depth - kappa * height(ray, layers))
 
 
 @part
 def left_window(window, ray, layers):
     """Tell whether a ray's worth lies outside its window, and note where it is."""
-    bottom = layers.face[layers.face.size - 1]
+    bottom = layers.boundaries[layers.boundaries.size - 1]
     slices = window.profile.shape[1]
     place = min(int(height(ray, layers) / bottom * slices), slices - 1)
     window.profile[0, place] += 1.0
-    window.profile[1, place] += window.weight * math.exp(-ray.beam.purse.depth)
+    window.profile[1, place] += window.weight * math.exp(-ray.payload.roulette.optical_depth)
     worth = worth_of(ray, layers, window.weight, window.kappa)
     return worth < window.lower or worth > window.upper

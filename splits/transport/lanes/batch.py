@@ -37,42 +37,42 @@ from splits.transport.sums.tally import Told
 def passing_of(scene):
     """Return what the passes need to know of a scene."""
     layers, rules = scene.layers, scene.rules
-    top, bottom = single(layers.face[0]), single(layers.face[layers.face.size - 1])
+    top, bottom = single(layers.boundaries[0]), single(layers.boundaries[layers.boundaries.size - 1])
     space = Space(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top, top)
     mirrored = rules.wrong_side != LOBE
     saturation = single(layers.saturation[0])
     return Passing(
-        space, fates_of(rules), saturation, rules.facets, mirrored, rules.point_grains
+        space, fates_of(rules), saturation, rules.facet_sampling, mirrored, rules.point_grains
     )  # fmt: skip
 
 
 @owner
-def room(materials):
+def room(n_materials):
     """Return lanes of which none is in use."""
     state = aligned(rows.STATE)
     state[rows.STATUS : rows.STATUS + rows.LANES] = rows.IDLE
     words = np.zeros(rows.WORDS, dtype=np.uint32)
-    length = np.zeros((rows.LANES, materials))
+    length = np.zeros((rows.LANES, n_materials))
     ray, item = np.zeros(rows.LANES, dtype=np.int64), np.zeros(rows.LANES, dtype=np.int64)
     return Lanes(state, words, length, ray, item, np.zeros(1, dtype=np.uint64))
 
 
 @part
-def advance(lanes, width, features, tables, task, notes):
+def advance(lanes, width, features, tables, job, crossings):
     """Give all lanes between grains their next grain; see `flight` for what it returns."""
-    draw_types(lanes.state, lanes.words, width, features, tables, task.scene.layers.share)
+    draw_types(lanes.state, lanes.words, width, features, tables, job.scene.layers.type_cdf)
     if features.mixed is not None:
         for lane in range(width):
             if lanes.state[rows.STATUS + lane] == rows.FLYING:
-                put_down(lanes, lane, task.scene)
-    waiting = flight(lanes.state, lanes.words, width, features, task.passing)
+                put_down(lanes, lane, job.scene)
+    waiting = flight(lanes.state, lanes.words, width, features, job.constants)
     if features.mixed is not None:
         for lane in range(width):
             met = lanes.state[rows.STATUS + lane] == rows.TRIAL
             if met and lanes.state[rows.SHELL + lane] == ZERO:
-                dress(lanes, lane, task)
+                dress(lanes, lane, job)
                 if features.layered is not None and lanes.state[rows.LANDED + lane] == ZERO:
-                    land(lanes, lane, task, notes)
+                    land(lanes, lane, job, crossings)
     return waiting
 
 
@@ -91,36 +91,36 @@ class Queue(NamedTuple):
         A ray found no grain that fits.
     """
 
-    ray: int
-    rays: int
+    next_ray: int
+    n_rays: int
     item: int
-    number: int
-    busy: int
+    ray_in_item: int
+    n_active: int
     lost: bool
 
 
 @part
 def next_of(queue, work):
     """Return the queue with the item of the next ray settled."""
-    item, number = queue.item, queue.number
+    item, number = queue.item, queue.ray_in_item
     while number == work[item, 2]:
         item += 1
         number = 0
-    return Queue(queue.ray, queue.rays, item, number, queue.busy, False)
+    return Queue(queue.next_ray, queue.n_rays, item, number, queue.n_active, False)
 
 
 @part
-def refill(lanes, lane, task, exits, queue):
+def refill(lanes, lane, job, exits, queue):
     """Launch rays in a lane that is free until one enters the slab, or none is left."""
     state = lanes.state
-    while queue.ray < queue.rays:
-        queue = next_of(queue, task.work)
-        lanes.length[lane] = 0.0
-        lanes.ray[lane] = queue.ray
+    while queue.next_ray < queue.n_rays:
+        queue = next_of(queue, job.work)
+        lanes.path_lengths[lane] = 0.0
+        lanes.ray[lane] = queue.next_ray
         lanes.item[lane] = queue.item
-        entered = launch(lanes, lane, task, queue.number)
-        busy = queue.busy + 1 if entered else queue.busy
-        queue = Queue(queue.ray + 1, queue.rays, queue.item, queue.number + 1, busy, False)
+        entered = launch(lanes, lane, job, queue.ray_in_item)
+        busy = queue.n_active + 1 if entered else queue.n_active
+        queue = Queue(queue.next_ray + 1, queue.n_rays, queue.item, queue.ray_in_item + 1, busy, False)
         if entered:
             return queue
         leave(lanes, lane, exits)
@@ -129,49 +129,49 @@ def refill(lanes, lane, task, exits, queue):
 
 
 @part
-def at_face(lanes, lane, task, notes, status):
+def at_face(lanes, lane, job, crossings, status):
     """Serve a ray that meets a face or has to change its layer; return whether it leaves."""
     if status == rows.AT_GROUND:
         return True
-    if task.features.layered is None:
-        return at_boundary(lanes, lane, task)
+    if job.features.layered is None:
+        return at_boundary(lanes, lane, job)
     if status == rows.BACK:
-        begin_again(lanes, lane, task)
+        begin_again(lanes, lane, job)
         return False
     if status == rows.ASTRAY:
-        relocate(lanes, lane, task, notes)
+        relocate(lanes, lane, job, crossings)
         return False
-    return at_interface(lanes, lane, task, notes)
+    return at_interface(lanes, lane, job, crossings)
 
 
 @part
-def serve(lanes, width, task, notes, exits, legs, queue):
+def serve(lanes, width, job, crossings, exits, n_segments, queue):
     """End the rays that are done, bring others through boundaries, and launch new ones."""
     state = lanes.state
     for lane in range(width):
         while state[rows.STATUS + lane] >= rows.AT_FACE:
             status = state[rows.STATUS + lane]
             if status == rows.LOST:
-                return Queue(queue.ray, queue.rays, queue.item, queue.number, queue.busy, True)
-            if status == rows.IDLE and queue.ray == queue.rays:
+                return Queue(queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, queue.n_active, True)
+            if status == rows.IDLE and queue.next_ray == queue.n_rays:
                 break
             leaves = False
             if status <= rows.ASTRAY:
-                leaves = at_face(lanes, lane, task, notes, status)
-                if leaves and reaches_ground(lanes, lane, task):
-                    at_ground(lanes, lane, task, notes)
+                leaves = at_face(lanes, lane, job, crossings, status)
+                if leaves and reaches_ground(lanes, lane, job):
+                    at_ground(lanes, lane, job, crossings)
                     leaves = False
                 if not leaves:
                     break
-            busy = queue.busy
+            busy = queue.n_active
             if status != rows.IDLE:
                 busy -= 1
-                legs[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
+                n_segments[lanes.item[lane]] += lanes.words[rows.LEGS + lane]
             if leaves:
-                put_down(lanes, lane, task.scene)
+                put_down(lanes, lane, job.scene)
                 leave(lanes, lane, exits)
-            queue = Queue(queue.ray, queue.rays, queue.item, queue.number, busy, False)
-            queue = refill(lanes, lane, task, exits, queue)
+            queue = Queue(queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, busy, False)
+            queue = refill(lanes, lane, job, exits, queue)
             break
     return queue
 
@@ -227,24 +227,24 @@ def batch(seed, work, scene, optics, exits, features):
     legs = np.zeros(len(work), dtype=np.int64)
     queue = Queue(0, work[:, 2].sum(), 0, 0, 0, False)
     notes = no_notes(optics.n.shape[1])
-    width = min(rows.LANES, max(1, -(-queue.rays // rows.STRIDE)) * rows.STRIDE)
+    width = min(rows.LANES, max(1, -(-queue.n_rays // rows.STRIDE)) * rows.STRIDE)
     flying, ended = 0, width
     # Between two looks at the room, a ray may land once and be served once.
-    most = 2 * width * scene.layers.face.size
+    most = 2 * width * scene.layers.boundaries.size
     while True:
         if not has_room(notes, most):
             notes = room_for(notes, most)
         if ended > 0:
             queue = serve(lanes, width, task, notes, exits, legs, queue)
-            if queue.lost or queue.busy == 0:
+            if queue.lost or queue.n_active == 0:
                 return Told(legs, queue.lost, taken(notes))
-            if queue.busy <= width - rows.STRIDE:
-                width = close_ranks(lanes, width, queue.busy)
+            if queue.n_active <= width - rows.STRIDE:
+                width = close_ranks(lanes, width, queue.n_active)
             flying = count_flying(lanes.state, width)
         # Whichever pass serves more lanes.
-        if 2 * flying >= queue.busy:
+        if 2 * flying >= queue.n_active:
             waiting = advance(lanes, width, features, tables, task, notes)
-            flying, ended = waiting.flying, waiting.ended
+            flying, ended = waiting.n_in_flight, waiting.n_finished
         else:
-            flying = surface(lanes.state, lanes.words, width, features, task.passing)
+            flying = surface(lanes.state, lanes.words, width, features, task.constants)
             ended = 0

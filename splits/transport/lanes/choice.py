@@ -46,18 +46,18 @@ def features_for(scene: Scene, optics: Optics) -> Features | None:
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
     light, layers, types, rules, *_ = scene
-    depth = layers.face[0] - layers.face[-1]
-    if (layers.particles != GRAINS).any() or layers.others.shape[1] > 0:
+    depth = layers.boundaries[0] - layers.boundaries[-1]
+    if (layers.particle_row != GRAINS).any() or layers.pore_cdf.shape[1] > 0:
         return None
-    if rules.analog or types.shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
+    if rules.analog or types.n_shells.max() > 2 or depth * layers.attenuation.max() > DEEPEST:
         return None
-    first_depth = light.cos / layers.attenuation[0] * types.curvature.min()
-    if light.diffuse < 1.0 and first_depth < MIN_FIRST_DEPTH:
+    first_depth = light.cos_incidence / layers.attenuation[0] * types.curvature.min()
+    if light.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
         return None
     if max(optics.n.max(), optics.k.max()) > LARGEST or optics.n.min() < 1.0 / LARGEST:
         return None
     layered = layers.attenuation.size > 1
-    mixed = layered or types.shells.size > 1 or types.shells.max() > 1
+    mixed = layered or types.n_shells.size > 1 or types.n_shells.max() > 1
     absorbing = False
     if not mixed:
         core = types.material[0, 0]

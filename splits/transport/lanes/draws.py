@@ -15,26 +15,26 @@ _33 = np.uint64(33)
 
 
 @part
-def position(u, last):
+def position(u, last_node):
     """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last`."""
     below = u < HALF
     x = root(HALF * (u if below else max(ONE - u, ZERO)))
-    return (x if below else ONE - x) * last
+    return (x if below else ONE - x) * last_node
 
 
 @part
-def draws(state, words, first, features, last):
+def draws(state, words, first_lane, features, last_node):
     """Draw the numbers that decide the next grain of `STRIDE` lanes from `first` on."""
     widest_vectors()
-    first &= rows.LANES - 1
+    first_lane &= rows.LANES - 1
     for j in range(rows.STRIDE):
-        i = first + j
+        i = first_lane + j
         bits = word(words, i, 3)
-        state[rows.AT_CURVATURE + i] = position(below_one(bits >> _33), last)
-        state[rows.AT_FLATTENING + i] = position(below_one(bits), last)
+        state[rows.AT_CURVATURE + i] = position(below_one(bits >> _33), last_node)
+        state[rows.AT_FLATTENING + i] = position(below_one(bits), last_node)
         bits = word(words, i, 4)
         if features.faceted is not None:
-            state[rows.AT_SIGMA + i] = position(below_one(bits >> _33), last)
+            state[rows.AT_SIGMA + i] = position(below_one(bits >> _33), last_node)
         if features.mixed is not None:
             state[rows.AT_KIND + i] = below_one(bits)
             picked = ZERO
@@ -45,28 +45,28 @@ def draws(state, words, first, features, last):
 
 
 @part
-def picks(state, first, share, features):
+def picks(state, first_lane, type_cdf, features):
     """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
     widest_vectors()
-    first &= rows.LANES - 1
-    for layer in range(share.shape[0]):
+    first_lane &= rows.LANES - 1
+    for layer in range(type_cdf.shape[0]):
         here = single(layer)
-        for row in range(share.shape[1] - 1):
-            bound = single(share[layer, row])
+        for row in range(type_cdf.shape[1] - 1):
+            bound = single(type_cdf[layer, row])
             for j in range(rows.STRIDE):
-                i = first + j
+                i = first_lane + j
                 more = ONE if state[rows.AT_KIND + i] >= bound else ZERO
                 if features.layered is not None:
                     more = more if state[rows.LAYER + i] == here else ZERO
                 state[rows.PICKED + i] += more
     for j in range(rows.STRIDE):
-        i = first + j
+        i = first_lane + j
         kind, picked = state[rows.NEW_KIND + i], state[rows.PICKED + i]
         state[rows.NEW_KIND + i] = kind if state[rows.KEEP + i] > ZERO else picked
 
 
 @borrower
-def draw_types(state, words, width, features, tables, share):
+def draw_types(state, words, width, features, tables, type_cdf):
     """Draw type, size, shape and roughness of the next grain in every lane.
 
     A trial refused for its axial position keeps type and shape, which made that likely.
@@ -87,7 +87,7 @@ def draw_types(state, words, width, features, tables, share):
     for first in range(0, width, rows.STRIDE):
         draws(state, words, first, features, last)
         if features.mixed is not None:
-            picks(state, first, share, features)
+            picks(state, first, type_cdf, features)
     for i in range(0, width, rows.VECTOR):
         look_up(curvature, state, rows.NEW_KIND + i, rows.AT_CURVATURE + i, rows.NEW_CURVATURE + i)
         look_up(

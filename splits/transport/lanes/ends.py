@@ -45,7 +45,7 @@ class Task(NamedTuple):
     scene: Scene
     optics: Optics
     features: Features
-    passing: Passing
+    constants: Passing
 
 
 class Lanes(NamedTuple):
@@ -65,7 +65,7 @@ class Lanes(NamedTuple):
 
     state: np.ndarray
     words: np.ndarray
-    length: np.ndarray
+    path_lengths: np.ndarray
     ray: np.ndarray
     item: np.ndarray
     stream: np.ndarray
@@ -86,19 +86,19 @@ def index_of(optics, item, material):
 
 
 @part
-def launch(lanes, lane, task, number):
+def launch(lanes, lane, job, ray_in_item):
     """Start a ray of the lane's item; return whether the slab's wet top lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    light = task.scene.light
-    start_stream(lanes.stream, task.seed, task.work[item, 0], task.work[item, 1] + number)
+    light = job.scene.source
+    start_stream(lanes.stream, job.seed, job.work[item, 0], job.work[item, 1] + ray_in_item)
     words[rows.KEY_HIGH + lane] = np.uint32(lanes.stream[0] >> np.uint64(32))
     words[rows.KEY_LOW + lane] = np.uint32(lanes.stream[0] & _LOW32)
     words[rows.COUNT + lane] = np.uint32(1)
     words[rows.LEGS + lane] = np.uint32(0)
     words[rows.ORDER + lane] = np.uint32(0)
-    words[rows.MOST + lane] = np.uint32(task.work[item, 3])
-    d = launched(light, draw(words, lane) if light.diffuse > 0.0 else 1.0)
-    passed = let_in(lanes, lane, task, 0, d)
+    words[rows.MOST + lane] = np.uint32(job.work[item, 3])
+    d = launched(light, draw(words, lane) if light.diffuse_fraction > 0.0 else 1.0)
+    passed = let_in(lanes, lane, job, 0, d)
     for row in range(0, rows.TRAVELLED, rows.LANES):
         state[row + lane] = ZERO
     put(state, rows.LX + lane, Vector(ZERO, ZERO, -ONE))
@@ -106,21 +106,21 @@ def launch(lanes, lane, task, number):
     state[rows.LIMIT + lane] = single(FIRST_ROULETTE)
     state[rows.WEIGHT + lane] = ONE
     state[rows.STATUS + lane] = rows.FLYING
-    illuminate(state, lane, task.scene, task.optics, item)
+    illuminate(state, lane, job.scene, job.optics, item)
     return passed
 
 
 @part
-def let_in(lanes, lane, task, layer, d):
+def let_in(lanes, lane, job, layer, d):
     """Draw the pore of a lane's ray that comes from outside; return whether its face lets it in."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    layers, optics = task.scene.layers, task.optics
+    layers, optics = job.scene.layers, job.optics
     wet, pore = False, 0.0
-    if task.features.wet is not None:
+    if job.features.wet is not None:
         pore = draw(words, lane)
         wet = pore < layers.saturation[layer]
     passed = True
-    if wet and task.scene.rules.boundary_fresnel:
+    if wet and job.scene.rules.boundary_fresnel:
         dry = layers.pore[layer]
         near, far = index_of(optics, item, dry), index_of(optics, item, dry + 1)
         passed, d = meet(d, facing(d), near, far, draw(words, lane))
@@ -138,12 +138,12 @@ def illuminate(state, lane, scene, optics, item):
     """
     layers, types = scene.layers, scene.types
     layer = int(state[rows.LAYER + lane])
-    state[rows.HIGH + lane], state[rows.LOW + lane] = layers.face[layer], layers.face[layer + 1]
+    state[rows.HIGH + lane], state[rows.LOW + lane] = layers.boundaries[layer], layers.boundaries[layer + 1]
     state[rows.MEAN_LEG + lane] = 1.0 / layers.attenuation[layer]
     state[rows.SATURATION + lane] = layers.saturation[layer]
-    state[rows.FIRST_KIND + lane] = layers.first[layer]
-    kind, pore = layers.first[layer], layers.pore[layer]
-    core = types.material[kind, types.shells[kind] - 1]
+    state[rows.FIRST_KIND + lane] = layers.first_type[layer]
+    kind, pore = layers.first_type[layer], layers.pore[layer]
+    core = types.material[kind, types.n_shells[kind] - 1]
     dry, wet = index_of(optics, item, pore), index_of(optics, item, pore + 1)
     ice = index_of(optics, item, core)
     state[rows.N_DRY + lane] = single(dry.n)
@@ -175,22 +175,22 @@ def seen(near, far):
 @part
 def put_down(lanes, lane, scene):
     """Add the lane's paths since last time to its lengths."""
-    state, length, types = lanes.state, lanes.length, scene.types
+    state, length, types = lanes.state, lanes.path_lengths, scene.types
     kind = int(state[rows.KIND + lane])
     length[lane, DRY_PORE] += state[rows.DRY_PATH + lane]
     length[lane, WET_PORE] += state[rows.WET_PATH + lane]
     length[lane, types.material[kind, 0]] += state[rows.COAT_PATH + lane]
-    length[lane, types.material[kind, types.shells[kind] - 1]] += state[rows.CORE_PATH + lane]
+    length[lane, types.material[kind, types.n_shells[kind] - 1]] += state[rows.CORE_PATH + lane]
     for row in (rows.DRY_PATH, rows.WET_PATH, rows.COAT_PATH, rows.CORE_PATH):
         state[row + lane] = ZERO
 
 
 @part
-def dress(lanes, lane, task):
+def dress(lanes, lane, job):
     """Give a lane the materials of the grain that it has just met."""
-    state, item, types, optics = lanes.state, lanes.item[lane], task.scene.types, task.optics
+    state, item, types, optics = lanes.state, lanes.item[lane], job.scene.types, job.optics
     kind = int(state[rows.KIND + lane])
-    shells = types.shells[kind]
+    shells = types.n_shells[kind]
     outer, core = types.material[kind, 0], types.material[kind, shells - 1]
     state[rows.SHELLS + lane] = single(shells)
     state[rows.N_OUTER + lane] = single(optics.n[item, outer])
@@ -200,32 +200,32 @@ def dress(lanes, lane, task):
     state[rows.A_OUTER + lane] = single(optics.absorption[item, outer])
     state[rows.A_CORE + lane] = single(optics.absorption[item, core])
     major = state[rows.MINOR + lane] / (ONE - state[rows.FLATTENING + lane])
-    state[rows.THICKNESS + lane] = single(2.0 * types.thickness[kind, 0]) * major
+    state[rows.THICKNESS + lane] = single(2.0 * types.coating_thickness[kind, 0]) * major
 
 
 @part
-def at_boundary(lanes, lane, task):
+def at_boundary(lanes, lane, job):
     """Bring a ray to the boundary ahead; return whether it leaves there."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
     ray = flier_at(state, lane, None)
-    arrival = to_boundary(ray, task.passing.space)
-    put(state, rows.X + lane, arrival.place)
+    arrival = to_boundary(ray, job.constants.layer_geometry)
+    put(state, rows.X + lane, arrival.position)
     put(state, rows.GX + lane, Vector(ZERO, ZERO, ZERO))
-    travel(state, lane, arrival.leg, task.features)
-    put(state, rows.LX + lane, ray.d)
-    state[rows.LAST + lane] = arrival.leg
+    travel(state, lane, arrival.distance, job.features)
+    put(state, rows.LX + lane, ray.direction)
+    state[rows.LAST + lane] = arrival.distance
     if state[rows.WET + lane] == ZERO:
         return True
-    if not task.scene.rules.boundary_fresnel:
+    if not job.scene.rules.boundary_fresnel:
         return True
-    d = Vector(np.float64(ray.d.x), np.float64(ray.d.y), np.float64(ray.d.z))
-    near = index_of(task.optics, item, WET_PORE)
-    crossing = meet(d, facing(d), near, index_of(task.optics, item, DRY_PORE), draw(words, lane))
-    e = crossing.d
+    d = Vector(np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z))
+    near = index_of(job.optics, item, WET_PORE)
+    crossing = meet(d, facing(d), near, index_of(job.optics, item, DRY_PORE), draw(words, lane))
+    e = crossing.direction
     put(state, rows.DX + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[rows.TRIES + lane] = ZERO
     state[rows.STATUS + lane] = rows.FLYING
-    return crossing.passed
+    return crossing.transmitted
 
 
 @part
@@ -236,17 +236,17 @@ def leave(lanes, lane, exits):
     place = Vector(np.float64(x.x), np.float64(x.y), np.float64(x.z))
     order = np.float64(lanes.words[rows.ORDER + lane])
     record(row, d.z > ZERO, place, d, state[rows.WEIGHT + lane], order)
-    write(row, EXIT_LENGTH, lanes.length[lane])
+    write(row, EXIT_LENGTH, lanes.path_lengths[lane])
 
 
 @part
-def close_ranks(lanes, width, busy):
+def close_ranks(lanes, width, n_active):
     """Move the last rays of a batch together, and return how many lanes are then in use.
 
     A ray carries its random stream along, so its path does not depend on its lane.
     """
     state, words = lanes.state, lanes.words
-    smaller = -(-busy // rows.STRIDE) * rows.STRIDE
+    smaller = -(-n_active // rows.STRIDE) * rows.STRIDE
     free = 0
     for lane in range(smaller, width):
         if state[rows.STATUS + lane] == rows.IDLE:
@@ -257,7 +257,7 @@ def close_ranks(lanes, width, busy):
             state[row + free] = state[row + lane]
         for row in range(0, rows.WORDS, rows.LANES):
             words[row + free] = words[row + lane]
-        write(lanes.length[free], 0, lanes.length[lane])
+        write(lanes.path_lengths[free], 0, lanes.path_lengths[lane])
         lanes.ray[free] = lanes.ray[lane]
         lanes.item[free] = lanes.item[lane]
         state[rows.STATUS + lane] = rows.IDLE

@@ -15,28 +15,28 @@ from splits.transport.sums.notes import passage
 
 
 @part
-def reaches_ground(lanes, lane, task):
+def reaches_ground(lanes, lane, job):
     """Tell whether a lane's ray that leaves the sample goes down to a ground."""
-    return task.scene.ground != NO_GROUND and lanes.state[rows.DZ + lane] < ZERO
+    return job.scene.ground_column != NO_GROUND and lanes.state[rows.DZ + lane] < ZERO
 
 
 @part
-def at_ground(lanes, lane, task, notes):
+def at_ground(lanes, lane, job, crossings):
     """Note a lane's ray as it meets the ground, and send it back by Lambert's law.
 
     One that the sample's lower face sends down again waits for the ground once more.  Among the
     grains met, of which there is a most, the ground counts as one.
     """
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    ground, lowest = task.scene.ground, task.scene.layers.attenuation.size - 1
-    put_down(lanes, lane, task.scene)
-    take_note(lanes, lane, notes, passage(lowest + 1, False))
-    lanes.length[lane, ground] += 1.0
-    state[rows.DEPTH + lane] += single(task.optics.absorption[item, ground])
+    ground, lowest = job.scene.ground_column, job.scene.layers.attenuation.size - 1
+    put_down(lanes, lane, job.scene)
+    take_note(lanes, lane, crossings, passage(lowest + 1, False))
+    lanes.path_lengths[lane, ground] += 1.0
+    state[rows.DEPTH + lane] += single(job.optics.absorption[item, ground])
     d = lobe(UP, draw(words, lane), draw(words, lane))
-    passed = let_in(lanes, lane, task, lowest, d)
-    if task.features.layered is not None:
-        enter(lanes, lane, task, lowest)
+    passed = let_in(lanes, lane, job, lowest, d)
+    if job.features.layered is not None:
+        enter(lanes, lane, job, lowest)
         set_out(state, lane)
     state[rows.TRIES + lane] = ZERO
     state[rows.STATUS + lane] = rows.FLYING if passed else rows.AT_GROUND

@@ -102,9 +102,9 @@ class Passing(NamedTuple):
     mirrored, point_grains : bool
     """
 
-    space: Space
-    fates: Fates
+    layer_geometry: Space
+    rejection_rules: Fates
     saturation: np.float32
-    facets: np.int32
-    mirrored: np.bool_
+    facet_sampling: np.int32
+    mirror_wrong_side: np.bool_
     point_grains: np.bool_

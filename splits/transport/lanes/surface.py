@@ -47,16 +47,16 @@ def numbers_at(words, i, active, faceted):
 
 
 @part
-def mixed_media(state, i, stand, pore_wet):
+def mixed_media(state, i, interface, pore_wet):
     """Return the contrast of the media on both sides of a surface, for grains of any type."""
-    outward = stand.side < ZERO
+    outward = interface.side < ZERO
     n_dry, k_dry = state[rows.N_DRY + i], state[rows.K_DRY + i]
     n_wet, k_wet = state[rows.N_WET + i], state[rows.K_WET + i]
     n_pore = n_wet if pore_wet else n_dry
     k_pore = k_wet if pore_wet else k_dry
     n_outer, k_outer = state[rows.N_OUTER + i], state[rows.K_OUTER + i]
     n_core, k_core = state[rows.N_CORE + i], state[rows.K_CORE + i]
-    below, in_pore = stand.shell > ONE, stand.shell == ZERO
+    below, in_pore = interface.shell > ONE, interface.shell == ZERO
     n_inner = n_core if below else n_outer
     k_inner = k_core if below else k_outer
     near = Index(n_pore if in_pore else n_inner, k_pore if in_pore else k_inner)
@@ -68,9 +68,9 @@ def mixed_media(state, i, stand, pore_wet):
 
 
 @part
-def plain_media(state, i, stand, pore_wet, features):
+def plain_media(state, i, interface, pore_wet, features):
     """Return what `mixed_media` does, where all grains are of one type without coatings."""
-    outward = stand.side < ZERO
+    outward = interface.side < ZERO
     m_in, c_in = state[rows.M_IN_DRY + i], state[rows.C_IN_DRY + i]
     m_out, c_out = state[rows.M_OUT_DRY + i], state[rows.C_OUT_DRY + i]
     if features.wet is not None:
@@ -93,7 +93,7 @@ def plain_media(state, i, stand, pore_wet, features):
 
 
 @part
-def trial(state, words, i, features, scene):
+def trial(state, words, i, features, constants):
     """Let a lane try once; return what became of it and the pore on the surface's outer side."""
     status = state[rows.STATUS + i]
     active = (status >= rows.TRIAL) & (status <= rows.LOBE_THROUGH)
@@ -115,38 +115,38 @@ def trial(state, words, i, features, scene):
     outward = stand.side < ZERO
     facet = facing(d, grain, stand.side)
     if features.faceted is not None:
-        facet = rough(d, facet, state[rows.SIGMA + i], numbers, stand.lobe, scene.facets)
+        facet = rough(d, facet, state[rows.SIGMA + i], numbers, stand.in_lobe, constants.facet_sampling)
     # A ray that reaches the outermost interface from the inside draws the pore that it may go
     # into, unless it is on its way there in a lobe.
     new_wet = wet
     if features.wet is not None:
-        saturation = scene.saturation
+        saturation = constants.saturation
         if features.layered is not None:
             saturation = state[rows.SATURATION + i]
-        drawn_wet = ONE if numbers.pore < saturation else ZERO
-        new_wet = wet if stand.lobe & outward else drawn_wet
+        drawn_wet = ONE if numbers.u_pore < saturation else ZERO
+        new_wet = wet if stand.in_lobe & outward else drawn_wet
     pore_wet = (new_wet if outward else wet) > ZERO
     if features.mixed is not None:
         media = mixed_media(state, i, stand, pore_wet)
     else:
         media = plain_media(state, i, stand, pore_wet, features)
-    after = outcome(d, stand, facet, media, numbers.fresnel, scene.mirrored, features)
-    after = Outcome(after.d, after.passed, active & after.done, active & after.to_lobe, after.out)
+    after = outcome(d, stand, facet, media, numbers.u_fresnel, constants.mirror_wrong_side, features)
+    after = Outcome(after.direction, after.transmitted, active & after.accepted, active & after.needs_lobe, after.cos_out)
     gone = goings(stand, after, state[rows.SHELLS + i], features.mixed)
     if features.wet is not None:
         # A ray reflected from the outside draws the pore of its next leg, too.
-        keep = gone.out | (after.to_lobe & outward)
+        keep = gone.in_pore | (after.needs_lobe & outward)
         state[rows.WET + i] = new_wet if keep else wet
         if features.layered is not None:
             pore = state[rows.PORE + i]
-            state[rows.PORE + i] = numbers.pore if keep & (not (stand.lobe & outward)) else pore
-    move(state, i, grain, after, gone, features, scene.point_grains)
-    put(state, rows.DX + i, chosen(after.done, after.d, d))
-    state[rows.SHELL + i] = gone.stand.shell
-    state[rows.SIDE + i] = gone.stand.side
-    next_status = rows.FLYING if gone.out else rows.TRIAL
+            state[rows.PORE + i] = numbers.u_pore if keep & (not (stand.in_lobe & outward)) else pore
+    move(state, i, grain, after, gone, features, constants.point_grains)
+    put(state, rows.DX + i, chosen(after.accepted, after.direction, d))
+    state[rows.SHELL + i] = gone.interface.shell
+    state[rows.SIDE + i] = gone.interface.side
+    next_status = rows.FLYING if gone.in_pore else rows.TRIAL
     next_status = (
-        (rows.LOBE_THROUGH if after.passed else rows.LOBE_BACK) if after.to_lobe else next_status
+        (rows.LOBE_THROUGH if after.transmitted else rows.LOBE_BACK) if after.needs_lobe else next_status
     )
     next_status = next_status if active else status
     state[rows.STATUS + i] = next_status
@@ -154,40 +154,40 @@ def trial(state, words, i, features, scene):
 
 
 @part
-def move(state, i, grain, after, gone, features, point_grains):
+def move(state, i, grain, result, region, features, point_grains):
     """Bring a lane's ray through the coating or the core that it now crosses."""
-    chord = across(grain, after.d)
-    leg = chord.length if gone.core else ZERO
-    put(state, rows.QX + i, chosen(gone.core, chord.grain.q, grain.q))
-    way, done = vector(state, rows.GX + i), scaled(leg, after.d)
+    chord = across(grain, result.direction)
+    leg = chord.length if region.in_core else ZERO
+    put(state, rows.QX + i, chosen(region.in_core, chord.grain.q, grain.q))
+    way, done = vector(state, rows.GX + i), scaled(leg, result.direction)
     # A direction that is no number, in a lane that waits, must not get into its way.
-    more = chosen(gone.core & (not point_grains), done, Vector(ZERO, ZERO, ZERO))
+    more = chosen(region.in_core & (not point_grains), done, Vector(ZERO, ZERO, ZERO))
     put(state, rows.GX + i, Vector(way.x + more.x, way.y + more.y, way.z + more.z))
     state[rows.CORE_PATH + i] += leg
     depth = leg * state[rows.A_CORE + i]
     if features.mixed is not None:
-        coat = film(state[rows.THICKNESS + i], after, gone.coating)
+        coat = film(state[rows.THICKNESS + i], result, region.in_coating)
         state[rows.COAT_PATH + i] += coat
         depth += coat * state[rows.A_OUTER + i]
     state[rows.DEPTH + i] += depth
 
 
 @part
-def trials(state, words, first, features, scene):
+def trials(state, words, first_lane, features, constants):
     """Do what `surface` does for `STRIDE` lanes from `first` on."""
     flying = np.int32(0)
     widest_vectors()
     # What cannot be negative needs no test for an index that counts from the end.
-    first &= rows.LANES - 1
+    first_lane &= rows.LANES - 1
     for j in range(rows.STRIDE):
-        after = trial(state, words, first + j, features, scene)
+        after = trial(state, words, first_lane + j, features, constants)
         flying = np.int32(flying + 1) if after == rows.FLYING else flying
     two_at_a_time()
     return flying
 
 
 @borrower
-def surface(state, words, width, features, scene):
+def surface(state, words, width, features, constants):
     """Advance all lanes that are at a grain's surface by one trial.
 
     Parameters
@@ -207,5 +207,5 @@ def surface(state, words, width, features, scene):
     widest_vectors()
     flying = np.int32(0)
     for first in range(0, width, rows.STRIDE):
-        flying += trials(state, words, first, features, scene)
+        flying += trials(state, words, first, features, constants)
     return flying

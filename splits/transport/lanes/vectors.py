@@ -59,7 +59,7 @@ def _offset(block: ir.Block) -> int:
 
 
 @intrinsic
-def look_up(typing_context, table, state, row, at, into):
+def look_up(typing_context, table, state, row_at, position_at, value_at):
     """Read a table for `VECTOR` lanes at once, joined linearly between its points.
 
     LLVM cannot know that stores to lanes leave a table as it is, and reads it one by one; with
@@ -130,4 +130,4 @@ def look_up(typing_context, table, state, row, at, into):
         builder.store(value, lane(arguments[4]), align=4)
         return context.get_dummy_value()
 
-    return types.void(table, state, row, at, into), generate
+    return types.void(table, state, row_at, position_at, value_at), generate

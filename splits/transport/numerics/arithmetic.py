@@ -95,8 +95,8 @@ class Precision(NamedTuple):
 
     one: Any
     zero: Any
-    grazing: Any
-    normal: Any
+    min_cos_incidence: Any
+    min_sin2_incidence: Any
 
 
 _SINGLE = Precision(np.float32(1.0), np.float32(0.0), np.float32(1e-6), np.float32(1e-8))

@@ -93,19 +93,19 @@ def from_table(table, row, u):
 
 
 @kernel
-def pick(share, u):
+def pick(cdf, u):
     """Return the first type whose cumulative share exceeds u."""
     i = 0
-    while u >= share[i] and i < share.size - 1:
+    while u >= cdf[i] and i < cdf.size - 1:
         i += 1
     return i
 
 
-def table_probabilities(points):
+def table_probabilities(n_points):
     """Return the probabilities of a quantile table, float64[points], dense at both ends.
 
     u = 2x² below one half and its mirror image above, x equidistant: the outermost cell of 1025
     points holds 2e-6 of the probability, so that tails of distributions survive.
     """
-    x = np.linspace(0.0, 1.0, points)
+    x = np.linspace(0.0, 1.0, n_points)
     return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)

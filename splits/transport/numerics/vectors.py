@@ -65,9 +65,9 @@ def combined(g, a, h, b):
 
 
 @kernel
-def chosen(which, a, b):
+def chosen(condition, a, b):
     """Return a where `which` holds, otherwise b; of both, as vector code wants it."""
-    return Vector(a.x if which else b.x, a.y if which else b.y, a.z if which else b.z)
+    return Vector(a.x if condition else b.x, a.y if condition else b.y, a.z if condition else b.z)
 
 
 @kernel
@@ -108,7 +108,7 @@ def around(n, polar, azimuth):
 
 
 @kernel
-def lobe(n, u, turn):
+def lobe(n, u, u_azimuth):
     """Return a direction around the unit vector n with density cosθ/π (Lambert).
 
     Parameters
@@ -117,4 +117,4 @@ def lobe(n, u, turn):
     u, turn : float
         Two uniform random numbers.
     """
-    return around(n, Angle(root(u), root(ONE - u)), circle(turn))
+    return around(n, Angle(root(u), root(ONE - u)), circle(u_azimuth))

@@ -22,8 +22,8 @@ class Index(NamedTuple):
 class Crossing(NamedTuple):
     """Whether a ray passed a face, and its direction after."""
 
-    passed: bool
-    d: Vector
+    transmitted: bool
+    direction: Vector
 
 
 @kernel
@@ -43,7 +43,7 @@ def meet(d, normal, near, far, u):
     passage = between(near.n, near.k, far.n, far.k, cos_i)
     if u < passage.reflectance:
         return Crossing(False, mirrored(d, normal))
-    if passage.ratio == 1.0 and passage.cos == cos_i:
+    if passage.sine_ratio == 1.0 and passage.cos_transmitted == cos_i:
         return Crossing(True, d)
     return Crossing(True, refracted(d, normal, cos_i, passage))
 

@@ -48,8 +48,8 @@ class Passage(NamedTuple):
     """
 
     reflectance: float
-    ratio: float
-    cos: float
+    sine_ratio: float
+    cos_transmitted: float
 
 
 @kernel
@@ -152,7 +152,7 @@ def between(n1, k1, n2, k2, cos_i):
 
 
 @kernel
-def refracted(d, n, cos_i, passage):
+def refracted(d, n, cos_i, fresnel_result):
     """Return the refracted direction for incidence along d on the facet normal n (d·n < 0)."""
-    k = passage.ratio * cos_i - passage.cos
-    return normalized(combined(passage.ratio, d, k, n))
+    k = fresnel_result.sine_ratio * cos_i - fresnel_result.cos_transmitted
+    return normalized(combined(fresnel_result.sine_ratio, d, k, n))

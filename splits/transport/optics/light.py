@@ -20,12 +20,12 @@ class Light(NamedTuple):
         Share of the incident flux that comes from everywhere with equal radiance, 0 to 1.
     """
 
-    cos: float
-    diffuse: float
+    cos_incidence: float
+    diffuse_fraction: float
 
 
 @kernel
-def launched(light, u):
+def launched(source, u):
     """Return the direction in which a ray comes from above.
 
     Parameters
@@ -34,8 +34,8 @@ def launched(light, u):
     u : float
         A uniform random number; not looked at where there is a beam only.
     """
-    mu = light.cos
-    if u < light.diffuse:
+    mu = source.cos_incidence
+    if u < source.diffuse_fraction:
         # Lambert's law; what is left of u once it has chosen is uniform again.
-        mu = root(u / light.diffuse)
+        mu = root(u / source.diffuse_fraction)
     return Vector(root(max((1.0 - mu) * (1.0 + mu), 0.0)), 0.0, -mu)

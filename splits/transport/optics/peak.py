@@ -42,7 +42,7 @@ class Peak(NamedTuple):
     """
 
     phase: Phase
-    share: float
+    fraction: float
 
 
 def separate_peak(phase: Phase) -> Peak | None:
@@ -61,7 +61,7 @@ def separate_peak(phase: Phase) -> Peak | None:
     excess = np.maximum(np.interp(nodes, cosines, above), 0.0)
     excess[np.isin(nodes, between)] = 0.0
     share = 2.0 * math.pi * np.trapezoid(excess, nodes)
-    return Peak(tabulated(nodes, excess, phase.polarizing), float(share))
+    return Peak(tabulated(nodes, excess, phase.max_polarization), float(share))
 
 
 def _steep_side(g: float) -> tuple[np.ndarray, np.ndarray]:
@@ -82,4 +82,4 @@ def _steep_side(g: float) -> tuple[np.ndarray, np.ndarray]:
 def wide_fraction(peak, phase, mu):
     """Return what part of a phase function at a cosine its peak leaves."""
     narrow = phase_density(peak.phase, mu)
-    return 1.0 if narrow == 0.0 else 1.0 - peak.share * narrow / phase_density(phase, mu)
+    return 1.0 if narrow == 0.0 else 1.0 - peak.fraction * narrow / phase_density(phase, mu)

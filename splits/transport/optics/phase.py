@@ -56,10 +56,10 @@ class Phase(NamedTuple):
 
     kind: int
     g: float
-    polarizing: float
+    max_polarization: float
     cosines: np.ndarray
     density: np.ndarray
-    quantiles: np.ndarray
+    cdf: np.ndarray
 
 
 class Ratios(NamedTuple):
@@ -69,23 +69,23 @@ class Ratios(NamedTuple):
     m33: float
 
 
-def _without_table(kind: int, g: float, polarizing: float) -> Phase:
+def _without_table(kind: int, g: float, max_polarization: float) -> Phase:
     ends = np.array([-1.0, 1.0])
     even = np.full(2, _PER_SPHERE)
-    return Phase(kind, float(g), float(polarizing), ends, even, np.array([0.0, 1.0]))
+    return Phase(kind, float(g), float(max_polarization), ends, even, np.array([0.0, 1.0]))
 
 
-def henyey_greenstein(g: float, polarizing: float = 0.0) -> Phase:
+def henyey_greenstein(g: float, max_polarization: float = 0.0) -> Phase:
     """Return the phase function of Henyey & Greenstein (1941, Astrophys. J. 93, 70)."""
-    return _without_table(HENYEY_GREENSTEIN, g, polarizing)
+    return _without_table(HENYEY_GREENSTEIN, g, max_polarization)
 
 
-def rayleigh(polarizing: float = 1.0) -> Phase:
+def rayleigh(max_polarization: float = 1.0) -> Phase:
     """Return Rayleigh's phase function."""
-    return _without_table(RAYLEIGH, 0.0, polarizing)
+    return _without_table(RAYLEIGH, 0.0, max_polarization)
 
 
-def tabulated(cosines: Any, values: Any, polarizing: float = 0.0) -> Phase:
+def tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> Phase:
     """Return a phase function that is linear in µ between given values.
 
     Parameters
@@ -107,7 +107,7 @@ def tabulated(cosines: Any, values: Any, polarizing: float = 0.0) -> Phase:
     moments = width * ((2.0 * low + high) * y[:-1] + (low + 2.0 * high) * y[1:]) / 6.0
     g = float(moments.sum() / total)
     density = y / (2.0 * math.pi * total)
-    return Phase(TABLE, g, float(polarizing), mu, density, cumulative / total)
+    return Phase(TABLE, g, float(max_polarization), mu, density, cumulative / total)
 
 
 @kernel
@@ -151,14 +151,14 @@ def rayleigh_quantile(u):
 
 
 @kernel
-def table_quantile(cosines, density, quantiles, u):
+def table_quantile(cosines, density, cdf, u):
     """Return the cosine that a tabulated phase function exceeds with probability 1 − u.
 
     A share v of a cell's probability lies within the share s of its width, v (y₀ + y₁) = 2 y₀ s +
     (y₁ − y₀) s²; the root in [0, 1] is written without differences.
     """
-    i = _cell(quantiles, u)
-    v = (u - quantiles[i]) / (quantiles[i + 1] - quantiles[i])
+    i = _cell(cdf, u)
+    v = (u - cdf[i]) / (cdf[i + 1] - cdf[i])
     y0, y1 = density[i], density[i + 1]
     root = math.sqrt((1.0 - v) * y0 * y0 + v * y1 * y1)
     s = min(v * (y0 + y1) / max(y0 + root, TINY), 1.0)
@@ -173,7 +173,7 @@ def scattering_cosine(state, phase):
         return henyey_greenstein_quantile(phase.g, u)
     if phase.kind == RAYLEIGH:
         return rayleigh_quantile(u)
-    return table_quantile(phase.cosines, phase.density, phase.quantiles, u)
+    return table_quantile(phase.cosines, phase.density, phase.cdf, u)
 
 
 @kernel
@@ -197,7 +197,7 @@ def polarizing_ratios(phase, mu):
     """Return the `Ratios` at a cosine."""
     square = mu * mu
     per = 1.0 / (1.0 + square)
-    return Ratios(-phase.polarizing * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per)
+    return Ratios(-phase.max_polarization * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per)
 
 
 @kernel

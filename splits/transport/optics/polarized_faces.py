@@ -37,7 +37,7 @@ class Face(NamedTuple):
 
     reflection: Reflection
     transmission: Transmission
-    passage: Passage
+    fresnel_result: Passage
 
 
 class Incidence(NamedTuple):
@@ -53,8 +53,8 @@ class Incidence(NamedTuple):
         For a reference in that plane.
     """
 
-    cos: float
-    across: Vector
+    cos_incidence: float
+    plane_normal: Vector
     q: float
     u: float
     v: float
@@ -63,16 +63,16 @@ class Incidence(NamedTuple):
 class Reflected(NamedTuple):
     """Share of light that is reflected; direction and `Stokes`, or None, after."""
 
-    share: float
-    d: Vector
+    reflectance: float
+    direction: Vector
     stokes: Any
 
 
 class Meeting(NamedTuple):
     """Whether a ray passed a face; its direction and `Stokes`, or None, after."""
 
-    passed: bool
-    d: Vector
+    transmitted: bool
+    direction: Vector
     stokes: Any
 
 
@@ -151,10 +151,10 @@ def incidence(d, stokes, normal):
 
 
 @part
-def _reflected(d, normal, light, face):
+def _reflected(d, normal, incident, mueller):
     """Return what becomes of light, an `Incidence`, that a face reflects."""
-    plus, minus, real, imaginary = face.reflection
-    _, across, q, u, v = light
+    plus, minus, real, imaginary = mueller.reflection
+    _, across, q, u, v = incident
     share = plus + minus * q
     d = normalized(mirrored(d, normal))
     e = normalized(cross(across, d))
@@ -165,11 +165,11 @@ def _reflected(d, normal, light, face):
 
 
 @part
-def _refracted(d, normal, light, face):
+def _refracted(d, normal, incident, mueller):
     """Return what becomes of light, an `Incidence`, that passes a face."""
-    plus, minus, root = face.transmission
-    cos_i, across, q, u, v = light
-    d = refracted(d, normal, cos_i, face.passage)
+    plus, minus, root = mueller.transmission
+    cos_i, across, q, u, v = incident
+    d = refracted(d, normal, cos_i, mueller.fresnel_result)
     e = normalized(cross(across, d))
     return Meeting(True, d, normalised(e, plus + minus * q, minus + plus * q, root * u, root * v))
 
@@ -194,7 +194,7 @@ def reflected_polarized(d, stokes, normal, n1, n2):
         The reference is in the plane of incidence.
     """
     light = incidence(d, stokes, normal)
-    return _reflected(d, normal, light, fresnel_amplitudes(n1, n2, light.cos))
+    return _reflected(d, normal, light, fresnel_amplitudes(n1, n2, light.cos_incidence))
 
 
 @kernel
@@ -209,9 +209,9 @@ def reflect_or_refract_polarized(state, d, stokes, normal, n1, n2):
         The reference is in the plane of incidence.
     """
     light = incidence(d, stokes, normal)
-    face = fresnel_amplitudes(n1, n2, light.cos)
+    face = fresnel_amplitudes(n1, n2, light.cos_incidence)
     back = face.reflection
     if uniform(state) >= back.plus + back.minus * light.q:
         return _refracted(d, normal, light, face)
     mirrored_light = _reflected(d, normal, light, face)
-    return Meeting(False, mirrored_light.d, mirrored_light.stokes)
+    return Meeting(False, mirrored_light.direction, mirrored_light.stokes)

@@ -61,13 +61,13 @@ class Azimuth(NamedTuple):
 
     cos: float
     sin: float
-    polar: float
+    sin_polar: float
 
 
 class Scattered(NamedTuple):
     """Direction and polarization of a ray, a `Stokes` or None, after an encounter."""
 
-    d: Vector
+    direction: Vector
     stokes: Any
 
 
@@ -189,10 +189,10 @@ def scatter_polarized(state, phase, d, stokes):
 
 
 @part
-def _scattered_light(e, part, light, v, ratios):
+def _scattered_light(e, intensity, linear, v, ratios):
     """Return the polarization of scattered light, of which `part` is I over the phase function."""
     m12, m33 = ratios
-    return normalised(e, part, m12 + light.q, m33 * light.u, m33 * v)
+    return normalised(e, intensity, m12 + linear.q, m33 * linear.u, m33 * v)
 
 
 @kernel
@@ -218,7 +218,7 @@ def scattered_towards(phase, d, stokes, t):
     ratios = polarizing_ratios(phase, mu)
     light = turned(stokes.q, stokes.u, at.cos, at.sin)
     part = max(1.0 + ratios.m12 * light.q, 0.0)
-    e = _reference_behind(mu, at.polar, combined(at.cos, stokes.e, at.sin, f), d, t)
+    e = _reference_behind(mu, at.sin_polar, combined(at.cos, stokes.e, at.sin, f), d, t)
     return Estimate(
         phase_density(phase, mu) * part, _scattered_light(e, part, light, stokes.v, ratios)
     )

@@ -31,71 +31,71 @@ class Census(NamedTuple):
     """
 
     counts: np.ndarray
-    hits: np.ndarray
+    rays_by_hits: np.ndarray
 
 
 class Walk(NamedTuple):
     """A ray above the surface, side 1, or below it, side −1."""
 
-    place: Vector
-    d: Vector
+    position: Vector
+    direction: Vector
     side: float
 
 
 @part
-def _leaks(state, surface, walk, length):
+def _leaks(state, surface, ray, length):
     """Return how many of four points of a leg are on the wrong side of the surface."""
     found = 0
     for i in range(4):
         # Three anywhere, and one where a step too long at the end of the march would show.
         s = length * (uniform(state) if i else 1.0 - 1e-9)
-        at = along(s, walk.d, walk.place)
+        at = along(s, ray.direction, ray.position)
         height = relief_at(surface.waves, at.x, at.y).height
-        if walk.side * (at.z - height) < -4.0 * tolerance(surface, at, s):
+        if ray.side * (at.z - height) < -4.0 * tolerance(surface, at, s):
             found += 1
     return found
 
 
 @part
-def _beyond_facet(state, walk, hit, index):
+def _beyond_facet(state, ray, hit, refractive_index):
     """Return a walk after a facet, where it is reflected or refracted."""
     upward = normal_of(hit.slope)
-    near, far = (1.0, index) if walk.side > 0.0 else (index, 1.0)
-    meeting = meet_face(state, walk.d, None, scaled(walk.side, upward), near, far)
-    side = -walk.side if meeting.passed else walk.side
-    place = along(hit.distance, walk.d, walk.place)
-    return Walk(place, cleared(meeting.d, scaled(side, upward)), side)
+    near, far = (1.0, refractive_index) if ray.side > 0.0 else (refractive_index, 1.0)
+    meeting = meet_face(state, ray.direction, None, scaled(ray.side, upward), near, far)
+    side = -ray.side if meeting.transmitted else ray.side
+    place = along(hit.distance, ray.direction, ray.position)
+    return Walk(place, cleared(meeting.direction, scaled(side, upward)), side)
 
 
 @part
-def _count(state, surface, index, walk, counts):
+def _count(state, surface, refractive_index, ray, counts):
     """Count along one ray, and return how many facets it hit."""
     hits = 0
     while hits < MOST_HITS:
-        hit = first_crossing(surface, walk.place, walk.d, walk.side)
+        hit = first_crossing(surface, ray.position, ray.direction, ray.side)
         counts[LEGS] += 1
-        counts[EVALUATIONS] += hit.looks
+        counts[EVALUATIONS] += hit.n_evaluations
         if hit.distance == LOST:
             counts[LOSSES] += 1
             break
         if hit.distance == GONE:
-            rest = surface.reach - walk.side * walk.place.z
-            if rest > 0.0 and walk.side * walk.d.z > 0.0:
-                length = rest / (walk.side * walk.d.z)
-                counts[LEAKS] += _leaks(state, surface, walk, length)
-            if walk.side > 0.0:
+            rest = surface.max_height - ray.side * ray.position.z
+            if rest > 0.0 and ray.side * ray.direction.z > 0.0:
+                length = rest / (ray.side * ray.direction.z)
+                counts[LEAKS] += _leaks(state, surface, ray, length)
+            if ray.side > 0.0:
                 break
-            place = Vector(walk.place.x, walk.place.y, -2.0 * surface.reach)
-            walk = Walk(place, reflect_diffusely(state, UP, None).d, walk.side)
+            place = Vector(ray.position.x, ray.position.y, -2.0 * surface.max_height)
+            ray = Walk(place, reflect_diffusely(state, UP, None).direction, ray.side)
             continue
-        counts[LEAKS] += _leaks(state, surface, walk, hit.distance)
+        counts[LEAKS] += _leaks(state, surface, ray, hit.distance)
         hits += 1
-        walk = _beyond_facet(state, walk, hit, index)
+        ray = _beyond_facet(state, ray, hit, refractive_index)
     return hits
 
 
 @entry
-def crossings(seed, first, rays, fields, index, cos_incidence):
+def crossings(seed, first_ray, n_rays, fields, refractive_index, cos_incidence):
     """Send rays through surfaces of their own and count what must not be.
 
     Every ray comes from above, and is reflected or refracted at the facets that it meets until it
@@ -119,11 +119,11 @@ def crossings(seed, first, rays, fields, index, cos_incidence):
     state = np.zeros(1, dtype=np.uint64)
     room = room_for(fields)
     d = launched(Light(cos_incidence, 0.0), 1.0)
-    for ray in range(first, first + rays):
+    for ray in range(first_ray, first_ray + n_rays):
         start_stream(state, seed, 0, ray)
         surface = draw_waves(state, fields, room)
-        walk = Walk(Vector(0.0, 0.0, surface.reach), d, 1.0)
-        hits = _count(state, surface, index, walk, census.counts)
+        walk = Walk(Vector(0.0, 0.0, surface.max_height), d, 1.0)
+        hits = _count(state, surface, refractive_index, walk, census.counts)
         census.counts[CROSSINGS] += hits
-        census.hits[hits] += 1
+        census.rays_by_hits[hits] += 1
     return census

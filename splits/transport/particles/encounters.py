@@ -42,7 +42,7 @@ def meet_face(state, d, stokes, normal, n1, n2):
     """
     if stokes is None:
         crossing = meet(d, normal, Index(n1, 0.0), Index(n2, 0.0), uniform(state))
-        return Meeting(crossing.passed, crossing.d, stokes)
+        return Meeting(crossing.transmitted, crossing.direction, stokes)
     return reflect_or_refract_polarized(state, d, stokes, normal, n1, n2)
 
 

@@ -45,9 +45,9 @@ class LastScattering(NamedTuple):
         Per steradian.
     """
 
-    z: float
-    up: float
-    sound: Sound
+    height: float
+    vertical_sign: float
+    stokes_vector: Sound
 
 
 class Connection(NamedTuple):
@@ -64,10 +64,10 @@ class Connection(NamedTuple):
         −1 after an odd number of reflections: sampled directions are mirrored then.
     """
 
-    z: float
-    d: Vector
-    light: Estimate
-    side: float
+    height: float
+    direction: Vector
+    contribution: Estimate
+    mirror_sign: float
 
 
 @part
@@ -75,24 +75,24 @@ def sample_order(state, detectors, layer):
     """Sample how many scatterings into the peak follow: n with the probability (1 − q) qⁿ."""
     order = 0
     if detectors.peak is not None:
-        highest = detectors.directions.shape[0] - 1
-        going_on = detectors.peak.share * layer.albedo
+        highest = detectors.peak_directions.shape[0] - 1
+        going_on = detectors.peak.fraction * layer.albedo
         while order < highest and uniform(state) < going_on:
             order += 1
     return order
 
 
 @part
-def sample_directions(state, detectors, order, t):
+def sample_directions(state, detectors, peak_order, t):
     """Return a direction from which so many scatterings into the peak lead to t.
 
     Row 0 of ``detectors.directions`` becomes t, row n the direction before the last n scatterings.
     """
     if detectors.peak is not None:
-        _store(detectors.directions, 0, t)
-        for row in range(1, order + 1):
+        _store(detectors.peak_directions, 0, t)
+        for row in range(1, peak_order + 1):
             t = scattered(state, detectors.peak.phase, t)
-            _store(detectors.directions, row, t)
+            _store(detectors.peak_directions, row, t)
     return t
 
 
@@ -118,15 +118,15 @@ def advance_to_particle(state, layer, connection):
         left -= way
         below = d.z < 0.0
         z = -layer.depth if below else 0.0
-        meeting = meet_face(state, d, stokes, scaled(1.0 if below else -1.0, UP), layer.n, 1.0)
-        if meeting.passed or (below and layer.bottom >= 0.0):
+        meeting = meet_face(state, d, stokes, scaled(1.0 if below else -1.0, UP), layer.refractive_index, 1.0)
+        if meeting.transmitted or (below and layer.bottom_albedo >= 0.0):
             density = 0.0
-        d, stokes, side = meeting.d, meeting.stokes, -side
+        d, stokes, side = meeting.direction, meeting.stokes, -side
     return Connection(z, d, Estimate(density, stokes), side)
 
 
 @part
-def polarize(phase, d, light, stokes, t):
+def polarize(phase, d, contribution, stokes, t):
     """Return the `Estimate` of light after a scattering into a direction sampled without it.
 
     Parameters
@@ -141,19 +141,19 @@ def polarize(phase, d, light, stokes, t):
         The sampled direction.
     """
     if stokes is None:
-        return light
+        return contribution
     after = scattered_towards(phase, d, stokes, t)
     relative = after.density / phase_density(phase, dot(d, t))
-    return Estimate(light.density * relative, after.stokes)
+    return Estimate(contribution.density * relative, after.stokes)
 
 
 @part
-def follow_directions(state, detectors, layer, phase, order, connection):
+def follow_directions(state, detectors, layer, phase, peak_order, connection):
     """Return a `Connection` after so many scatterings into the peak, see `sample_directions`."""
-    directions = detectors.directions
-    for row in range(order - 1, -1, -1):
+    directions = detectors.peak_directions
+    for row in range(peak_order - 1, -1, -1):
         connection = advance_to_particle(state, layer, connection)
-        if connection.light.density == 0.0:
+        if connection.contribution.density == 0.0:
             break
         z, d, light, side = connection
         t = Vector(directions[row, 0], directions[row, 1], side * directions[row, 2])
@@ -162,7 +162,7 @@ def follow_directions(state, detectors, layer, phase, order, connection):
 
 
 @part
-def complete(state, detectors, layer, phase, order, connection, plane):
+def complete(state, detectors, layer, phase, peak_order, connection, plane):
     """Return the `LastScattering` of light that is sent to a detector.
 
     Parameters
@@ -176,14 +176,14 @@ def complete(state, detectors, layer, phase, order, connection, plane):
     plane : Vector
         Horizontal, of the plane that Q refers to.
     """
-    if detectors.peak is not None and order > 0:
-        per = 1.0 / (1.0 - detectors.peak.share * layer.albedo)
-        connection = follow_directions(state, detectors, layer, phase, order, connection)
-        light = Estimate(per * connection.light.density, connection.light.stokes)
-        connection = Connection(connection.z, connection.d, light, connection.side)
-    density, stokes = connection.light
-    sound = resolve(density, stokes, connection.d, plane)
-    return LastScattering(connection.z, math.copysign(1.0, connection.d.z), sound)
+    if detectors.peak is not None and peak_order > 0:
+        per = 1.0 / (1.0 - detectors.peak.fraction * layer.albedo)
+        connection = follow_directions(state, detectors, layer, phase, peak_order, connection)
+        light = Estimate(per * connection.contribution.density, connection.contribution.stokes)
+        connection = Connection(connection.height, connection.direction, light, connection.mirror_sign)
+    density, stokes = connection.contribution
+    sound = resolve(density, stokes, connection.direction, plane)
+    return LastScattering(connection.height, math.copysign(1.0, connection.direction.z), sound)
 
 
 @part
@@ -204,7 +204,7 @@ def scatter_toward(phase, d, stokes, t):
 
 
 @part
-def connect_particle(state, detectors, layer, phase, order, ray, t, plane):
+def connect_particle(state, detectors, layer, phase, peak_order, ray, t, plane):
     """Return the `LastScattering` of light that a particle and scatterings into the peak send to t.
 
     Light that has met no particle before comes from one direction, which none of the directions
@@ -212,22 +212,22 @@ def connect_particle(state, detectors, layer, phase, order, ray, t, plane):
 
     Parameters are those of `complete`, and the ray before the scattering.
     """
-    ahead = sample_directions(state, detectors, order, t)
-    light = scatter_toward(phase, ray.d, ray.stokes, ahead)
-    if detectors.peak is not None and ray.past.order > 1:
-        wide = wide_fraction(detectors.peak, phase, dot(ray.d, ahead))
+    ahead = sample_directions(state, detectors, peak_order, t)
+    light = scatter_toward(phase, ray.direction, ray.stokes, ahead)
+    if detectors.peak is not None and ray.history.order > 1:
+        wide = wide_fraction(detectors.peak, phase, dot(ray.direction, ahead))
         light = Estimate(light.density * wide, light.stokes)
-    connection = Connection(ray.place.z, ahead, light, 1.0)
-    return complete(state, detectors, layer, phase, order, connection, plane)
+    connection = Connection(ray.position.z, ahead, light, 1.0)
+    return complete(state, detectors, layer, phase, peak_order, connection, plane)
 
 
 @part
-def connect_bottom(state, detectors, layer, phase, order, stokes, t, plane):
+def connect_bottom(state, detectors, layer, phase, peak_order, stokes, t, plane):
     """Return the `LastScattering` of light that the bottom and scatterings into the peak send to t.
 
     Parameters are those of `complete`; `stokes` is None where nobody asks for polarization.
     """
-    ahead = sample_directions(state, detectors, order, t)
+    ahead = sample_directions(state, detectors, peak_order, t)
     light = Estimate(max(ahead.z, 0.0) / math.pi, unpolarized(ahead, stokes))
     connection = Connection(-layer.depth, ahead, light, 1.0)
-    return complete(state, detectors, layer, phase, order, connection, plane)
+    return complete(state, detectors, layer, phase, peak_order, connection, plane)

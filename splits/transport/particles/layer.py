@@ -57,7 +57,7 @@ ALL, STRAIGHT = range(2)
 
 
 @owner
-def trace(state, scene, room, detectors, most):
+def trace(state, scene, surface_buffer, detectors, max_order):
     """Follow one ray from the light source until it leaves the layer or is absorbed.
 
     Parameters
@@ -78,57 +78,57 @@ def trace(state, scene, room, detectors, most):
     Ray
     """
     layer, phase = scene.layer, scene.phase
-    d = launched(scene.light, uniform(state) if scene.light.diffuse > 0.0 else 1.0)
-    surface = realised(state, scene.fields, room)
+    d = launched(scene.source, uniform(state) if scene.source.diffuse_fraction > 0.0 else 1.0)
+    surface = realised(state, scene.fields, surface_buffer)
     stokes = unpolarized(d, scene.stokes)
     ray = Ray(entrance(d, surface), d, stokes, False, Past(1.0, 0.0, 0, 0), TRAVELS)
-    while ray.fate == TRAVELS:
+    while ray.status == TRAVELS:
         ways = ways_ahead(ray, layer, uniform(state) if ray.inside else 1.0)
-        if room is None:
+        if surface_buffer is None:
             ahead = smooth_ahead(ray)
         else:
             hit = no_hit(GONE, 0)
-            if near_surface(ray, surface.reach, ways.nearest):
+            if near_surface(ray, surface.max_height, ways.nearest):
                 side = -1.0 if ray.inside else 1.0
-                hit = first_crossing(surface, ray.place, ray.d, side, ways.nearest)
+                hit = first_crossing(surface, ray.position, ray.direction, side, ways.nearest)
             if hit.distance == ASTRAY:
                 return ended(ray, LOST)
             ahead = facet_ahead(hit)
         if ahead.distance == math.inf and not ray.inside:
-            ray = ended(gone_along(ray, 0.0), REFLECTED if ray.d.z > 0.0 else LOST)
+            ray = ended(gone_along(ray, 0.0), REFLECTED if ray.direction.z > 0.0 else LOST)
             continue
         ray = gone_along(ray, min(ways.nearest, ahead.distance))
         if ahead.distance <= ways.nearest:
-            if room is None:
+            if surface_buffer is None:
                 ray = at_surface(state, ray, layer)
             else:
-                ray = at_facet(state, ray, ahead.normal, layer, most)
-        elif ways.floor <= ways.free:
-            ray = at_floor(state, ray, layer, phase, detectors, most)
+                ray = at_facet(state, ray, ahead.normal, layer, max_order)
+        elif ways.bottom <= ways.collision:
+            ray = at_floor(state, ray, layer, phase, detectors, max_order)
         else:
-            ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, most)
-            if detectors is not None and ray.fate == TRAVELS:
+            ray = weakened(ray, layer, uniform(state) if layer.analog else 1.0, max_order)
+            if detectors is not None and ray.status == TRAVELS:
                 listen_particle(state, detectors, layer, phase, ray)
-            if ray.past.weight < ROULETTE_BELOW:
+            if ray.history.weight < ROULETTE_BELOW:
                 ray = roulette(ray, uniform(state))
-            if ray.fate == TRAVELS:
+            if ray.status == TRAVELS:
                 ray = scattered(state, ray, phase)
     return ray
 
 
 @part
-def _record_stokes(row, first, d, stokes):
+def _record_stokes(row, first_column, d, stokes):
     """Write Q, U, V over I into three columns of a row, Q along the plane of the normal."""
     if stokes is None:
         return
     # Straight up or down, every plane holds the normal.
     upright = d.x == 0.0 and d.y == 0.0
     seen = rotated_to(stokes, d, Vector(1.0 if upright else d.x, d.y, 0.0))
-    row[first], row[first + 1], row[first + 2] = seen.q, seen.u, stokes.v
+    row[first_column], row[first_column + 1], row[first_column + 2] = seen.q, seen.u, stokes.v
 
 
 @entry
-def batch(seed, work, scene, room, first_stokes, exits):
+def batch(seed, work, scene, surface_buffer, stokes_column, exits):
     """Trace rays and record how they leave.
 
     Parameters
@@ -150,16 +150,16 @@ def batch(seed, work, scene, room, first_stokes, exits):
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST] + number)
-        ray = trace(state, scene, room, None, work[MOST])
-        legs += ray.past.legs
-        if ray.fate == LOST:
+        ray = trace(state, scene, surface_buffer, None, work[MOST])
+        legs += ray.history.n_segments
+        if ray.status == LOST:
             return Traced(legs, True)
-        if ray.fate == ABSORBED:
+        if ray.status == ABSORBED:
             continue
         row = exits[number]
-        record(row, ray.fate == REFLECTED, ray.place, ray.d, ray.past.weight, ray.past.order)
-        row[EXIT_LENGTH] = ray.past.way
-        _record_stokes(row, first_stokes, ray.d, ray.stokes)
+        record(row, ray.status == REFLECTED, ray.position, ray.direction, ray.history.weight, ray.history.order)
+        row[EXIT_LENGTH] = ray.history.path_length
+        _record_stokes(row, stokes_column, ray.direction, ray.stokes)
     return Traced(legs, False)
 
 
@@ -182,10 +182,10 @@ def hear(seed, work, scene, detectors, totals):
     for number in range(work[RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST] + number)
         ray = trace(state, scene, None, detectors, work[MOST])
-        legs += ray.past.legs
-        if ray.fate != ABSORBED:
-            total = totals[0 if ray.fate == REFLECTED else 1]
-            total[ALL] += ray.past.weight
-            if ray.past.order == 0:
-                total[STRAIGHT] += ray.past.weight
+        legs += ray.history.n_segments
+        if ray.status != ABSORBED:
+            total = totals[0 if ray.status == REFLECTED else 1]
+            total[ALL] += ray.history.weight
+            if ray.history.order == 0:
+                total[STRAIGHT] += ray.history.weight
     return legs

@@ -28,10 +28,10 @@ scattering, and one ray that weighs much is heard over many that weigh little.""
 @part
 def roulette(ray, u):
     """Return a ray that plays Russian roulette with the uniform random number u."""
-    if ray.past.weight == 0.0 or u > ROULETTE_SURVIVAL:
+    if ray.history.weight == 0.0 or u > ROULETTE_SURVIVAL:
         return ended(ray, ABSORBED)
-    past = weighing(ray.past, ray.past.weight / ROULETTE_SURVIVAL)
-    return moved(ray, ray.d, ray.stokes, past, ray.fate)
+    past = weighing(ray.history, ray.history.weight / ROULETTE_SURVIVAL)
+    return moved(ray, ray.direction, ray.stokes, past, ray.status)
 
 
 @part
@@ -39,14 +39,14 @@ def _crossed(state, ray, normal, layer):
     """Return a ray that is reflected or refracted at a facet of the surface."""
     if layer.extinction == math.inf:
         # What enters an opaque layer need not be followed.
-        back = only_reflected(ray.d, ray.stokes, normal, layer.n)
-        past = weighing(ray.past, ray.past.weight * back.share)
-        return moved(ray, back.d, back.stokes, past, TRAVELS)
-    near, far = (layer.n, 1.0) if ray.inside else (1.0, layer.n)
+        back = only_reflected(ray.direction, ray.stokes, normal, layer.refractive_index)
+        past = weighing(ray.history, ray.history.weight * back.reflectance)
+        return moved(ray, back.direction, back.stokes, past, TRAVELS)
+    near, far = (layer.refractive_index, 1.0) if ray.inside else (1.0, layer.refractive_index)
     against = scaled(-1.0 if ray.inside else 1.0, normal)
-    meeting = meet_face(state, ray.d, ray.stokes, against, near, far)
-    inside = ray.inside != meeting.passed
-    return Ray(ray.place, meeting.d, meeting.stokes, inside, ray.past, TRAVELS)
+    meeting = meet_face(state, ray.direction, ray.stokes, against, near, far)
+    inside = ray.inside != meeting.transmitted
+    return Ray(ray.position, meeting.direction, meeting.stokes, inside, ray.history, TRAVELS)
 
 
 @part
@@ -57,39 +57,39 @@ def at_surface(state, ray, layer):
 
 
 @part
-def at_facet(state, ray, normal, layer, most):
+def at_facet(state, ray, normal, layer, max_order):
     """Return a ray after a meeting with a facet of a rough surface."""
-    gone = ray.past.order == most
+    gone = ray.history.order == max_order
     ray = _crossed(state, ray, normal, layer)
-    d = cleared(ray.d, scaled(-1.0 if ray.inside else 1.0, normal))
-    ray = moved(ray, d, ray.stokes, once_more(ray.past), TRAVELS)
+    d = cleared(ray.direction, scaled(-1.0 if ray.inside else 1.0, normal))
+    ray = moved(ray, d, ray.stokes, once_more(ray.history), TRAVELS)
     opaque = layer.extinction == math.inf
-    if opaque and ray.past.order > 1 and ray.past.weight < ROULETTE_BELOW:
+    if opaque and ray.history.order > 1 and ray.history.weight < ROULETTE_BELOW:
         ray = roulette(ray, uniform(state))
-    return ended(ray, ABSORBED if gone else ray.fate)
+    return ended(ray, ABSORBED if gone else ray.status)
 
 
 @part
-def at_floor(state, ray, layer, phase, detectors, most):
+def at_floor(state, ray, layer, phase, detectors, max_order):
     """Return a ray after a meeting with the open face or with the bottom."""
     ray = levelled(ray, -layer.depth)
-    if layer.bottom == OPEN:
-        meeting = meet_face(state, ray.d, ray.stokes, UP, layer.n, 1.0)
-        fate = TRANSMITTED if meeting.passed else TRAVELS
-        return moved(ray, meeting.d, meeting.stokes, ray.past, fate)
+    if layer.bottom_albedo == OPEN:
+        meeting = meet_face(state, ray.direction, ray.stokes, UP, layer.refractive_index, 1.0)
+        fate = TRANSMITTED if meeting.transmitted else TRAVELS
+        return moved(ray, meeting.direction, meeting.stokes, ray.history, fate)
     if detectors is not None:
-        weight = ray.past.weight * layer.bottom
+        weight = ray.history.weight * layer.bottom_albedo
         listen_bottom(state, detectors, layer, phase, ray.stokes, weight)
-    if uniform(state) >= layer.bottom:
+    if uniform(state) >= layer.bottom_albedo:
         return ended(ray, TRANSMITTED)
-    if ray.past.order == most:
+    if ray.history.order == max_order:
         return ended(ray, ABSORBED)
     after = reflect_diffusely(state, UP, ray.stokes)
-    return moved(ray, after.d, after.stokes, once_more(ray.past), TRAVELS)
+    return moved(ray, after.direction, after.stokes, once_more(ray.history), TRAVELS)
 
 
 @part
-def weakened(ray, layer, u, most):
+def weakened(ray, layer, u, max_order):
     """Return a ray at a particle, before it is scattered: absorbed, or with less weight.
 
     Parameters
@@ -101,15 +101,15 @@ def weakened(ray, layer, u, most):
     most : int
         See `layer.trace`.
     """
-    past = once_more(ray.past)
+    past = once_more(ray.history)
     if not layer.analog:
         past = weighing(past, past.weight * layer.albedo)
-    gone = ray.past.order == most or (layer.analog and u >= layer.albedo)
-    return moved(ray, ray.d, ray.stokes, past, ABSORBED if gone else TRAVELS)
+    gone = ray.history.order == max_order or (layer.analog and u >= layer.albedo)
+    return moved(ray, ray.direction, ray.stokes, past, ABSORBED if gone else TRAVELS)
 
 
 @part
 def scattered(state, ray, phase):
     """Return a ray that a particle has scattered."""
-    after = scatter(state, phase, ray.d, ray.stokes)
-    return moved(ray, after.d, after.stokes, ray.past, TRAVELS)
+    after = scatter(state, phase, ray.direction, ray.stokes)
+    return moved(ray, after.direction, after.stokes, ray.history, TRAVELS)

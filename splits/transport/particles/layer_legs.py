@@ -24,9 +24,9 @@ class Past(NamedTuple):
     """
 
     weight: float
-    way: float
+    path_length: float
     order: int
-    legs: int
+    n_segments: int
 
 
 class Ray(NamedTuple):
@@ -45,19 +45,19 @@ class Ray(NamedTuple):
         into the bottom), `LOST`.
     """
 
-    place: Vector
-    d: Vector
+    position: Vector
+    direction: Vector
     stokes: Any
     inside: bool
-    past: Past
-    fate: int
+    history: Past
+    status: int
 
 
 class Ways(NamedTuple):
     """How far it is to the next particle, to the floor, inf if there is none, and to either (m)."""
 
-    free: float
-    floor: float
+    collision: float
+    bottom: float
     nearest: float
 
 
@@ -77,27 +77,27 @@ class Ahead(NamedTuple):
 
 
 @part
-def moved(ray, d, stokes, past, fate):
+def moved(ray, d, stokes, history, status):
     """Return a ray at the same place, as an encounter leaves it."""
-    return Ray(ray.place, d, stokes, ray.inside, past, fate)
+    return Ray(ray.position, d, stokes, ray.inside, history, status)
 
 
 @part
-def ended(ray, fate):
+def ended(ray, status):
     """Return a ray that has come to its end."""
-    return Ray(ray.place, ray.d, ray.stokes, ray.inside, ray.past, fate)
+    return Ray(ray.position, ray.direction, ray.stokes, ray.inside, ray.history, status)
 
 
 @part
-def weighing(past, weight):
+def weighing(history, weight):
     """Return the past of a ray that has another weight now."""
-    return Past(weight, past.way, past.order, past.legs)
+    return Past(weight, history.path_length, history.order, history.n_segments)
 
 
 @part
-def once_more(past):
+def once_more(history):
     """Return the past of a ray after another scattering or meeting."""
-    return Past(past.weight, past.way, past.order + 1, past.legs)
+    return Past(history.weight, history.path_length, history.order + 1, history.n_segments)
 
 
 @part
@@ -106,8 +106,8 @@ def ways_ahead(ray, layer, u):
     free, floor = math.inf, math.inf
     if ray.inside:
         free = -math.log(u) / layer.extinction
-        if ray.d.z < 0.0:
-            floor = (-layer.depth - ray.place.z) / ray.d.z
+        if ray.direction.z < 0.0:
+            floor = (-layer.depth - ray.position.z) / ray.direction.z
     return Ways(free, floor, min(free, floor))
 
 
@@ -115,16 +115,16 @@ def ways_ahead(ray, layer, u):
 def smooth_ahead(ray):
     """Return the smooth surface `Ahead` of a ray."""
     distance = math.inf
-    if ray.inside == (ray.d.z > 0.0):
-        distance = -ray.place.z / ray.d.z if ray.inside else 0.0
+    if ray.inside == (ray.direction.z > 0.0):
+        distance = -ray.position.z / ray.direction.z if ray.inside else 0.0
     return Ahead(distance, UP)
 
 
 @part
-def near_surface(ray, reach, farthest):
+def near_surface(ray, max_height, max_distance):
     """Tell whether a leg may meet a rough surface: deep inside, most end before that."""
-    z = ray.place.z
-    return not ray.inside or max(z, z + farthest * ray.d.z) > -reach
+    z = ray.position.z
+    return not ray.inside or max(z, z + max_distance * ray.direction.z) > -max_height
 
 
 @part
@@ -138,15 +138,15 @@ def facet_ahead(hit):
 @part
 def gone_along(ray, length):
     """Return a ray after a leg of so many metres."""
-    past = ray.past
-    way = past.way + (length if ray.inside else 0.0)
-    past = Past(past.weight, way, past.order, past.legs + 1)
-    place = along(length, ray.d, ray.place)
-    return Ray(place, ray.d, ray.stokes, ray.inside, past, ray.fate)
+    past = ray.history
+    way = past.path_length + (length if ray.inside else 0.0)
+    past = Past(past.weight, way, past.order, past.n_segments + 1)
+    place = along(length, ray.direction, ray.position)
+    return Ray(place, ray.direction, ray.stokes, ray.inside, past, ray.status)
 
 
 @part
 def levelled(ray, z):
     """Return a ray that has come to a smooth face: at its height exactly."""
-    place = Vector(ray.place.x, ray.place.y, z)
-    return Ray(place, ray.d, ray.stokes, ray.inside, ray.past, ray.fate)
+    place = Vector(ray.position.x, ray.position.y, z)
+    return Ray(place, ray.direction, ray.stokes, ray.inside, ray.history, ray.status)

@@ -54,54 +54,54 @@ class Detectors(NamedTuple):
         Room for `last_scattering.sample_directions`.
     """
 
-    toward: np.ndarray
+    direction: np.ndarray
     plane: np.ndarray
-    passing: np.ndarray
-    returning: np.ndarray
-    below: bool
+    transmission: np.ndarray
+    reflection: np.ndarray
+    has_lower_side: bool
     sums: np.ndarray
     peak: Any
-    directions: np.ndarray
+    peak_directions: np.ndarray
 
 
 class Listener(NamedTuple):
     """One of the detectors, see `Detectors`; `through` is what the whole layer lets through."""
 
-    toward: Vector
+    direction: Vector
     plane: Vector
-    passing: Transmission
-    returning: Reflection
-    through: float
+    transmission: Transmission
+    reflection: Reflection
+    layer_transmittance: float
 
 
 @part
 def listener(detectors, layer, k):
     """Return the k-th detector."""
-    x, y, z = detectors.toward[k]
+    x, y, z = detectors.direction[k]
     along, across = detectors.plane[k]
-    plus, minus, root = detectors.passing[k]
+    plus, minus, root = detectors.transmission[k]
     passing = Transmission(plus, minus, root)
-    plus, minus, real, imaginary = detectors.returning[k]
+    plus, minus, real, imaginary = detectors.reflection[k]
     returning = Reflection(plus, minus, real, imaginary)
     through = math.exp(-layer.extinction * layer.depth / z)
     return Listener(Vector(x, y, z), Vector(along, across, 0.0), passing, returning, through)
 
 
 @part
-def round_trips(face, stokes, through, odd, sound):
+def round_trips(reflection, stokes, transmittance, odd, stokes_vector):
     """Return the `Sound` added up over 1, 3, … or over 2, 4, … reflections between two faces.
 
     Every reflection and the way through the layer after it multiply I + Q and I − Q by R_p t and
     R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s* (`polarized_faces.fresnel_amplitudes`):
     geometric series.
     """
-    i, q, u, v = sound
+    i, q, u, v = stokes_vector
     if stokes is None:
-        x = face.plus * through
+        x = reflection.plus * transmittance
         return Sound(i * _series(x, odd), 0.0, 0.0, 0.0)
-    p = 0.5 * (i + q) * _series((face.plus + face.minus) * through, odd)
-    s = 0.5 * (i - q) * _series((face.plus - face.minus) * through, odd)
-    x, y = face.real * through, -face.imaginary * through
+    p = 0.5 * (i + q) * _series((reflection.plus + reflection.minus) * transmittance, odd)
+    s = 0.5 * (i - q) * _series((reflection.plus - reflection.minus) * transmittance, odd)
+    x, y = reflection.real * transmittance, -reflection.imaginary * transmittance
     # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
     square_x, square_y = x * x - y * y, 2.0 * x * y
     top_x, top_y = (x, y) if odd else (square_x, square_y)
@@ -119,20 +119,20 @@ def _series(x, odd):
 
 
 @part
-def put(sums, passing, stokes, weight, sound):
+def put(sums, transmission, stokes, weight, stokes_vector):
     """Add light that arrives at a face from inside to what a detector behind it has heard."""
-    i, q, u, v = sound
+    i, q, u, v = stokes_vector
     if stokes is None:
-        sums[_I] += weight * passing.plus * i
+        sums[_I] += weight * transmission.plus * i
         return
-    sums[_I] += weight * (passing.plus * i + passing.minus * q)
-    sums[_Q] += weight * (passing.minus * i + passing.plus * q)
-    sums[_U] += weight * passing.root * u
-    sums[_V] += weight * passing.root * v
+    sums[_I] += weight * (transmission.plus * i + transmission.minus * q)
+    sums[_Q] += weight * (transmission.minus * i + transmission.plus * q)
+    sums[_U] += weight * transmission.root * u
+    sums[_V] += weight * transmission.root * v
 
 
 @part
-def score_direct(detectors, layer, one, k, stokes, weight, last):
+def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering):
     """Add light after its last scattering, and after 2, 4, … reflections between two faces.
 
     Parameters
@@ -147,34 +147,34 @@ def score_direct(detectors, layer, one, k, stokes, weight, last):
     weight : float
     last : LastScattering
     """
-    side = ABOVE if last.up > 0.0 else BELOW
-    if side == ABOVE or detectors.below:
-        arriving = weight * math.exp(-layer.extinction * _way(layer, last, side) / one.toward.z)
+    side = ABOVE if last_scattering.vertical_sign > 0.0 else BELOW
+    if side == ABOVE or detectors.has_lower_side:
+        arriving = weight * math.exp(-layer.extinction * _way(layer, last_scattering, side) / detector.direction.z)
         sums = detectors.sums[side, k]
-        put(sums, one.passing, stokes, arriving, last.sound)
-        if layer.bottom < 0.0 and one.returning.plus != 0.0:
-            more = round_trips(one.returning, stokes, one.through, False, last.sound)
-            put(sums, one.passing, stokes, arriving, more)
+        put(sums, detector.transmission, stokes, arriving, last_scattering.stokes_vector)
+        if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
+            more = round_trips(detector.reflection, stokes, detector.layer_transmittance, False, last_scattering.stokes_vector)
+            put(sums, detector.transmission, stokes, arriving, more)
 
 
 @part
-def score_reflected(detectors, layer, one, k, stokes, weight, last):
+def score_reflected(detectors, layer, detector, k, stokes, weight, last_scattering):
     """Add light that leaves on the other side, after 1, 3, … reflections between two faces.
 
     Parameters are those of `score_direct`.
     """
-    if layer.bottom < 0.0 and one.returning.plus != 0.0:
-        side = BELOW if last.up > 0.0 else ABOVE
-        way = layer.depth - _way(layer, last, side)
-        arriving = weight * math.exp(-layer.extinction * way / one.toward.z)
-        more = round_trips(one.returning, stokes, one.through, True, last.sound)
-        put(detectors.sums[side, k], one.passing, stokes, arriving, more)
+    if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
+        side = BELOW if last_scattering.vertical_sign > 0.0 else ABOVE
+        way = layer.depth - _way(layer, last_scattering, side)
+        arriving = weight * math.exp(-layer.extinction * way / detector.direction.z)
+        more = round_trips(detector.reflection, stokes, detector.layer_transmittance, True, last_scattering.stokes_vector)
+        put(detectors.sums[side, k], detector.transmission, stokes, arriving, more)
 
 
 @part
-def _way(layer, last, side):
+def _way(layer, last_scattering, side):
     """Return the height between the last scattering and the face of a side (m)."""
-    return -last.z if side == ABOVE else layer.depth + last.z
+    return -last_scattering.height if side == ABOVE else layer.depth + last_scattering.height
 
 
 @part
@@ -191,7 +191,7 @@ def listen_particle(state, detectors, layer, phase, ray):
     ray : Ray
         Its place, direction and polarization before the scattering, and its weight after.
     """
-    for k in range(detectors.toward.shape[0]):
+    for k in range(detectors.direction.shape[0]):
         one = listener(detectors, layer, k)
         score_particle(state, detectors, layer, phase, 0, ray, one, k)
         order = sample_order(state, detectors, layer)
@@ -200,34 +200,34 @@ def listen_particle(state, detectors, layer, phase, ray):
 
 
 @part
-def score_particle(state, detectors, layer, phase, order, ray, one, k):
+def score_particle(state, detectors, layer, phase, peak_order, ray, detector, k):
     """Let a detector hear a scattering that so many scatterings into the peak follow."""
-    weight, stokes, t, plane = ray.past.weight, ray.stokes, one.toward, one.plane
-    up = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
-    score_direct(detectors, layer, one, k, stokes, weight, up)
-    if detectors.below or (order > 0 and one.returning.plus > 0.0):
+    weight, stokes, t, plane = ray.history.weight, ray.stokes, detector.direction, detector.plane
+    up = connect_particle(state, detectors, layer, phase, peak_order, ray, t, plane)
+    score_direct(detectors, layer, detector, k, stokes, weight, up)
+    if detectors.has_lower_side or (peak_order > 0 and detector.reflection.plus > 0.0):
         t = Vector(t.x, t.y, -t.z)
-        down = connect_particle(state, detectors, layer, phase, order, ray, t, plane)
-        score_direct(detectors, layer, one, k, stokes, weight, down)
-        score_reflected(detectors, layer, one, k, stokes, weight, up)
-        score_reflected(detectors, layer, one, k, stokes, weight, down)
+        down = connect_particle(state, detectors, layer, phase, peak_order, ray, t, plane)
+        score_direct(detectors, layer, detector, k, stokes, weight, down)
+        score_reflected(detectors, layer, detector, k, stokes, weight, up)
+        score_reflected(detectors, layer, detector, k, stokes, weight, down)
 
 
 @part
 def listen_bottom(state, detectors, layer, phase, stokes, weight):
     """Let all detectors above hear light of this weight that the diffuse bottom reflects."""
-    for k in range(detectors.toward.shape[0]):
+    for k in range(detectors.direction.shape[0]):
         one = listener(detectors, layer, k)
-        t, plane = one.toward, one.plane
-        share = weight * one.through * t.z / math.pi
+        t, plane = one.direction, one.plane
+        share = weight * one.layer_transmittance * t.z / math.pi
         sums = detectors.sums[ABOVE, k]
-        sums[_I] += share * one.passing.plus
-        sums[_Q] += share * one.passing.minus
+        sums[_I] += share * one.transmission.plus
+        sums[_Q] += share * one.transmission.minus
         order = sample_order(state, detectors, layer)
         if order > 0:
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
             score_direct(detectors, layer, one, k, stokes, weight, last)
-        if order > 0 and one.returning.plus > 0.0:
+        if order > 0 and one.reflection.plus > 0.0:
             # Light that the upper face sends down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)

@@ -35,8 +35,8 @@ class Turbid(NamedTuple):
     depth: float
     extinction: float
     albedo: float
-    n: float
-    bottom: float
+    refractive_index: float
+    bottom_albedo: float
     analog: bool
 
 
@@ -54,7 +54,7 @@ class Scene(NamedTuple):
         Polarization of the light as it comes, `NATURAL`, or None where nobody asks for it.
     """
 
-    light: Light
+    source: Light
     layer: Turbid
     phase: Phase
     fields: Fields | None

@@ -27,13 +27,13 @@ class Landed(NamedTuple):
         How far along it the ray meets the surface again (m), or infinity.
     """
 
-    point: np.ndarray
+    position: np.ndarray
     direction: np.ndarray
-    again: np.ndarray
+    next_hit_distance: np.ndarray
 
 
 @entry
-def refract_ring(waves, index, x, y):
+def refract_ring(waves, refractive_index, x, y):
     """Refract vertical rays at a surface.
 
     Parameters
@@ -54,11 +54,11 @@ def refract_ring(waves, index, x, y):
     for ray in range(x.size):
         relief = relief_at(waves, x[ray], y[ray])
         normal = normal_of(relief.slope)
-        passage = interface(1.0, index, 0.0, normal.z)
+        passage = interface(1.0, refractive_index, 0.0, normal.z)
         d = refracted(Vector(0.0, 0.0, -1.0), normal, normal.z, passage)
         place = Vector(x[ray], y[ray], relief.height)
         hit = first_crossing(surface, place, d, -1.0)
-        for row, vector in ((landed.point[ray], place), (landed.direction[ray], d)):
+        for row, vector in ((landed.position[ray], place), (landed.direction[ray], d)):
             row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
-        landed.again[ray] = math.inf if hit.distance == GONE else hit.distance
+        landed.next_hit_distance[ray] = math.inf if hit.distance == GONE else hit.distance
     return landed

@@ -39,17 +39,17 @@ class Hit(NamedTuple):
 
     distance: float
     slope: Slope
-    looks: int
+    n_evaluations: int
 
 
 class Band(NamedTuple):
     """A column of `Surface.bands`, and whether it is the finest, of all waves."""
 
     end: int
-    rest: float
-    slope: float
-    curvature: float
-    finest: bool
+    finer_height: float
+    max_slope: float
+    max_curvature: float
+    is_finest: bool
 
 
 class Look(NamedTuple):
@@ -64,10 +64,10 @@ class Look(NamedTuple):
         Whether the ray meets the surface there; whether finer bands would not add to the way.
     """
 
-    relief: Relief
-    free: float
-    met: bool
-    enough: bool
+    surface: Relief
+    free_distance: float
+    hit: bool
+    sufficient: bool
 
 
 NOTHING_SEEN = Look(Relief(0.0, Slope(0.0, 0.0)), 0.0, False, False)
@@ -93,14 +93,14 @@ def cleared(d, n):
 
 
 @kernel
-def tolerance(surface, place, s):
+def tolerance(surface, position, s):
     """Return the height (m) below which a ray that comes down has hit, after s metres to a place.
 
     Above the rounding of heights, and of positions along steep surfaces far from the origin.  The
     march takes no height for less, which keeps its steps from vanishing.
     """
-    far = abs(place.x) + abs(place.y) + s
-    return 1e-12 * surface.reach + 1e-15 * far * (1.0 + surface.steepest)
+    far = abs(position.x) + abs(position.y) + s
+    return 1e-12 * surface.max_height + 1e-15 * far * (1.0 + surface.max_slope)
 
 
 @kernel
@@ -109,7 +109,7 @@ def set_leg(surface, d):
     total, total2, curved, curved2 = 0.0, 0.0, 0.0, 0.0
     begin = 0
     bands = surface.bands
-    for band in range(surface.used - 1, -1, -1):
+    for band in range(surface.n_bands - 1, -1, -1):
         end = int(bands[END, band])
         sums = sums_along(surface.waves, begin, end, d.x, d.y)
         total += sums.slope
@@ -157,7 +157,7 @@ def _band(surface, number):
 
 
 @part
-def look(seen, sums, band, at, d, side, little):
+def look(probe, sums, band, point, d, side, tolerance):
     """Return what is known of the surface with another band.
 
     Parameters
@@ -178,29 +178,29 @@ def look(seen, sums, band, at, d, side, little):
     -------
     Look
     """
-    height = seen.relief.height + sums.height
-    slope_x = seen.relief.slope.x - 2.0 * TURN * sums.along_x
-    slope_y = seen.relief.slope.y - 2.0 * TURN * sums.along_y
-    gap = side * (at.z - height) - band.rest
+    height = probe.surface.height + sums.height
+    slope_x = probe.surface.slope.x - 2.0 * TURN * sums.scaled_slope_x
+    slope_y = probe.surface.slope.y - 2.0 * TURN * sums.scaled_slope_y
+    gap = side * (point.z - height) - band.finer_height
     rate = side * (d.z - slope_x * d.x - slope_y * d.y)
-    met, enough, free = False, False, seen.free
-    if band.finest:
-        met = gap <= little and rate < 0.0
-        gap = max(gap, little)
+    met, enough, free = False, False, probe.free_distance
+    if band.is_finest:
+        met = gap <= tolerance and rate < 0.0
+        gap = max(gap, tolerance)
     if gap > 0.0 and not met:
-        free = max(free, safe_step(gap, rate, band.slope, band.curvature, side * d.z))
+        free = max(free, safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z))
         # Waves without height leave nothing to the finer bands; those that decide are among them.
-        enough = gap > max(band.rest, little)
+        enough = gap > max(band.finer_height, tolerance)
     return Look(Relief(height, Slope(slope_x, slope_y)), free, met, enough)
 
 
 @part
-def _within_reach(surface, place, d, side):
+def _within_reach(surface, position, d, side):
     """Return after how many metres a ray comes into the reach of the surface, inf if it never does.
 
     Parameters are those of `first_crossing`.
     """
-    above = side * place.z - surface.reach
+    above = side * position.z - surface.max_height
     climb = side * d.z
     if above <= 0.0:
         return 0.0
@@ -208,13 +208,13 @@ def _within_reach(surface, place, d, side):
 
 
 @part
-def no_hit(distance, looks):
+def no_hit(distance, n_evaluations):
     """Return a `Hit` that is none: `GONE` or `LOST`, after so many looks."""
-    return Hit(distance, Slope(0.0, 0.0), looks)
+    return Hit(distance, Slope(0.0, 0.0), n_evaluations)
 
 
 @borrower
-def first_crossing(surface, place, d, side, farthest=math.inf):
+def first_crossing(surface, position, d, side, max_distance=math.inf):
     """Return where a ray first meets the surface.
 
     A ray that is G above the surface, while G changes by G' per metre, cannot meet it within
@@ -236,25 +236,25 @@ def first_crossing(surface, place, d, side, farthest=math.inf):
     -------
     Hit
     """
-    s = _within_reach(surface, place, d, side)
-    if s > farthest or s == math.inf:
+    s = _within_reach(surface, position, d, side)
+    if s > max_distance or s == math.inf:
         return no_hit(GONE, 0)
     set_leg(surface, d)
     for looks in range(MOST_STEPS):
-        at = along(s, d, place)
-        if side * d.z >= 0.0 and side * at.z > surface.reach:
+        at = along(s, d, position)
+        if side * d.z >= 0.0 and side * at.z > surface.max_height:
             return no_hit(GONE, looks)
         seen, begin, little = NOTHING_SEEN, 0, tolerance(surface, at, s)
-        for number in range(surface.used - 1, -1, -1):
+        for number in range(surface.n_bands - 1, -1, -1):
             band = _band(surface, number)
             sums = wave_sums(surface.waves, begin, band.end, at.x, at.y)
             seen = look(seen, sums, band, at, d, side, little)
             begin = band.end
-            if seen.enough:
+            if seen.sufficient:
                 break
-        if seen.met:
-            return Hit(s, seen.relief.slope, looks + 1)
-        s += seen.free
-        if s > farthest or s == math.inf:
+        if seen.hit:
+            return Hit(s, seen.surface.slope, looks + 1)
+        s += seen.free_distance
+        if s > max_distance or s == math.inf:
             return no_hit(GONE, looks + 1)
     return no_hit(LOST, MOST_STEPS)

@@ -40,8 +40,8 @@ class WaveSums(NamedTuple):
     """Σ over waves for Ψ and, per −4π, for ∂Ψ/∂x and ∂Ψ/∂y; or the pair of factors of each."""
 
     height: Any
-    along_x: Any
-    along_y: Any
+    scaled_slope_x: Any
+    scaled_slope_y: Any
 
 
 class LegSums(NamedTuple):
@@ -56,55 +56,55 @@ class LegSums(NamedTuple):
 class _Lanes:
     """A vector of `LANES` doubles in LLVM's hands, with the operators that formulas use."""
 
-    kind = ir.VectorType(ir.DoubleType(), LANES)
+    llvm_type = ir.VectorType(ir.DoubleType(), LANES)
 
     def __init__(self, builder: ir.IRBuilder, value: Any) -> None:
         constant = isinstance(value, float)
         self.builder = builder
-        self.value = ir.Constant(self.kind, [value] * LANES) if constant else value
+        self.value = ir.Constant(self.llvm_type, [value] * LANES) if constant else value
 
-    def _values(self, operands: tuple[Any, ...]) -> list[ir.Value]:
+    def _to_values(self, operands: tuple[Any, ...]) -> list[ir.Value]:
         lanes = (x if isinstance(x, _Lanes) else _Lanes(self.builder, x) for x in operands)
         return [self.value, *(x.value for x in lanes)]
 
-    def _with(self, instruction: str, *operands: Any) -> _Lanes:
+    def _emit(self, instruction: str, *operands: Any) -> _Lanes:
         emit = getattr(self.builder, instruction)
-        return _Lanes(self.builder, emit(*self._values(operands)))
+        return _Lanes(self.builder, emit(*self._to_values(operands)))
 
-    def _called(self, name: str, *operands: Any) -> _Lanes:
-        values = self._values(operands)
+    def _call_intrinsic(self, name: str, *operands: Any) -> _Lanes:
+        values = self._to_values(operands)
         function = cgutils.get_or_insert_function(
             self.builder.module,
-            ir.FunctionType(self.kind, [self.kind] * len(values)),
+            ir.FunctionType(self.llvm_type, [self.llvm_type] * len(values)),
             f"llvm.{name}.v{LANES}f64",
         )
         return _Lanes(self.builder, self.builder.call(function, values))
 
     def __add__(self, other: Any) -> _Lanes:
-        return self._with("fadd", other)
+        return self._emit("fadd", other)
 
     def __sub__(self, other: Any) -> _Lanes:
-        return self._with("fsub", other)
+        return self._emit("fsub", other)
 
     def __mul__(self, other: Any) -> _Lanes:
-        return self._with("fmul", other)
+        return self._emit("fmul", other)
 
     def __neg__(self) -> _Lanes:
-        return self._with("fneg")
+        return self._emit("fneg")
 
     def __abs__(self) -> _Lanes:
-        return self._called("fabs")
+        return self._call_intrinsic("fabs")
 
-    def fused(self, factor: Any, summand: Any) -> _Lanes:
-        return self._called("fmuladd", factor, summand)
+    def fma(self, factor: Any, summand: Any) -> _Lanes:
+        return self._call_intrinsic("fmuladd", factor, summand)
 
 
 def _fused(a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, of vectors as `arithmetic.fused` does of numbers."""
-    return a.fused(b, c) if isinstance(a, _Lanes) else a * b + c
+    return a.fma(b, c) if isinstance(a, _Lanes) else a * b + c
 
 
-def _summed(formula: Callable[..., Any], kind: Any) -> Callable[..., Any]:
+def _summed(formula: Callable[..., Any], sums_type: Any) -> Callable[..., Any]:
     """Return the function (waves, first, end, p, q) that sums a formula over columns of waves.
 
     The formula takes p, q and the rows of waves, and returns for every sum a pair of factors, in a
@@ -114,16 +114,16 @@ def _summed(formula: Callable[..., Any], kind: Any) -> Callable[..., Any]:
     """
 
     def plain(waves, first, end, p, q):
-        return kind(*(float(np.dot(*pair)) for pair in formula(p, q, *waves[:, first:end])))
+        return sums_type(*(float(np.dot(*pair)) for pair in formula(p, q, *waves[:, first:end])))
 
-    count = len(kind._fields)
+    count = len(sums_type._fields)
 
     @intrinsic
     def vectors(typing_context, waves, first, end, p, q):
         if not (isinstance(waves, types.Array) and (waves.ndim, waves.layout) == (2, "C")):
             raise errors.TypingError("waves must be a contiguous array of rows")
         ends, numbers = [types.intp] * 2, [types.float64] * 2
-        signature = types.NamedUniTuple(types.float64, count, kind)(waves, *ends, *numbers)
+        signature = types.NamedUniTuple(types.float64, count, sums_type)(waves, *ends, *numbers)
 
         def generate(context, builder, signature, arguments):
             array = context.make_array(waves)(context, builder, arguments[0])
@@ -141,7 +141,7 @@ def _summed(formula: Callable[..., Any], kind: Any) -> Callable[..., Any]:
 
 def _loop(
     formula: Callable[..., tuple],
-    count: int,
+    n_sums: int,
     builder: ir.IRBuilder,
     waves: Any,
     first: ir.Value,
@@ -152,7 +152,7 @@ def _loop(
     """Write the loop over columns and the sums over lanes; return the values of the sums."""
     columns = cgutils.unpack_tuple(builder, waves.shape, 2)[1]
     size, index = columns.type, ir.IntType(32)
-    undefined = ir.Constant(_Lanes.kind, ir.Undefined)
+    undefined = ir.Constant(_Lanes.llvm_type, ir.Undefined)
     everywhere = ir.Constant(ir.VectorType(index, LANES), [0] * LANES)
 
     def spread(number: ir.Value) -> _Lanes:
@@ -161,19 +161,19 @@ def _loop(
 
     def row(number: int, column: ir.Value) -> _Lanes:
         place = builder.gep(waves.data, [builder.add(builder.mul(columns, size(number)), column)])
-        place = builder.bitcast(place, _Lanes.kind.as_pointer())
+        place = builder.bitcast(place, _Lanes.llvm_type.as_pointer())
         return _Lanes(builder, builder.load(place, align=8))
 
     p, q = spread(p), spread(q)
-    sums = [cgutils.alloca_once(builder, _Lanes.kind) for _ in range(count)]
+    sums = [cgutils.alloca_once(builder, _Lanes.llvm_type) for _ in range(n_sums)]
     for place in sums:
-        builder.store(ir.Constant(_Lanes.kind, [0.0] * LANES), place)
+        builder.store(ir.Constant(_Lanes.llvm_type, [0.0] * LANES), place)
     steps = builder.sdiv(builder.sub(end, first), size(LANES))
     with cgutils.for_range(builder, steps) as loop:
         column = builder.add(first, builder.mul(loop.index, size(LANES)))
         pairs = formula(p, q, *(row(number, column) for number in ROWS))
         for place, (left, right) in zip(sums, pairs, strict=True):
-            builder.store(left.fused(right, _Lanes(builder, builder.load(place))).value, place)
+            builder.store(left.fma(right, _Lanes(builder, builder.load(place))).value, place)
     found = []
     for place in sums:
         total = builder.load(place)

@@ -65,11 +65,11 @@ class Fields(NamedTuple):
     """
 
     rms_height: np.ndarray
-    waves: np.ndarray
+    n_waves: np.ndarray
     law: np.ndarray
     wave_number: np.ndarray
-    share: np.ndarray
-    quantile: np.ndarray
+    band_fraction: np.ndarray
+    quantiles: np.ndarray
 
 
 class Surface(NamedTuple):
@@ -93,9 +93,9 @@ class Surface(NamedTuple):
 
     waves: np.ndarray
     bands: np.ndarray
-    used: int
-    reach: float
-    steepest: float
+    n_bands: int
+    max_height: float
+    max_slope: float
 
 
 class Slope(NamedTuple):
@@ -121,9 +121,9 @@ def wave_number(fields, field, u):
     """
     law = fields.law[field]
     if law == TABLE:
-        return from_table(fields.quantile, field, u)
+        return from_table(fields.quantiles, field, u)
     k0 = fields.wave_number[field]
-    beta = u * fields.share[field]
+    beta = u * fields.band_fraction[field]
     if law == GAUSSIAN:
         return 2.0 * k0 * math.sqrt(-math.log1p(-beta))
     left = max(1.0 - beta, _LEAST)
@@ -139,21 +139,21 @@ def _octave(waves, column):
 
 
 @owner
-def _sort(drawn, waves):
+def _sort(unsorted, waves):
     """Copy waves in the order of their octaves, those far below the finest as one."""
     columns = waves.shape[1]
     lowest = 0
     for column in range(columns):
-        lowest = max(lowest, _octave(drawn, column) - _OCTAVES + 1)
+        lowest = max(lowest, _octave(unsorted, column) - _OCTAVES + 1)
     begin = np.zeros(_OCTAVES + 1, dtype=np.int64)
     for column in range(columns):
-        begin[max(_octave(drawn, column) - lowest, 0) + 1] += 1
+        begin[max(_octave(unsorted, column) - lowest, 0) + 1] += 1
     for octave in range(_OCTAVES):
         begin[octave + 1] += begin[octave]
     for column in range(columns):
-        octave = max(_octave(drawn, column) - lowest, 0)
+        octave = max(_octave(unsorted, column) - lowest, 0)
         for row in ROWS:
-            waves[row, begin[octave]] = drawn[row, column]
+            waves[row, begin[octave]] = unsorted[row, column]
         begin[octave] += 1
 
 
@@ -161,7 +161,7 @@ def _sort(drawn, waves):
 def columns_for(fields):
     """Return the number of columns that the waves of `fields` take."""
     columns = LANES - 1
-    for waves in fields.waves:
+    for waves in fields.n_waves:
         columns += waves
     return columns // LANES * LANES
 
@@ -179,7 +179,7 @@ def flat(waves):
 
 
 @entry
-def draw_waves(state, fields, room):
+def draw_waves(state, fields, buffer):
     """Draw a realisation.
 
     Parameters
@@ -193,11 +193,11 @@ def draw_waves(state, fields, room):
     -------
     Surface
     """
-    drawn = np.zeros(room.waves.shape)
+    drawn = np.zeros(buffer.waves.shape)
     column = 0
-    for field in range(fields.waves.size):
-        scale = fields.rms_height[field] / math.sqrt(fields.waves[field])
-        for _ in range(fields.waves[field]):
+    for field in range(fields.n_waves.size):
+        scale = fields.rms_height[field] / math.sqrt(fields.n_waves[field])
+        for _ in range(fields.n_waves[field]):
             drawn[AMPLITUDE, column] = scale * math.sqrt(-2.0 * math.log(uniform(state)))
             k = wave_number(fields, field, uniform(state)) / TURN
             c, s = unit_circle(state)
@@ -205,16 +205,16 @@ def draw_waves(state, fields, room):
             drawn[KY, column] = k * s
             drawn[PHASE, column] = uniform(state)
             column += 1
-    _sort(drawn, room.waves)
-    return bounded(room)
+    _sort(drawn, buffer.waves)
+    return bounded(buffer)
 
 
 @owner
-def realised(state, fields, room):
+def realised(state, fields, buffer):
     """Return what `draw_waves` does, None where the surface is smooth and has no room."""
-    if room is None:
-        return room
-    return draw_waves(state, fields, room)
+    if buffer is None:
+        return buffer
+    return draw_waves(state, fields, buffer)
 
 
 @part
@@ -222,13 +222,13 @@ def entrance(d, surface):
     """Return where a ray along d from above begins that aims at the origin of the mean surface."""
     if surface is None:
         return ORIGIN
-    return Vector(surface.reach * d.x / d.z, 0.0, surface.reach)
+    return Vector(surface.max_height * d.x / d.z, 0.0, surface.max_height)
 
 
 @owner
-def bounded(room):
+def bounded(buffer):
     """Return the `Surface` of the waves in `room`, sorted by octave, with its bands filled in."""
-    waves, bands = room.waves, room.bands
+    waves, bands = buffer.waves, buffer.bands
     reach, square, steep = 0.0, 0.0, 0.0
     for i in range(waves.shape[1]):
         a2 = waves[AMPLITUDE, i] ** 2
@@ -241,7 +241,7 @@ def bounded(room):
 
 
 @part
-def _split(waves, bands, useless):
+def _split(waves, bands, max_finer_height):
     """Split waves into bands, and return how many.
 
     Parameters
@@ -261,7 +261,7 @@ def _split(waves, bands, useless):
             rest += waves[AMPLITUDE, i]
             rest2 += waves[AMPLITUDE, i] ** 2
         higher = min(rest, EXTREME * math.sqrt(0.5 * rest2))
-        if higher > useless or count == BANDS:
+        if higher > max_finer_height or count == BANDS:
             break
         octave = _octave(waves, end - 1)
         # Half the wave number: a quarter of the curvature, steps of twice the length.
@@ -283,7 +283,7 @@ def surface_of(waves):
 def relief_at(waves, x, y):
     """Return the `Relief` at a point (Eq 3)."""
     sums = wave_sums(waves, 0, waves.shape[1], x, y)
-    return Relief(sums.height, Slope(-2.0 * TURN * sums.along_x, -2.0 * TURN * sums.along_y))
+    return Relief(sums.height, Slope(-2.0 * TURN * sums.scaled_slope_x, -2.0 * TURN * sums.scaled_slope_y))
 
 
 @entry

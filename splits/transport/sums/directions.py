@@ -47,19 +47,19 @@ class Basis(NamedTuple):
         P_l = (slope·t + offset)·P_(l−1) − older·P_(l−2).
     """
 
-    per_m: np.ndarray
-    degree: np.ndarray
-    scale: np.ndarray
-    slope: np.ndarray
-    offset: np.ndarray
-    older: np.ndarray
+    n_per_m: np.ndarray
+    degrees: np.ndarray
+    norms: np.ndarray
+    recurrence_slope: np.ndarray
+    recurrence_offset: np.ndarray
+    recurrence_previous: np.ndarray
 
 
 class Parted(NamedTuple):
     """Sums over rays: by direction of those that met a grain, and of those that met none."""
 
-    sums: np.ndarray
-    straight: np.ndarray
+    scattered: np.ndarray
+    unscattered: np.ndarray
 
 
 def basis_of(degree: int) -> Basis:
@@ -92,13 +92,13 @@ def evaluate(basis, dx, dy, mu, values):
     u, v = dx * shrink, dy * shrink
     real, imaginary = 1.0, 0.0
     row = 0
-    for m in range(basis.per_m.size):
+    for m in range(basis.n_per_m.size):
         last, before = 1.0, 0.0
-        for i in range(basis.per_m[m]):
+        for i in range(basis.n_per_m[m]):
             if i > 0:
-                new = (basis.slope[row] * t + basis.offset[row]) * last - basis.older[row] * before
+                new = (basis.recurrence_slope[row] * t + basis.recurrence_offset[row]) * last - basis.recurrence_previous[row] * before
                 last, before = new, last
-            values[row] = basis.scale[row] * real * last
+            values[row] = basis.norms[row] * real * last
             row += 1
         real, imaginary = u * real - v * imaginary, u * imaginary + v * real
 
@@ -106,7 +106,7 @@ def evaluate(basis, dx, dy, mu, values):
 @entry
 def evaluate_all(basis, directions):
     """Return the polynomials at directions (float64[directions, 3]), float64[directions, …]."""
-    values = np.empty((directions.shape[0], basis.scale.size))
+    values = np.empty((directions.shape[0], basis.norms.size))
     for i in range(directions.shape[0]):
         d = directions[i]
         evaluate(basis, d[_X], d[_Y], abs(d[_Z]), values[i])
@@ -123,7 +123,7 @@ def strength(exit_row, absorption, wavelength):
 
 
 @entry
-def expand(exits, absorption, edges, basis):
+def expand(exits, absorption, max_orders, basis):
     """Add up the polynomials of rays times their weights, by order of scattering.
 
     Parameters
@@ -143,9 +143,9 @@ def expand(exits, absorption, edges, basis):
         transmitted; `straight`, the weights of rays that met none, float64[2, wavelengths].
     """
     wavelengths = absorption.shape[0]
-    sums = np.zeros((edges.size, 2, wavelengths, basis.scale.size))
+    sums = np.zeros((max_orders.size, 2, wavelengths, basis.norms.size))
     straight = np.zeros((2, wavelengths))
-    values = np.empty(basis.scale.size)
+    values = np.empty(basis.norms.size)
     for j in range(exits.shape[0]):
         row = exits[j]
         side = int(row[EXIT_SIDE])
@@ -156,7 +156,7 @@ def expand(exits, absorption, edges, basis):
                 straight[side, i] += strength(row, absorption, i)
             continue
         group = 0
-        while row[EXIT_ORDER] > edges[group]:
+        while row[EXIT_ORDER] > max_orders[group]:
             group += 1
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
         evaluate(basis, dx, dy, abs(row[EXIT_DIRECTION + 2]), values)
@@ -169,7 +169,7 @@ def expand(exits, absorption, edges, basis):
 
 
 @entry
-def count_cells(exits, absorption, polar, azimuth, part):
+def count_cells(exits, absorption, n_polar, n_azimuth, factor_column):
     """Add up the weights of rays by cells of equal solid angle, and their squares.
 
     Parameters
@@ -189,7 +189,7 @@ def count_cells(exits, absorption, polar, azimuth, part):
         transmitted]; `straight` the same without cells.
     """
     wavelengths = absorption.shape[0]
-    sums = np.zeros((2, 2, wavelengths, polar, azimuth))
+    sums = np.zeros((2, 2, wavelengths, n_polar, n_azimuth))
     straight = np.zeros((2, 2, wavelengths))
     for j in range(exits.shape[0]):
         row = exits[j]
@@ -197,13 +197,13 @@ def count_cells(exits, absorption, polar, azimuth, part):
         if side < 0:
             continue
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
-        turn = math.atan2(dy, dx) / (2.0 * math.pi) + 0.5 / azimuth
-        column = min(int((turn - math.floor(turn)) * azimuth), azimuth - 1)
-        line = min(int(abs(row[EXIT_DIRECTION + 2]) * polar), polar - 1)
+        turn = math.atan2(dy, dx) / (2.0 * math.pi) + 0.5 / n_azimuth
+        column = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
+        line = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
         for i in range(wavelengths):
             weight = strength(row, absorption, i)
-            if part >= 0:
-                weight *= row[part]
+            if factor_column >= 0:
+                weight *= row[factor_column]
             if row[EXIT_ORDER] == 0.0:
                 straight[WEIGHT, side, i] += weight
                 straight[SQUARE, side, i] += weight * weight

@@ -39,15 +39,15 @@ class Notes(NamedTuple):
 
 
 @owner
-def no_notes(columns):
+def no_notes(n_lengths):
     """Return room for notes of so many lengths, none taken."""
-    return Notes(np.empty((_FIRST_NOTES, NOTE_LENGTH + columns)), np.zeros(2, dtype=np.int64))
+    return Notes(np.empty((_FIRST_NOTES, NOTE_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64))
 
 
 @owner
-def taken(notes):
+def taken(bank):
     """Return the notes taken, float64[notes, columns]."""
-    return notes.rows[: notes.state[_TAKEN]]
+    return bank.rows[: bank.state[_TAKEN]]
 
 
 @kernel
@@ -58,37 +58,37 @@ def write(row, first, values):
 
 
 @kernel
-def has_room(notes, more):
+def has_room(bank, n_new):
     """Tell whether there is room for so many more."""
-    return notes.state[_TAKEN] + more <= notes.rows.shape[0]
+    return bank.state[_TAKEN] + n_new <= bank.rows.shape[0]
 
 
 @owner
-def room_for(notes, more):
+def room_for(bank, n_new):
     """Return notes with room for so many more."""
-    if has_room(notes, more):
-        return notes
-    count = notes.state[_TAKEN]
-    rows = np.empty((2 * (count + more), notes.rows.shape[1]))
+    if has_room(bank, n_new):
+        return bank
+    count = bank.state[_TAKEN]
+    rows = np.empty((2 * (count + n_new), bank.rows.shape[1]))
     for i in range(count):
-        write(rows[i], 0, notes.rows[i])
-    return Notes(rows, notes.state)
+        write(rows[i], 0, bank.rows[i])
+    return Notes(rows, bank.state)
 
 
 @kernel
-def of_ray(notes, ray):
+def of_ray(bank, ray):
     """Let the notes that follow be of a ray."""
-    notes.state[_RAY] = ray
+    bank.state[_RAY] = ray
 
 
 @kernel
-def passage(face, upward):
+def passage(boundary, upward):
     """Return the event of passing a face, 0 at the top; the ground is met at the lowest one."""
-    return 2 * face + (1 if upward else 0)
+    return 2 * boundary + (1 if upward else 0)
 
 
 @kernel
-def note(notes, event, weight, length):
+def note(bank, event, weight, path_lengths):
     """Take a note, for which there must be room.
 
     Parameters
@@ -99,7 +99,7 @@ def note(notes, event, weight, length):
     length : float64[columns]
         Lengths so far.
     """
-    row = notes.rows[notes.state[_TAKEN]]
-    row[NOTE_RAY], row[NOTE_EVENT], row[NOTE_WEIGHT] = notes.state[_RAY], event, weight
-    write(row, NOTE_LENGTH, length)
-    notes.state[_TAKEN] += 1
+    row = bank.rows[bank.state[_TAKEN]]
+    row[NOTE_RAY], row[NOTE_EVENT], row[NOTE_WEIGHT] = bank.state[_RAY], event, weight
+    write(row, NOTE_LENGTH, path_lengths)
+    bank.state[_TAKEN] += 1

@@ -36,20 +36,20 @@ class Passages(NamedTuple):
         Lengths (m) by weight.
     """
 
-    light: np.ndarray
+    boundary_weight: np.ndarray
     absorbed: np.ndarray
-    way: np.ndarray
+    path_length: np.ndarray
 
 
 class _Past(NamedTuple):
     """A ray at its last note: lengths so far, and exp(−optical depth) at all wavelengths."""
 
-    lengths: np.ndarray
-    light: np.ndarray
+    path_lengths: np.ndarray
+    transmittance: np.ndarray
 
 
 @entry
-def passages(exits, notes, absorption, fractions, layers, ground):
+def passages(exits, crossings, absorption, path_fractions, n_layers, ground_column):
     """Add up what rays carry past faces, and what they leave between.
 
     Parameters
@@ -71,43 +71,43 @@ def passages(exits, notes, absorption, fractions, layers, ground):
     """
     wavelengths, materials = absorption.shape
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
-    part = fractions.astype(np.float32)
+    part = path_fractions.astype(np.float32)
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
     sums = Passages(
-        np.zeros((2, layers + 1, wavelengths)),
-        np.zeros((layers, materials, wavelengths)),
-        np.zeros((layers, wavelengths)),
+        np.zeros((2, n_layers + 1, wavelengths)),
+        np.zeros((n_layers, materials, wavelengths)),
+        np.zeros((n_layers, wavelengths)),
     )
     past = _Past(np.zeros(materials), np.ones(wavelengths, dtype=np.float32))
     now = np.empty(wavelengths, dtype=np.float32)
     first = 0
     for ray in range(exits.shape[0]):
-        past.lengths[:] = 0.0
-        past.light[:] = ONE
+        past.path_lengths[:] = 0.0
+        past.transmittance[:] = ONE
         layer = 0
-        while first < notes.shape[0] and notes[first, NOTE_RAY] == ray:
-            row = notes[first]
+        while first < crossings.shape[0] and crossings[first, NOTE_RAY] == ray:
+            row = crossings[first]
             _stretch(
-                sums, past, now, row[NOTE_LENGTH:], row[NOTE_WEIGHT], alpha, part, layer, ground
+                sums, past, now, row[NOTE_LENGTH:], row[NOTE_WEIGHT], alpha, part, layer, ground_column
             )
             face, up = divmod(int(row[NOTE_EVENT]), 2)
-            _add(sums.light[up, face], now, row[NOTE_WEIGHT])
+            _add(sums.boundary_weight[up, face], now, row[NOTE_WEIGHT])
             layer = face - up
-            if face == layers:
+            if face == n_layers:
                 # The ground: what comes back from there has met it once more.
-                layer = layers - 1
-                past.lengths[ground] += 1.0
+                layer = n_layers - 1
+                past.path_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
-                    past.light[i] *= exponential(-alpha[ground, i])
-                _add(sums.light[UP, face], past.light, row[NOTE_WEIGHT])
+                    past.transmittance[i] *= exponential(-alpha[ground_column, i])
+                _add(sums.boundary_weight[UP, face], past.transmittance, row[NOTE_WEIGHT])
             first += 1
         side = int(exits[ray, EXIT_SIDE])
         if side >= 0:
             weight = exits[ray, EXIT_WEIGHT]
-            _stretch(sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground)
-            _add(sums.light[UP if side == 0 else DOWN, 0 if side == 0 else layers], now, weight)
+            _stretch(sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground_column)
+            _add(sums.boundary_weight[UP if side == 0 else DOWN, 0 if side == 0 else n_layers], now, weight)
     return sums
 
 
@@ -119,33 +119,33 @@ def _add(total, light, weight):
 
 
 @kernel
-def _stretch(sums, past, now, lengths, weight, alpha, part, layer, ground):
+def _stretch(sums, last, light, path_lengths, weight, alpha, path_fractions, layer, ground_column):
     """Add what a ray leaves on a stretch, and bring its past to the end of that.
 
     Roulette on the way counts from the beginning of the stretch: on average that is the same.
     """
-    absorbed, way = sums.absorbed[layer], sums.way[layer]
-    now[:] = ZERO
+    absorbed, way = sums.absorbed[layer], sums.path_length[layer]
+    light[:] = ZERO
     whole = 0.0
     for material in range(alpha.shape[0]):
-        leg = np.float32(lengths[material] - past.lengths[material])
-        if leg > ZERO and material != ground:
-            whole += leg * part[material]
-            for i in range(now.size):
-                now[i] += alpha[material, i] * leg
-    for i in range(now.size):
-        depth = now[i]
+        leg = np.float32(path_lengths[material] - last.path_lengths[material])
+        if leg > ZERO and material != ground_column:
+            whole += leg * path_fractions[material]
+            for i in range(light.size):
+                light[i] += alpha[material, i] * leg
+    for i in range(light.size):
+        depth = light[i]
         left = exponential(-depth)
         mean = ONE - depth * (_HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
         mean = mean if depth < _SERIES else (ONE - left) / max(depth, _SERIES)
-        now[i] = past.light[i] * mean
-        past.light[i] *= left
+        light[i] = last.transmittance[i] * mean
+        last.transmittance[i] *= left
     for material in range(alpha.shape[0]):
-        leg = lengths[material] - past.lengths[material]
-        if leg > 0.0 and material != ground:
-            for i in range(now.size):
-                absorbed[material, i] += now[i] * weight * (alpha[material, i] * leg)
-        past.lengths[material] = lengths[material]
-    for i in range(now.size):
-        way[i] += now[i] * weight * whole
-        now[i] = past.light[i]
+        leg = path_lengths[material] - last.path_lengths[material]
+        if leg > 0.0 and material != ground_column:
+            for i in range(light.size):
+                absorbed[material, i] += light[i] * weight * (alpha[material, i] * leg)
+        last.path_lengths[material] = path_lengths[material]
+    for i in range(light.size):
+        way[i] += light[i] * weight * whole
+        light[i] = last.transmittance[i]

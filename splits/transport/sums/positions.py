@@ -28,11 +28,11 @@ class Spread(NamedTuple):
 
     radial: np.ndarray
     first_moment: np.ndarray
-    place: np.ndarray
+    exit_map: np.ndarray
 
 
 @entry
-def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
+def spread(exits, absorption, min_distance, bins_per_decade, n_bins, map_half_width, n_pixels):
     """Add up the weights of rays by distance from their point of entry and by place.
 
     Rays that met no grain do not count.
@@ -57,9 +57,9 @@ def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
     Spread
     """
     wavelengths = absorption.shape[0]
-    radial = np.zeros((2, wavelengths, bins))
+    radial = np.zeros((2, wavelengths, n_bins))
     first_moment = np.zeros((2, wavelengths))
-    place = np.zeros((2, 2, wavelengths, cells, cells))
+    place = np.zeros((2, 2, wavelengths, n_pixels, n_pixels))
     for j in range(exits.shape[0]):
         row = exits[j]
         side = int(row[EXIT_SIDE])
@@ -68,18 +68,18 @@ def spread(exits, absorption, shortest, per_decade, bins, half_width, cells):
         x, y = row[EXIT_POSITION], row[EXIT_POSITION + 1]
         radius = math.hypot(x, y)
         number = 0
-        if radius >= shortest:
-            number = min(int(math.log10(radius / shortest) * per_decade) + 1, bins - 1)
-        inside = abs(x) < half_width and abs(y) < half_width
+        if radius >= min_distance:
+            number = min(int(math.log10(radius / min_distance) * bins_per_decade) + 1, n_bins - 1)
+        inside = abs(x) < map_half_width and abs(y) < map_half_width
         if inside:
-            along = min(int((x / half_width + 1.0) * 0.5 * cells), cells - 1)
-            across = min(int((y / half_width + 1.0) * 0.5 * cells), cells - 1)
+            along = min(int((x / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
+            across = min(int((y / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
         for i in range(wavelengths):
             weight = strength(row, absorption, i)
             radial[side, i, number] += weight
             first_moment[side, i] += weight * radius
-            if inside and cells > 0:
-                mirrored = cells - 1 - across
+            if inside and n_pixels > 0:
+                mirrored = n_pixels - 1 - across
                 if across == mirrored:
                     place[WEIGHT, side, i, along, across] += weight
                     place[SQUARE, side, i, along, across] += weight * weight

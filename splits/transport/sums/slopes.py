@@ -15,7 +15,7 @@ from splits.transport.sums.tally import BLOCK, EXIT_LENGTH, EXIT_SIDE, EXIT_WEIG
 
 
 @entry
-def slopes(exits, notes, absorption, changes, ground):
+def slopes(exits, crossings, absorption, absorption_derivatives, ground_column):
     """Add up derivatives of the weights of rays, in the order of their rows.
 
     Parameters
@@ -37,14 +37,14 @@ def slopes(exits, notes, absorption, changes, ground):
         the ground keeps counts as transmitted.
     """
     wavelengths, materials = absorption.shape
-    parameters = changes.shape[0]
+    parameters = absorption_derivatives.shape[0]
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
     more = np.empty((parameters, materials, wavelengths), dtype=np.float32)
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
             for p in range(parameters):
-                more[p, material, i] = changes[p, i, material]
+                more[p, material, i] = absorption_derivatives[p, i, material]
     rays = exits.shape[0]
     blocks = np.zeros((-(-rays // BLOCK), 2, parameters, wavelengths), dtype=np.float32)
     weight = np.empty(wavelengths, dtype=np.float32)
@@ -57,35 +57,35 @@ def slopes(exits, notes, absorption, changes, ground):
             weigh(lengths, exits[j, EXIT_WEIGHT], alpha, weight)
             for p in range(parameters):
                 _fall(lengths, weight, more[p], sums[side, p])
-        first = _kept(notes, first, j, alpha, more, ground, sums[1])
+        first = _kept(crossings, first, j, alpha, more, ground_column, sums[1])
     return blocks
 
 
 @borrower
-def _fall(lengths, weight, more, total):
+def _fall(path_lengths, weight, derivatives, total):
     """Take from `total` what a weight loses, float32[wavelengths]."""
-    for material in range(more.shape[0]):
-        leg = np.float32(lengths[material])
+    for material in range(derivatives.shape[0]):
+        leg = np.float32(path_lengths[material])
         if leg > ZERO:
             for i in range(weight.size):
-                total[i] -= weight[i] * (more[material, i] * leg)
+                total[i] -= weight[i] * (derivatives[material, i] * leg)
 
 
 @owner
-def _kept(notes, first, ray, alpha, more, ground, totals):
+def _kept(crossings, first, ray, alpha, derivatives, ground_column, totals):
     """Add what the ground keeps of a ray, and return its first note's successor."""
     weight = np.empty(alpha.shape[1], dtype=np.float32)
     sent = np.empty_like(weight)
-    while first < notes.shape[0] and notes[first, NOTE_RAY] == ray:
-        lengths = notes[first, NOTE_LENGTH:]
-        weigh(lengths, notes[first, NOTE_WEIGHT], alpha, weight)
+    while first < crossings.shape[0] and crossings[first, NOTE_RAY] == ray:
+        lengths = crossings[first, NOTE_LENGTH:]
+        weigh(lengths, crossings[first, NOTE_WEIGHT], alpha, weight)
         # It keeps weight·(1 − a), a = exp(−α), and a falls by a·α′.
         for i in range(weight.size):
-            sent[i] = weight[i] * exponential(-alpha[ground, i])
+            sent[i] = weight[i] * exponential(-alpha[ground_column, i])
             weight[i] -= sent[i]
         for p in range(totals.shape[0]):
-            _fall(lengths, weight, more[p], totals[p])
+            _fall(lengths, weight, derivatives[p], totals[p])
             for i in range(weight.size):
-                totals[p, i] += sent[i] * more[p, ground, i] * ONE
+                totals[p, i] += sent[i] * derivatives[p, ground_column, i] * ONE
         first += 1
     return first

@@ -49,7 +49,7 @@ smallest first round of a level reaches all.  A standard error from 32 groups is
 class Traced(NamedTuple):
     """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
 
-    legs: int
+    n_segments: int
     lost: bool
 
 
@@ -65,12 +65,12 @@ class Told(NamedTuple):
         See `splits.transport.sums.notes`.
     """
 
-    legs: int
+    n_segments: int
     lost: bool
-    notes: np.ndarray
+    crossings: np.ndarray
 
 
-def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
+def exit_rows(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> np.ndarray:
     """Return room for so many rays, float64[rays, columns]: a row each, none having left.
 
     Parameters
@@ -79,23 +79,23 @@ def exit_rows(rays: int, materials: int, more: int = 0) -> np.ndarray:
     more : int, optional
         Columns after those of the materials, for what else a kernel has to tell.
     """
-    rows = np.full((rays, EXIT_LENGTH + materials + more), np.nan)
+    rows = np.full((n_rays, EXIT_LENGTH + n_materials + n_extra_columns), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
 
 
 @kernel
-def record(row, reflected, place, d, weight, order):
+def record(row, reflected, position, direction, weight, order):
     """Write where and how a ray left into its row; path lengths are left to the caller."""
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order
-    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = d.x, d.y, d.z
-    row[EXIT_POSITION], row[EXIT_POSITION + 1] = place.x, place.y
+    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = direction.x, direction.y, direction.z
+    row[EXIT_POSITION], row[EXIT_POSITION + 1] = position.x, position.y
 
 
 @entry
-def tally(exits, notes, absorption, weighted, ground):
+def tally(exits, crossings, absorption, weighted, ground_column):
     """Add up the weights of rays, in the order of their rows.
 
     Parameters
@@ -132,14 +132,14 @@ def tally(exits, notes, absorption, weighted, ground):
     first = 0
     for j in range(rays):
         side = int(exits[j, EXIT_SIDE])
-        if ground < 0:
+        if ground_column < 0:
             if side < 0:
                 least[:] = 0.0
             else:
                 weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
                 add(moments[side], sides[side])
                 least_of(least, sides[side])
-        elif side <= 0 and not (first < notes.shape[0] and notes[first, NOTE_RAY] == j):
+        elif side <= 0 and not (first < crossings.shape[0] and crossings[first, NOTE_RAY] == j):
             # Nothing of it came near the ground, as is so for most rays in deep packs.
             if side < 0:
                 least[:] = 0.0
@@ -152,7 +152,7 @@ def tally(exits, notes, absorption, weighted, ground):
             sides[:] = ZERO
             if side >= 0:
                 weigh(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
-            first = _kept(notes, first, j, alpha, ground, sides[1])
+            first = _kept(crossings, first, j, alpha, ground_column, sides[1])
             add(moments[0], sides[0])
             add(moments[1], sides[1])
             for i in range(wavelengths):
@@ -165,7 +165,7 @@ def tally(exits, notes, absorption, weighted, ground):
                     more = moments[side, 0, i] - before[side, i]
                     blocks[j // BLOCK % GROUPS, side, i] += more
                     before[side, i] = moments[side, 0, i]
-    if ground < 0:
+    if ground_column < 0:
         # A ray leaves on one side only.
         for i in range(wavelengths):
             moments[2, 0, i] = moments[0, 0, i] + moments[1, 0, i]
@@ -189,27 +189,27 @@ def _alpha(absorption, weighted):
 
 
 @borrower
-def weigh(lengths, factor, alpha, weight):
+def weigh(path_lengths, roulette_weight, alpha, weight):
     """Write factor·exp(−Σ α·length) of every wavelength into `weight`, float32[wavelengths]."""
     weight[:] = ZERO
     for material in range(alpha.shape[0]):
-        leg = np.float32(lengths[material])
+        leg = np.float32(path_lengths[material])
         if leg > ZERO:
             for i in range(weight.size):
                 weight[i] += alpha[material, i] * leg
-    light = np.float32(factor)
+    light = np.float32(roulette_weight)
     for i in range(weight.size):
         weight[i] = light * exponential(-weight[i])
 
 
 @owner
-def _kept(notes, first, ray, alpha, ground, total):
+def _kept(crossings, first, ray, alpha, ground_column, total):
     """Add to `total` what the ground keeps of a ray, and return its first note's successor."""
     weight = np.empty_like(total)
-    while first < notes.shape[0] and notes[first, NOTE_RAY] == ray:
-        weigh(notes[first, NOTE_LENGTH:], notes[first, NOTE_WEIGHT], alpha, weight)
+    while first < crossings.shape[0] and crossings[first, NOTE_RAY] == ray:
+        weigh(crossings[first, NOTE_LENGTH:], crossings[first, NOTE_WEIGHT], alpha, weight)
         for i in range(total.size):
-            total[i] += weight[i] * (ONE - exponential(-alpha[ground, i]))
+            total[i] += weight[i] * (ONE - exponential(-alpha[ground_column, i]))
         first += 1
     return first
 
@@ -226,7 +226,7 @@ def add(moments, weight):
 
 
 @kernel
-def least_of(least, weight):
+def least_of(minimum, weight):
     """Lower the least weights to those of one more ray."""
     for i in range(weight.size):
-        least[i] = min(least[i], weight[i] * ONE)
+        minimum[i] = min(minimum[i], weight[i] * ONE)

@@ -28,11 +28,11 @@ import numpy as np
 import pandas as pd
 from kernels import CASES
 
-from splits.analysis.tables import write_table
-from splits.paths import expand_path
+from splits.experiments.papers.paper_tables import write_table
+from splits.core.paths import expand_path
 
 ROOT = Path(__file__).resolve().parents[1]
-RAYS = """
+RAYS_PROGRAM = """
 import json, time, splits
 best = {{}}
 for wavelength in {wavelengths}:
@@ -49,7 +49,7 @@ for wavelength in {wavelengths}:
 print(json.dumps(best))
 """
 """Without the first seed, which may have compiled."""
-SPECTRUM = """
+SPECTRUM_PROGRAM = """
 import json, time, splits
 wavelengths = [400.0 + 10.0 * i for i in range(211)]
 total = 0.0
@@ -60,7 +60,7 @@ for seed in range({repeats} + 1):
 print(json.dumps({{"211 wavelengths": total / {repeats}}}))
 """
 """Mean over seeds, which ask for more or fewer rays."""
-FIRST = """
+FIRST_CALL_PROGRAM = """
 import json, time, splits
 begun = time.process_time()
 splits.spectrophotometer(splits.Snow(), [500.0, 900.0], max_stderr=0.05, threads=1)
@@ -69,7 +69,7 @@ print(json.dumps({"first spectrum": time.process_time() - begun}))
 
 
 @dataclass(frozen=True)
-class Plan:
+class CommitComparisonPlan:
     """How much to measure: rounds, repetitions in each, rays by lanes, and error."""
 
     n_rounds: int = 3
@@ -78,27 +78,27 @@ class Plan:
     error: float = 0.001
 
 
-QUICK = Plan(1, 1, 512, 0.02)
+QUICK = CommitComparisonPlan(1, 1, 512, 0.02)
 
 
-def programs(plan: Plan) -> dict[tuple[str, str], str]:
+def make_programs(plan: CommitComparisonPlan) -> dict[tuple[str, str], str]:
     """Return what to run, by part and case."""
     scalar = ("scalar", plan.n_rays // 8, {"kernel": "scalar"})
     ways = [scalar, ("lanes", plan.n_rays, {"kernel": "lanes"})]
     papers = ("papers' algorithm", plan.n_rays // 8, {"estimator": "analog"})
     found = {}
     for case, (kind, medium, wavelengths) in CASES.items():
-        found["rays", case] = RAYS.format(
+        found["rays", case] = RAYS_PROGRAM.format(
             kind=kind, medium=medium, wavelengths=wavelengths, repeats=plan.n_repeats,
             ways=[*ways, papers] if not medium else ways,
         )  # fmt: skip
     representative = next(iter(CASES))
-    found["spectrum", representative] = SPECTRUM.format(repeats=plan.n_repeats, error=plan.error)
-    found["first", representative] = FIRST
+    found["spectrum", representative] = SPECTRUM_PROGRAM.format(repeats=plan.n_repeats, error=plan.error)
+    found["first", representative] = FIRST_CALL_PROGRAM
     return found
 
 
-def run(program: str, package: Path, cache: Path | None) -> dict[str, float]:
+def run_program(program: str, package: Path, cache: Path | None) -> dict[str, float]:
     """Return what a program prints with the package of a folder, with its kernels kept apart."""
     kept = {} if cache is None else {"XDG_CACHE_HOME": str(cache)}
     done = subprocess.run(
@@ -112,19 +112,19 @@ def run(program: str, package: Path, cache: Path | None) -> dict[str, float]:
     return json.loads(done.stdout)
 
 
-def compare(commit: str, plan: Plan) -> pd.DataFrame:
+def compare_commits(commit: str, plan: CommitComparisonPlan) -> pd.DataFrame:
     """Return the table, printed as it comes."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         before = Path(folder) / "before"
         subprocess.run(["git", "clone", "-q", str(ROOT), str(before)], check=True)
         subprocess.run(["git", "-C", str(before), "checkout", "-q", commit], check=True)
-        for (part, case), program in programs(plan).items():
+        for (part, case), program in make_programs(plan).items():
             best: dict[tuple[str, str], float] = {}
             for turn in range(plan.n_rounds):
                 for when, package in (("then", before), ("now", ROOT)):
                     cache = Path(folder) / f"{when}{turn}" if part == "first" else None
-                    for way, spent in run(program, package, cache).items():
+                    for way, spent in run_program(program, package, cache).items():
                         best[way, when] = min(best.get((way, when), np.inf), spent)
             for way in dict.fromkeys(way for way, _ in best):
                 now, then = best[way, "now"], best[way, "then"]
@@ -151,7 +151,7 @@ def main() -> None:
     parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
-    table = compare(given.commit, QUICK if given.quick else Plan())
+    table = compare_commits(given.commit, QUICK if given.quick else CommitComparisonPlan())
     if given.table:
         write_table(table, given.table)
 

@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.instruments import deep_packs
+from splits.simulation import deep_medium
 
-WAVELENGTHS = np.linspace(400.0, 2500.0, 200)
+WAVELENGTHS_NM = np.linspace(400.0, 2500.0, 200)
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     def run(seed: int, max_stderr: float) -> tuple[xr.Dataset, float]:
         begun = time.process_time()
         ds = splits.spectrophotometer(
-            snow, WAVELENGTHS, max_stderr=max_stderr, seed=seed, threads=1
+            snow, WAVELENGTHS_NM, max_stderr=max_stderr, seed=seed, threads=1
         )
         return ds, time.process_time() - begun
 
@@ -47,7 +47,7 @@ def main() -> None:
     print(f"cut at {100.0 * traced:.1f} cm: {spent:.1f} s, {rays} rays, error {reached:.5f}")
     if not given.whole:
         return
-    deep_packs.LEAST = np.inf
+    deep_medium.MIN_DEPTH_MFP = np.inf
     whole, longer = run(2, given.max_stderr)
     rays, reached = whole.attrs["rays"], whole.attrs["max_stderr_reached"]
     print(

@@ -16,8 +16,8 @@ import time
 import splits
 
 DEPTHS_M = (0.12, 0.50)
-WAVELENGTHS = (500.0, 800.0)
-LEAST = 5.0
+WAVELENGTHS_NM = (500.0, 800.0)
+MIN_TRANSMITTANCE = 5.0
 """Transmittance in errors of its own from which brute force counts as having seen it."""
 
 
@@ -30,11 +30,11 @@ def main() -> None:
     parser.add_argument("--rays", type=int, default=2_000_000, help="rays of brute force")
     given = parser.parse_args()
     for depth in DEPTHS_M:
-        for wavelength in WAVELENGTHS:
-            compare(depth, wavelength, given.relative_stderr, given.rays)
+        for wavelength in WAVELENGTHS_NM:
+            compare_methods(depth, wavelength, given.relative_stderr, given.rays)
 
 
-def compare(depth_m: float, wavelength_nm: float, relative_stderr: float, rays: int) -> None:
+def compare_methods(depth_m: float, wavelength_nm: float, relative_stderr: float, rays: int) -> None:
     """Measure one transmittance both ways and print them."""
     snow = splits.Snow(depth_m=depth_m)
     begun = time.perf_counter()
@@ -53,7 +53,7 @@ def compare(depth_m: float, wavelength_nm: float, relative_stderr: float, rays: 
     )
     spent = time.perf_counter() - begun
     plain, its_error = (float(brute[name][0]) for name in ("transmittance", "transmittance_stderr"))
-    if plain < LEAST * its_error:
+    if plain < MIN_TRANSMITTANCE * its_error:
         print(f"  brute force: nothing to tell after {rays} rays in {spent:.0f} s", flush=True)
         return
     z = (value - plain) / math.hypot(error, its_error)

@@ -19,8 +19,8 @@ import xarray as xr
 import splits
 
 BANDS = [450.0, 700.0, 1030.0, 1300.0]
-CLOUD = splits.Layer(optical_thickness=4.0, single_scattering_albedo=0.95, asymmetry=0.8)
-NATURAL = splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1)
+CLOUD = splits.ParticleLayer(optical_thickness=4.0, single_scattering_albedo=0.95, asymmetry=0.8)
+NATURAL_SNOW = splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1)
 RUNS: dict[str, Callable[[], xr.Dataset]] = {
     "snow": lambda: splits.spectrophotometer(splits.Snow(), BANDS, 30.0, 0.005),
     "snow, diffuse": lambda: splits.spectrophotometer(splits.Snow(), BANDS, "diffuse", 0.005),
@@ -39,14 +39,14 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
     "snow, deep transmittance": lambda: splits.deep_transmittance(
         splits.Snow(depth_m=0.2), [900.0], relative_stderr=0.1
     ),
-    "snow, lateral spread": lambda: splits.bssrdf(splits.Snow(), [900.0], 0.0),
+    "snow, lateral spread": lambda: splits.beam_spread(splits.Snow(), [900.0], 0.0),
     "sand": lambda: splits.spectrophotometer(splits.Sand(), BANDS[:3], 0.0, 0.005),
     "layer": lambda: splits.spectrophotometer(CLOUD, [600.0], 30.0, 0.003),
     "stack over ground": lambda: splits.spectrophotometer(
         splits.Stack([splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.05, density_kg_m3=350.0)],
                      ground=0.2), BANDS, 30.0, 0.005
     ),
-    "natural snow": lambda: splits.spectrophotometer(NATURAL, BANDS, 60.0, 0.005),
+    "natural snow": lambda: splits.spectrophotometer(NATURAL_SNOW, BANDS, 60.0, 0.005),
     "natural snow, geometric": lambda: splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1, readings="geometric"),
         BANDS, 60.0, 0.005,
@@ -54,7 +54,7 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
 }  # fmt: skip
 
 
-def digest(dataset: xr.Dataset) -> str:
+def compute_digest(dataset: xr.Dataset) -> str:
     """Return the SHA-256 of all values of a dataset, variables in the order of their names."""
     total = hashlib.sha256()
     for name in sorted(str(one) for one in dataset.data_vars):
@@ -69,7 +69,7 @@ def main() -> None:
         found = run()
         first = next(iter(found.data_vars))
         mean = float(np.nanmean(found[first].values))
-        print(f"{name:28s} {digest(found)[:16]} {first} {mean:.9g}", flush=True)
+        print(f"{name:28s} {compute_digest(found)[:16]} {first} {mean:.9g}", flush=True)
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.analysis.directions import principal_plane
-from splits.instruments.cells import CELLS_OF_5_DEG, centres
+from splits.analysis.directions import select_principal_plane
+from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
 
-STEEPEST = 80.0
+MAX_POLAR_DEG = 80.0
 TABLE1 = splits.Snow()
 CASES = {
     "snow, 600 nm, 0 degrees": (TABLE1, 600.0, 0.0),
@@ -32,17 +32,17 @@ CASES = {
 }
 
 
-def timed(call):
+def time_call(call):
     """Return a dataset and the seconds it took."""
     begun = time.perf_counter()
     dataset = call()
     return dataset, time.perf_counter() - begun
 
 
-def effort(dataset: xr.Dataset, seconds: float) -> float:
+def compute_cost(dataset: xr.Dataset, seconds: float) -> float:
     """Return the mean relative variance in the principal plane, times the seconds."""
-    plane = principal_plane(dataset).isel(wavelength=0)
-    plane = plane.isel(angle=np.abs(plane.angle.values) <= STEEPEST)
+    plane = select_principal_plane(dataset).isel(wavelength=0)
+    plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
     mean = float(plane.brdf.mean())
     return seconds * float((plane.brdf_stderr**2).mean()) / mean**2
 
@@ -53,30 +53,30 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer rays and repeats")
     quick = parser.parse_args().quick
     rays, error, repeats = (100_000, 0.05, 3) if quick else (1_000_000, 0.02, 8)
-    polar, azimuth = centres(CELLS_OF_5_DEG)
+    polar, azimuth = compute_bin_centres(DEFAULT_N_BINS)
     for name, (medium, wavelength, incidence) in CASES.items():
         scene = (medium, [wavelength], incidence)
         grid = {"polar_deg": polar, "azimuth_deg": azimuth, "threads": 1}
         # Once for the compiler.
         splits.goniophotometer(*scene, 1, **grid)
         splits.goniophotometer(*scene, 1, estimator="cells", **grid)
-        cells, cells_s = timed(
+        cells, cells_s = time_call(
             lambda scene=scene: splits.goniophotometer(
-                *scene, rays, estimator="cells", cells=CELLS_OF_5_DEG, threads=1
+                *scene, rays, estimator="cells", cells=DEFAULT_N_BINS, threads=1
             )
         )
-        runs, run_s = timed(
+        runs, run_s = time_call(
             lambda scene=scene, grid=grid: [
                 splits.goniophotometer(*scene, seed=seed, relative_stderr=error, **grid)
                 for seed in range(repeats)
             ]
         )
-        ratio = effort(cells, cells_s) / effort(runs[0], run_s / repeats)
+        ratio = compute_cost(cells, cells_s) / compute_cost(runs[0], run_s / repeats)
         mean = np.mean([run.brdf[0].values for run in runs], axis=0)
         stated = np.sqrt(np.sum([run.brdf_stderr[0].values ** 2 for run in runs], axis=0)) / repeats
         scatter = np.std([run.brdf[0].values for run in runs], axis=0, ddof=1)
         one = np.sqrt(np.mean([run.brdf_stderr[0].values ** 2 for run in runs], axis=0))
-        low = polar <= STEEPEST
+        low = polar <= MAX_POLAR_DEG
         known = cells.brdf[0].values > 5.0 * cells.brdf_stderr[0].values
         z = (mean - cells.brdf[0].values) / np.hypot(stated, cells.brdf_stderr[0].values)
         z = z[low][known[low]]

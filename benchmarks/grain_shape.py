@@ -20,33 +20,33 @@ from typing import Any
 import pandas as pd
 
 import splits
-from splits.analysis.grain_shape import optical_shape
-from splits.analysis.tables import write_table
+from splits.analysis.theory.grain_shape import compute_optical_shape
+from splits.experiments.papers.paper_tables import write_table
 
-SHARP: dict[str, Any] = {"entry": "projected"}
-MIRRORED = {**SHARP, "wrong_side": "mirrored"}
+SHARP_FACETS: dict[str, Any] = {"entry": "projected"}
+MIRRORED_INTERPRETATION = {**SHARP_FACETS, "wrong_side": "mirrored"}
 SPHERES: dict[str, Any] = {"facetness": (0.0, 0.0, 0.0, 0.0), "sphericity": (1.0, 1.0, 1.0, 0.0)}
 
 
-def equal(facetness: float) -> dict[str, Any]:
+def make_grains(facetness: float) -> dict[str, Any]:
     """Return grains of one facetness."""
     return {"facetness": (facetness, facetness, facetness, 0.0)}
 
 
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "smooth spheres": ({}, SPHERES),
-    "smooth spheres, projected": (SHARP, SPHERES),
+    "smooth spheres, projected": (SHARP_FACETS, SPHERES),
     "Table 1": ({}, {}),
-    "facetness 0.05": ({}, equal(0.05)),
+    "facetness 0.05": ({}, make_grains(0.05)),
     "any facet, mirrored": ({"facets": "any", "wrong_side": "mirrored"}, {}),
-    "projected, Table 1": (SHARP, {}),
-    **{f"projected, facetness {f:g}": (SHARP, equal(f)) for f in (0.0, 0.02, 0.05, 0.08, 0.1)},
-    **{f"projected, mirrored, facetness {f:g}": (MIRRORED, equal(f)) for f in (0.05, 0.08, 0.1)},
+    "projected, Table 1": (SHARP_FACETS, {}),
+    **{f"projected, facetness {f:g}": (SHARP_FACETS, make_grains(f)) for f in (0.0, 0.02, 0.05, 0.08, 0.1)},
+    **{f"projected, mirrored, facetness {f:g}": (MIRRORED_INTERPRETATION, make_grains(f)) for f in (0.05, 0.08, 0.1)},
     "projected, unweighted facets, facetness 0.05": (
-        {**SHARP, "facets": "unweighted"}, equal(0.05),
+        {**SHARP_FACETS, "facets": "unweighted"}, make_grains(0.05),
     ),
     "projected, facetness 0.2, sphericity 0.45": (
-        SHARP, {**equal(0.2), "sphericity": (0.45, 0.45, 0.45, 0.0)},
+        SHARP_FACETS, {**make_grains(0.2), "sphericity": (0.45, 0.45, 0.45, 0.0)},
     ),
 }  # fmt: skip
 """Readings besides those of SPLITS, and grains besides those of Table 1."""
@@ -55,15 +55,15 @@ NATURAL_B, NATURAL_G = (1.68, 0.02), (0.65, 0.03)
 """Mean and standard deviation over samples."""
 
 
-def search(rays: int) -> None:
+def search_shapes(rays: int) -> None:
     """Print how far shapes lie from natural snow's, in standard deviations of its samples."""
     best = (math.inf, "")
     for sphericity, facetness in itertools.product(
         (0.65, 0.7, 0.75, 0.8), (0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
     ):
-        grains = {**equal(facetness), "sphericity": (sphericity, sphericity, sphericity, 0.0)}
+        grains = {**make_grains(facetness), "sphericity": (sphericity, sphericity, sphericity, 0.0)}
         snow = splits.Snow(saturation=0.0, readings="geometric", **grains)
-        b, g, _ = optical_shape(snow, rays=rays)
+        b, g, _ = compute_optical_shape(snow, rays=rays)
         off = [(b.value - NATURAL_B[0]) / NATURAL_B[1], (g.value - NATURAL_G[0]) / NATURAL_G[1]]
         line = (
             f"sphericity {sphericity:g}, facetness {facetness:g}: "
@@ -85,13 +85,13 @@ def main() -> None:
     parser.add_argument("--search", action="store_true")
     given = parser.parse_args()
     if given.search:
-        search(given.rays)
+        search_shapes(given.rays)
         return
     rows = []
     for name, (readings, grains) in CASES.items():
         both = {"set": "splits_2007", **readings}
         snow = splits.Snow(saturation=0.0, readings=both, **grains)
-        shape = optical_shape(snow, rays=given.rays)
+        shape = compute_optical_shape(snow, rays=given.rays)
         row: dict[str, Any] = {"grains": name}
         for key, one in shape._asdict().items():
             row |= {key: one.value, f"{key}_stderr": one.stderr}

@@ -24,18 +24,18 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MOST_MB = 350
+MAX_SIZE_MB = 350
 """MiB that an installation may take, Python itself and compiled bytecode left out."""
-SPECTRUM = """
+SPECTRUM_PROGRAM = """
 import splits
 snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
 ds = splits.spectrophotometer(snow, range(400, 2501, 10), max_stderr=0.01, seed=1)
 print(splits.__file__, float(ds.reflectance.sel(wavelength=1000)), ds.sizes["wavelength"])
 """
-IMPORT = "import time; t = time.perf_counter(); import splits; print(time.perf_counter() - t)"
+IMPORT_PROGRAM = "import time; t = time.perf_counter(); import splits; print(time.perf_counter() - t)"
 
 
-def run(*command: object, **environment: str) -> str:
+def run_command(*command: object, **environment: str) -> str:
     """Return what a command prints, or end with what it says is wrong."""
     variables = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
@@ -50,44 +50,44 @@ def run(*command: object, **environment: str) -> str:
     return done.stdout.strip()
 
 
-def uv() -> str:
+def find_uv() -> str:
     """Return where uv is: beside this Python, or on the path."""
     found = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
     return found or sys.exit("installation: needs uv (make setup brings it)")
 
 
-def tracked() -> set[str]:
+def list_tracked_files() -> set[str]:
     """Return the files of the package that git tracks."""
-    return set(run("git", "-C", ROOT, "ls-files", "splits").splitlines())
+    return set(run_command("git", "-C", ROOT, "ls-files", "splits").splitlines())
 
 
-def built(folder: Path) -> tuple[Path, Path]:
+def build_distributions(folder: Path) -> tuple[Path, Path]:
     """Build both distributions and return them: wheel and source."""
-    run(uv(), "build", "--quiet", "--out-dir", folder, ROOT)
+    run_command(find_uv(), "build", "--quiet", "--out-dir", folder, ROOT)
     (wheel,), (source,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
     with zipfile.ZipFile(wheel) as file:
         in_wheel = set(file.namelist())
     with tarfile.open(source) as file:
         in_source = {name.partition("/")[2] for name in file.getnames()}
     for what, held in (("wheel", in_wheel), ("source distribution", in_source)):
-        if missing := tracked() - held:
+        if missing := list_tracked_files() - held:
             sys.exit(f"installation: not in the {what}: {', '.join(sorted(missing))}")
     return wheel, source
 
 
-def installed(distribution: Path, folder: Path, by_pip: bool) -> Path:
+def install(distribution: Path, folder: Path, by_pip: bool) -> Path:
     """Install a distribution into a new environment and return that environment's Python."""
     python = folder / "bin" / "python"
     if by_pip:
-        run(sys.executable, "-m", "venv", folder)
-        run(python, "-m", "pip", "install", "--quiet", distribution)
+        run_command(sys.executable, "-m", "venv", folder)
+        run_command(python, "-m", "pip", "install", "--quiet", distribution)
     else:
-        run(uv(), "venv", "--quiet", "--python", sys.executable, folder)
-        run(uv(), "pip", "install", "--quiet", "--python", python, distribution)
+        run_command(find_uv(), "venv", "--quiet", "--python", sys.executable, folder)
+        run_command(find_uv(), "pip", "install", "--quiet", "--python", python, distribution)
     return python
 
 
-def megabytes(folder: Path, bytecode: bool) -> float:
+def measure_size_mib(folder: Path, bytecode: bool) -> float:
     """Return the size of what is installed in an environment (MiB)."""
     files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     sizes = (path.stat().st_size for path in files if bytecode or path.suffix != ".pyc")
@@ -101,32 +101,32 @@ def main() -> None:
     by_pip = options.parse_args().pip
     with tempfile.TemporaryDirectory(prefix="splits-installation-") as name:
         folder = Path(name)
-        wheel, source = built(folder / "dist")
+        wheel, source = build_distributions(folder / "dist")
         begun = time.perf_counter()
-        python = installed(wheel, folder / "wheel", by_pip)
+        python = install(wheel, folder / "wheel", by_pip)
         ready = time.perf_counter()
         kernels = {"XDG_CACHE_HOME": str(folder / "cache")}
-        spectrum = run(python, "-c", SPECTRUM, **kernels).split()
+        spectrum = run_command(python, "-c", SPECTRUM_PROGRAM, **kernels).split()
         first = time.perf_counter()
-        run(python, "-c", SPECTRUM, **kernels)
+        run_command(python, "-c", SPECTRUM_PROGRAM, **kernels)
         again = time.perf_counter()
-        imports = [float(run(python, "-c", IMPORT)) for _ in range(7)]
-        size = megabytes(folder / "wheel", False)
+        imports = [float(run_command(python, "-c", IMPORT_PROGRAM)) for _ in range(7)]
+        size = measure_size_mib(folder / "wheel", False)
         print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.2f} MiB")
-        print(f"installed: {size:.0f} MiB, {megabytes(folder / 'wheel', True):.0f} with bytecode")
+        print(f"installed: {size:.0f} MiB, {measure_size_mib(folder / 'wheel', True):.0f} with bytecode")
         print(f"import splits: {statistics.median(imports):.3f} s, median of {len(imports)}")
         print(
             f"from nothing to a spectrum of {spectrum[2]} wavelengths: {first - begun:.0f} s "
             f"({ready - begun:.0f} installation, {first - ready:.0f} kernels and spectrum; "
             f"{again - first:.1f} in the next process)"
         )
-        here = run(sys.executable, "-c", SPECTRUM, PYTHONPATH=str(ROOT)).split()
+        here = run_command(sys.executable, "-c", SPECTRUM_PROGRAM, PYTHONPATH=str(ROOT)).split()
         if not spectrum[0].startswith(str(folder)) or spectrum[1:] != here[1:]:
             sys.exit(f"installation: {spectrum} is not what the checkout computes: {here}")
-        other = installed(source, folder / "source", by_pip)
-        print(f"{source.name}: installs, version {run(other, '-m', 'splits.command', 'versions')}")
-        if size > MOST_MB:
-            sys.exit(f"installation: {size:.0f} MiB: must be at most {MOST_MB}")
+        other = install(source, folder / "source", by_pip)
+        print(f"{source.name}: installs, version {run_command(other, '-m', 'splits.command', 'versions')}")
+        if size > MAX_SIZE_MB:
+            sys.exit(f"installation: {size:.0f} MiB: must be at most {MAX_SIZE_MB}")
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.instruments.ensemble import Ensemble
-from splits.instruments.fixed import fixed_spectrum
-from splits.instruments.nodes import CURVATURE, SLOPE, choose_nodes
-from splits.instruments.runner import Runner
-from splits.materials.refractive_index import absorption_coefficient
+from splits.simulation.tally import PathTally
+from splits.simulation.fixed_budget import estimate_fixed_budget
+from splits.simulation.spectral_nodes import MAX_LOG_CURVATURE, MAX_LOG_SLOPE, choose_nodes
+from splits.simulation.runner import Runner
+from splits.materials.lookup import absorption_coefficient
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.
 SOLIDS = {
@@ -31,14 +31,14 @@ SOLIDS = {
     "sand, dry": (0.0, (2.0, 1.7, 1.49), (1.0, 1.0, 1.0)),
     "sand, water-filled": (1.0, (1.65, 1.55, 1.48), (1.33, 1.33, 1.33)),
 }
-MANY = 3e-5
+MANY_NODES_RAYS = 3e-5
 """Interpolation error allowed where many nodes stand for the truth."""
 SEEDS = 8
 BIAS_RAYS = 100_000
 ABSORPTION = {"snow": (1e-9, 1e-6, 1e-5), "sand": (1e-6, 1e-5, 1e-3)}
 
 
-def make(kind: str, saturation: float, solid: complex, water: complex) -> object:
+def make_medium(kind: str, saturation: float, solid: complex, water: complex) -> object:
     """Return a medium of one mineral and given indices."""
     if kind == "snow":
         index = {"ice": solid, "water": water}
@@ -50,7 +50,7 @@ def make(kind: str, saturation: float, solid: complex, water: complex) -> object
     )  # fmt: skip
 
 
-def derivatives(mediums: list[object], x: np.ndarray) -> tuple[np.ndarray, ...]:
+def compute_derivatives(mediums: list[object], x: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return first and second derivative of R and T by x at the middle point, with errors."""
     values, errors = [], []
     for seed, medium in enumerate(mediums):
@@ -81,15 +81,15 @@ TOLERANCE = 0.0008
 RAYS = 40_000
 
 
-def print_misses() -> None:
+def print_interpolation_errors() -> None:
     """Print what interpolated reflectance of sands misses of that traced at every wavelength."""
     wavelengths = np.arange(400.0, 1001.0, 50.0)
     for name, sand in SANDS.items():
         index = sand.compute_refractive_indices(wavelengths)
         nodes = choose_nodes(index, sand.list_interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
-        few, few_error, _ = fixed_spectrum(sand, wavelengths, 0.0, rows, RAYS, 1)
-        every, error, _ = fixed_spectrum(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
+        few, few_error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, rows, RAYS, 1)
+        every, error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
         off, noise = few[0] - every[0], np.hypot(few_error[0], error[0])
         between = np.setdiff1d(np.arange(len(wavelengths)), rows)
         z = off[between] / noise[between]
@@ -112,7 +112,7 @@ def print_bias() -> None:
     stated = splits.spectrophotometer(snow, wavelengths, max_stderr=0.001, seed=9)
     index = snow.compute_refractive_indices(wavelengths)
     few = choose_nodes(index, snow.list_interfaces(), 0.4 * 0.001)
-    many = choose_nodes(index, snow.list_interfaces(), MANY)
+    many = choose_nodes(index, snow.list_interfaces(), MANY_NODES_RAYS)
     rows = {tuple(node): i for i, node in enumerate(many.index)}
     extra = [node for node in few.index if tuple(node) not in rows]
     every = np.concatenate([many.index, np.array(extra).reshape(-1, index.shape[1])])
@@ -127,7 +127,7 @@ def print_bias() -> None:
         absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
         # One number for all: the same random streams at every node.
         ensembles = [
-            Ensemble(0, node, absorption, w > 0.0, runner.tracer.traits)
+            PathTally(0, node, absorption, w > 0.0, runner.tracer.traits)
             for node, w in zip(every, weights.max(axis=0), strict=True)
         ]
         runner.trace([(e, level, BIAS_RAYS) for e in ensembles for level in e.strata], 1.0, 0.0)
@@ -138,7 +138,7 @@ def print_bias() -> None:
     error = np.stack([stated.reflectance_stderr, stated.transmittance_stderr])
     share = np.abs(miss) / error
     print(
-        f"Table 1, {len(few.index)} nodes against {len(many.index)} (bound {MANY:g}), "
+        f"Table 1, {len(few.index)} nodes against {len(many.index)} (bound {MANY_NODES_RAYS:g}), "
         f"{len(wavelengths)} wavelengths: reflectance off by rms "
         f"{np.sqrt(np.mean(miss[0] ** 2)):.1e}, "
         f"at most {np.abs(miss[0]).max():.1e} (noise up to {noise[0].max():.1e}); "
@@ -151,22 +151,22 @@ def print_bias() -> None:
 def main() -> None:
     """Print all three comparisons."""
     print_bias()
-    print_misses()
+    print_interpolation_errors()
     for name, (saturation, solids, waters) in SOLIDS.items():
         kind = name[:4]
         pore = np.array(waters) if saturation == 1.0 else np.ones(3)
         x = np.log(np.abs(np.array(solids) / pore - 1.0))
         for k in ABSORPTION[kind]:
             mediums = [
-                make(kind, saturation, complex(solid, k), complex(water, k))
+                make_medium(kind, saturation, complex(solid, k), complex(water, k))
                 for solid, water in zip(solids, waters, strict=True)
             ]
-            slope, slope_error, bend, bend_error = derivatives(mediums, x)
+            slope, slope_error, bend, bend_error = compute_derivatives(mediums, x)
             print(
                 f"{name}, k {k:g}: slope R {slope[0]:+.2f} ± {slope_error[0]:.2f}, "
-                f"T {slope[1]:+.2f} ± {slope_error[1]:.2f} (bound {SLOPE:g}); "
+                f"T {slope[1]:+.2f} ± {slope_error[1]:.2f} (bound {MAX_LOG_SLOPE:g}); "
                 f"bend R {bend[0]:+.2f} ± {bend_error[0]:.2f}, "
-                f"T {bend[1]:+.2f} ± {bend_error[1]:.2f} (bound {CURVATURE:g})",
+                f"T {bend[1]:+.2f} ± {bend_error[1]:.2f} (bound {MAX_LOG_CURVATURE:g})",
                 flush=True,
             )
 

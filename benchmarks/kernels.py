@@ -31,19 +31,19 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.analysis.tables import write_table
-from splits.instruments.scenes import granular_scene
-from splits.instruments.threads import cpus
-from splits.materials.refractive_index import absorption_coefficient
-from splits.paths import expand_path
-from splits.transport import lanes
-from splits.transport.compiling.features import Features
-from splits.transport.grains import granular
-from splits.transport.grains.scene import UNLIMITED, Optics, shared_optics
-from splits.transport.lanes.choice import features_for
-from splits.transport.sums.tally import exit_rows
+from splits.experiments.papers.paper_tables import write_table
+from splits.simulation.scene import build_scene
+from splits.simulation.threads import count_cpus
+from splits.materials.lookup import absorption_coefficient
+from splits.core.paths import expand_path
+from splits.kernels import vectorized
+from splits.kernels.compiler.features import Features
+from splits.kernels.grains import history
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, make_bounding_optics
+from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.tallies.exits import allocate_exits
 
-WAVELENGTHS = np.arange(400, 2501, 10)
+WAVELENGTHS_NM = np.arange(400, 2501, 10)
 CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
     "snow, representative": ("Snow", {}, (500.0, 1300.0)),
     "snow, coarse wet": (
@@ -64,25 +64,25 @@ CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
     ),
 }  # fmt: skip
 """Media: kind, parameters and two wavelengths (nm), of long paths and of short ones."""
-SMOOTH = {"facetness": (0, 0, 0, 0), "saturation": 0}
-ROUGH = SMOOTH | {"facetness": (0.2, 0.4, 0.3, 0.072)}
-HARMLESS = {
+SMOOTH_GRAINS = {"facetness": (0, 0, 0, 0), "saturation": 0}
+ROUGH_GRAINS = SMOOTH_GRAINS | {"facetness": (0.2, 0.4, 0.3, 0.072)}
+OPTIONAL_FEATURES = {
     "water": "wet",
     "extinction in reflection": "absorbing",
     "mixed types, coatings": "mixed",
 }
 """Features that can be on in a scene without them.  Facets cannot: without roughness, near-grazing
 rays would be refused about 1/cosine times."""
-IN_USE = {
-    "facets, S = 0.3": splits.Snow(**ROUGH | {"saturation": 0.3}),
-    "facets, entry projected": splits.Snow(**ROUGH, readings={"entry": "projected"}),
+FEATURE_MEDIA = {
+    "facets, S = 0.3": splits.Snow(**ROUGH_GRAINS | {"saturation": 0.3}),
+    "facets, entry projected": splits.Snow(**ROUGH_GRAINS, readings={"entry": "projected"}),
     "sand, mixed particles only": splits.Sand(partition=(0.0, 1.0, 0.0), texture=(0.0, 0.10, 0.90)),
     "sand, Fig 8 base": splits.Sand(texture=(0.0, 0.10, 0.90)),
 }
 
 
 @dataclass(frozen=True)
-class Plan:
+class KernelBenchmarkPlan:
     """How much to measure: rounds, rays per call, seconds per timing, error and spectra."""
 
     n_rounds: int = 7
@@ -92,10 +92,10 @@ class Plan:
     n_spectra: int = 3
 
 
-QUICK = Plan(1, 512, 0.05, (0.01,), 1)
+QUICK = KernelBenchmarkPlan(1, 512, 0.05, (0.01,), 1)
 
 
-class Bench:
+class KernelTimer:
     """One kernel in one scene.
 
     Parameters
@@ -107,30 +107,30 @@ class Bench:
     """
 
     def __init__(self, medium: Any, wavelength_nm: float, features: Features | None) -> None:
-        self.scene = granular_scene(medium, 0.0, False)
-        self.optics = optics_at(medium, wavelength_nm)
+        self.scene = build_scene(medium, 0.0, False)
+        self.optics = compute_optics(medium, wavelength_nm)
         self.features = features
         self.n_rays = self.n_calls = 1
-        self.exits = exit_rows(1, self.optics.n.size)
+        self.exits = allocate_exits(1, self.optics.n.size)
         self.time_per_ray_s = self.time_per_segment_s = np.inf
         self.segments_per_ray = np.nan
 
     def trace(self, seed: int, first: int) -> int:
         """Trace rays from one of that number on and return their legs."""
-        work = np.array([[0, first, self.n_rays, UNLIMITED]])
+        work = np.array([[0, first, self.n_rays, NO_MAX_ORDER]])
         if self.features is None:
-            told = granular.batch(seed, work[0], self.scene, self.optics, self.exits, None, None)
+            told = history.trace_batch(seed, work[0], self.scene, self.optics, self.exits, None, None)
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
-            told = lanes.batch(seed, work, self.scene, optics, self.exits, self.features)
+            told = vectorized.batch(seed, work, self.scene, optics, self.exits, self.features)
         if told.lost:
             raise RuntimeError("a ray was lost")
         return int(np.sum(told.n_segments))
 
-    def prepare(self, plan: Plan) -> None:
+    def prepare(self, plan: KernelBenchmarkPlan) -> None:
         """Compile, and choose how many calls make a timing of the length planned."""
         self.n_rays = plan.n_rays if self.features else plan.n_rays // 8
-        self.exits = exit_rows(self.n_rays, self.optics.n.size)
+        self.exits = allocate_exits(self.n_rays, self.optics.n.size)
         self.trace(0, 0)
         begun = time.perf_counter()
         self.trace(0, self.n_rays)
@@ -148,21 +148,21 @@ class Bench:
         self.segments_per_ray = legs / rays
 
 
-def optics_at(medium: Any, wavelength_nm: float) -> Optics:
+def compute_optics(medium: Any, wavelength_nm: float) -> Optics:
     """Return the optics of a medium at a wavelength."""
     index = medium.compute_refractive_indices(np.array([wavelength_nm]))[0]
-    return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
+    return make_bounding_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
-def features_of(medium: Any, wavelength_nm: float) -> Features:
+def get_features(medium: Any, wavelength_nm: float) -> Features:
     """Return what lanes need for a medium."""
-    features = features_for(granular_scene(medium, 0.0, False), optics_at(medium, wavelength_nm))
+    features = select_features(build_scene(medium, 0.0, False), compute_optics(medium, wavelength_nm))
     if features is None:
         raise RuntimeError("lanes do not serve this medium")
     return features
 
 
-def take_turns(timers: Mapping[str, Bench], plan: Plan) -> None:
+def time_in_turn(timers: Mapping[str, KernelTimer], plan: KernelBenchmarkPlan) -> None:
     """Time all benches in turn, for all rounds."""
     for bench in timers.values():
         bench.prepare(plan)
@@ -171,7 +171,7 @@ def take_turns(timers: Mapping[str, Bench], plan: Plan) -> None:
             bench.time_calls(seed)
 
 
-def row(
+def make_row(
     part: str, case: str, unit: str, seconds: float, reference: str, reference_s: float, **facts: float
 ) -> dict[str, Any]:
     """Return a row of the table."""
@@ -189,7 +189,7 @@ def row(
     }
 
 
-def against_scalar(plan: Plan) -> list[dict[str, Any]]:
+def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
     """Return lanes against the scalar kernel, time per ray."""
     print("lanes against scalar, one core, the same medium and optics", flush=True)
     rows = []
@@ -197,13 +197,13 @@ def against_scalar(plan: Plan) -> list[dict[str, Any]]:
         medium = getattr(splits, kind)(**settings)
         for wavelength in wavelengths:
             pair = {
-                "scalar": Bench(medium, wavelength, None),
-                "lanes": Bench(medium, wavelength, features_of(medium, wavelength)),
+                "scalar": KernelTimer(medium, wavelength, None),
+                "lanes": KernelTimer(medium, wavelength, get_features(medium, wavelength)),
             }
-            take_turns(pair, plan)
+            time_in_turn(pair, plan)
             scalar, lane = pair["scalar"], pair["lanes"]
             rows.append(
-                row(
+                make_row(
                     "lanes_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar", scalar.time_per_ray_s,
                     wavelength_nm=wavelength, events_per_ray=scalar.segments_per_ray,
                 )
@@ -219,55 +219,55 @@ def against_scalar(plan: Plan) -> list[dict[str, Any]]:
     return rows
 
 
-def two_cores(plan: Plan) -> list[dict[str, Any]]:
+def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
     """Return two cores against one, for a spectrum by lanes."""
-    if cpus() < 2:
+    if count_cpus() < 2:
         print("two cores against one: left out, there is one core", flush=True)
         return []
     rows = []
-    splits.spectrophotometer(splits.Snow(), WAVELENGTHS, kernel="lanes", max_rays=1)
+    splits.spectrophotometer(splits.Snow(), WAVELENGTHS_NM, kernel="lanes", max_rays=1)
     for error in plan.errors:
         best = {1: np.inf, 2: np.inf}
         for seed in range(plan.n_spectra):
             for threads in best:
                 begun = time.perf_counter()
                 splits.spectrophotometer(
-                    splits.Snow(), WAVELENGTHS, max_stderr=error, kernel="lanes", threads=threads,
+                    splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="lanes", threads=threads,
                     seed=seed,
                 )  # fmt: skip
                 best[threads] = min(best[threads], time.perf_counter() - begun)
         print(
-            f"two cores against one, {WAVELENGTHS.size} wavelengths, error {error:g}, best of "
+            f"two cores against one, {WAVELENGTHS_NM.size} wavelengths, error {error:g}, best of "
             f"{plan.n_spectra}: {best[1]:.2f} s on one, {best[2]:.2f} s on two, "
             f"{best[1] / best[2]:.2f} times as fast",
             flush=True,
         )
         case = f"snow, representative, error {error:g}"
-        rows.append(row("two_cores", case, "s per spectrum", best[2], "one core", best[1]))
+        rows.append(make_row("two_cores", case, "s per spectrum", best[2], "one core", best[1]))
     return rows
 
 
-def features(plan: Plan) -> list[dict[str, Any]]:
+def compare_features(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
     """Return what each feature of the lane kernel costs per grain drawn."""
     benches = {}
-    for name, settings in (("smooth", SMOOTH), ("facets", ROUGH)):
+    for name, settings in (("smooth", SMOOTH_GRAINS), ("facets", ROUGH_GRAINS)):
         medium = splits.Snow(**settings)
-        bare = features_of(medium, 500.0)
-        benches[name] = Bench(medium, 500.0, bare)
-        for feature, field in HARMLESS.items():
+        bare = get_features(medium, 500.0)
+        benches[name] = KernelTimer(medium, 500.0, bare)
+        for feature, field in OPTIONAL_FEATURES.items():
             with_it = bare._replace(**{field: True})
-            benches[f"{name}, {feature} unused"] = Bench(medium, 500.0, with_it)
-        everything = bare._replace(**dict.fromkeys(HARMLESS.values(), True))
-        benches[f"{name}, all of them unused"] = Bench(medium, 500.0, everything)
-    for name, medium in IN_USE.items():
-        benches[name] = Bench(medium, 500.0, features_of(medium, 500.0))
-    take_turns(benches, plan)
+            benches[f"{name}, {feature} unused"] = KernelTimer(medium, 500.0, with_it)
+        everything = bare._replace(**dict.fromkeys(OPTIONAL_FEATURES.values(), True))
+        benches[f"{name}, all of them unused"] = KernelTimer(medium, 500.0, everything)
+    for name, medium in FEATURE_MEDIA.items():
+        benches[name] = KernelTimer(medium, 500.0, get_features(medium, 500.0))
+    time_in_turn(benches, plan)
     one = benches["smooth"].time_per_segment_s
     print(f"features, time per grain drawn: smooth {1e9 * one:.1f} ns", flush=True)
     for name, bench in list(benches.items())[1:]:
         print(f"  {name}: {bench.time_per_segment_s / one:.2f}", flush=True)
     return [
-        row("features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
+        make_row("features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
             wavelength_nm=500.0)
         for name, bench in benches.items()
     ]  # fmt: skip
@@ -281,8 +281,8 @@ def main() -> None:
     parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
-    plan = QUICK if given.quick else Plan()
-    parts: list[Callable[[Plan], list[dict[str, Any]]]] = [against_scalar, two_cores, features]
+    plan = QUICK if given.quick else KernelBenchmarkPlan()
+    parts: list[Callable[[KernelBenchmarkPlan], list[dict[str, Any]]]] = [compare_with_scalar, compare_two_cores, compare_features]
     rows = [one for part in parts for one in part(plan)]
     if given.table:
         write_table(pd.DataFrame(rows), given.table)

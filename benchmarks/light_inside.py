@@ -25,12 +25,12 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.analysis.errors import error_parts
-from splits.instruments.inside_goal import Goal
-from splits.instruments.profile import Inquiry, measure
+from splits.core.uncertainty import compute_error_parts
+from splits.instruments.flux_stopping_rule import FluxStoppingRule
+from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
 
-WAVELENGTHS = np.arange(400.0, 2501.0, 10.0)
-ONE_ROUND = 0.5
+WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
+LARGE_ERROR = 0.5
 LAYERS = [
     (0.03, 45, 120),
     (0.05, 35, 180),
@@ -39,7 +39,7 @@ LAYERS = [
     (0.20, 10, 380),
 ]
 """Thickness (m), specific surface area (m²/kg) and density (kg/m³) of five layers of snow."""
-TOTAL = 500.0
+TOTAL_W_M2 = 500.0
 
 
 def main() -> None:
@@ -52,23 +52,23 @@ def main() -> None:
     parser.add_argument("--errors", type=float, nargs="+", default=[0.05, 0.02])
     parser.add_argument("--seeds", type=int, default=4)
     given = parser.parse_args()
-    costs_of_planes(given.planes, given.rounds)
-    errors_by_time(given.errors, given.seeds)
+    report_plane_costs(given.planes, given.rounds)
+    report_error_costs(given.errors, given.seeds)
 
 
-def costs_of_planes(n_planes: Sequence[int], rounds: int) -> None:
+def report_plane_costs(n_planes: Sequence[int], rounds: int) -> None:
     """Print the costs of a ray that so many planes note."""
     snow = splits.Snow()
 
     def plain(seed: int) -> xr.Dataset:
         return splits.spectrophotometer(
-            snow, WAVELENGTHS, max_stderr=ONE_ROUND, seed=seed, threads=1
+            snow, WAVELENGTHS_NM, max_stderr=LARGE_ERROR, seed=seed, threads=1
         )
 
     def inside(planes: int) -> Callable[[int], xr.Dataset]:
         depths = snow.depth_m * np.arange(1, planes + 1) / (planes + 1)
-        return lambda seed: splits.profile(
-            snow, WAVELENGTHS, depths, max_stderr=ONE_ROUND, seed=seed, threads=1
+        return lambda seed: splits.irradiance_profile(
+            snow, WAVELENGTHS_NM, depths, max_stderr=LARGE_ERROR, seed=seed, threads=1
         )
 
     runs = {"plain": plain, **{f"{n} planes": inside(n) for n in n_planes}}
@@ -86,28 +86,28 @@ def costs_of_planes(n_planes: Sequence[int], rounds: int) -> None:
         print(f"{name}: {1e6 * each:.1f} µs per ray, {each / base:.2f} times the plain spectrum")
 
 
-def errors_by_time(errors: Sequence[float], seeds: int) -> None:
+def report_error_costs(errors: Sequence[float], seeds: int) -> None:
     """Print what errors of absorbed power and irradiance cost, by what they are asked of."""
     layers = [
         splits.Snow.natural(depth_m=d, specific_surface_area_m2_kg=s, density_kg_m3=r)
         for d, s, r in LAYERS
     ]
     pack = splits.Stack(layers, ground=0.2)
-    light = splits.sky("midlatitude_winter").scale_to(TOTAL)
+    light = splits.sky("midlatitude_winter").scale_to(TOTAL_W_M2)
     w = np.arange(305.0, 2496.0, 10.0)
     weights = light.compute_weights(w, light.make_bands(None)["broadband"])
     faces = np.cumsum([d for d, *_ in LAYERS])[:-1]
     part = weights / weights.sum()
 
-    def run(goal: Goal, seed: int) -> xr.Dataset:
-        asked = Inquiry(pack, w, faces, light.zenith_deg, seed, 10**8, 1, "auto", None)
-        return measure(asked.validate(), goal)
+    def run(goal: FluxStoppingRule, seed: int) -> xr.Dataset:
+        asked = FluxRequest(pack, w, faces, light.zenith_deg, seed, 10**8, 1, "auto", None)
+        return simulate_flux(asked.validate(), goal)
 
     kinds = {
-        "irradiance by wavelength": lambda e: Goal(e),
-        "irradiance in the band": lambda e: Goal(e, True, part[np.newaxis], np.ones(1)),
-        "absorbed power in the band": lambda e: Goal(e, False, part[np.newaxis], np.ones(1)),
-        "absorbed power, to a tenth": lambda e: Goal(0.1 * e, False, part[np.newaxis], np.ones(1)),
+        "irradiance by wavelength": lambda e: FluxStoppingRule(e),
+        "irradiance in the band": lambda e: FluxStoppingRule(e, True, part[np.newaxis], np.ones(1)),
+        "absorbed power in the band": lambda e: FluxStoppingRule(e, False, part[np.newaxis], np.ones(1)),
+        "absorbed power, to a tenth": lambda e: FluxStoppingRule(0.1 * e, False, part[np.newaxis], np.ones(1)),
     }
     by_wavelength = xr.DataArray(weights, {"wavelength": w}, ("wavelength",))
     most = {}
@@ -117,7 +117,7 @@ def errors_by_time(errors: Sequence[float], seeds: int) -> None:
             runs = [run(goal(error), seed) for seed in range(seeds)]
             print(f"{kind}, {error:g}: {(time.process_time() - begun) / seeds:.1f} s")
             for name, place in (("absorptance", 0), ("downward_irradiance", 1)):
-                parts = [error_parts(one, name, by_wavelength) for one in runs]
+                parts = [compute_error_parts(one, name, by_wavelength) for one in runs]
                 scatter, missed = np.sqrt(np.mean(np.square(parts)[..., place], axis=0))
                 values = [float((by_wavelength * one[name][:, place]).sum()) for one in runs]
                 mean, apart = np.mean(values), np.std(values, ddof=1)

@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     rays = 100_000 if parser.parse_args().quick else 2_000_000
     for name, settings in CASES.items():
-        layer = splits.Layer(**settings)
+        layer = splits.ParticleLayer(**settings)
         scene = (layer, [550.0], INCIDENCE_DEG)
         splits.goniophotometer(*scene, rays=1000, estimator="cells", threads=1)
         counted = splits.goniophotometer(*scene, rays=rays, estimator="cells", threads=1)

@@ -18,30 +18,30 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.transport.optics import peak
+from splits.kernels.optics import forward_peak
 
-TABLE = Path(__file__).parents[1] / "tests" / "physics" / "reference" / "cloud_c1.csv"
+PHASE_TABLE = Path(__file__).parents[1] / "tests" / "physics" / "reference" / "cloud_c1.csv"
 CASES = {
     "thin cloud C.1": ({}, 4.0, 20_000),
     "Henyey-Greenstein, g = 0.95": ({"asymmetry": 0.95}, 8.0, 20_000),
     "Henyey-Greenstein, g = 0.99": ({"asymmetry": 0.99}, 8.0, 10_000),
     "cloud C.1": ({}, 64.0, 20_000),
 }
-POLAR = [30.0, 60.0, 82.0, 87.0]
+POLAR_DEG = [30.0, 60.0, 82.0, 87.0]
 SEEDS = 24
 
 
-def cloud() -> dict[str, list[float]]:
+def make_cloud_phase_function() -> dict[str, list[float]]:
     """Return the phase function of cloud C.1."""
-    table = pd.read_csv(TABLE, comment="#").sort_values("angle_deg", ascending=False)
+    table = pd.read_csv(PHASE_TABLE, comment="#").sort_values("angle_deg", ascending=False)
     cosine = np.cos(np.radians(table.angle_deg.to_numpy()))
     cosine[[0, -1]] = -1.0, 1.0
     return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
 
 
-def measure(layer: splits.Layer, rays: int, seeds: int) -> tuple[np.ndarray, np.ndarray, float]:
+def measure_layer(layer: splits.ParticleLayer, rays: int, seeds: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Return BRDF and BTDF of all seeds, their errors, and the time for a ray (s)."""
-    views = {"polar_deg": POLAR, "azimuth_deg": [0.0], "estimator": "local", "threads": 1}
+    views = {"polar_deg": POLAR_DEG, "azimuth_deg": [0.0], "estimator": "local", "threads": 1}
     splits.goniophotometer(layer, [700.0], 0.0, 10, **views)
     begun = time.process_time()
     runs = [
@@ -62,14 +62,14 @@ def main() -> None:
     quick = parser.parse_args().quick
     np.set_printoptions(precision=2, suppress=True)
     for name, (phase, thickness, rays) in CASES.items():
-        layer = splits.Layer(
+        layer = splits.ParticleLayer(
             optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
-            bottom_albedo=None, **(phase or {"phase_function": cloud()}),
+            bottom_albedo=None, **(phase or {"phase_function": make_cloud_phase_function()}),
         )  # fmt: skip
         found = []
         for peaked in (math.inf, 20.0):
-            peak.PEAKED = peaked
-            found.append(measure(layer, rays // 10 if quick else rays, SEEDS))
+            forward_peak.PEAK_THRESHOLD_PER_SR = peaked
+            found.append(measure_layer(layer, rays // 10 if quick else rays, SEEDS))
         right = found[1][0].mean(axis=0)
         gain = (found[0][0].std(axis=0) / found[1][0].std(axis=0)) ** 2 * found[0][2] / found[1][2]
         for label, (value, stderr, spent) in zip(("whole", "apart"), found, strict=True):
@@ -77,7 +77,7 @@ def main() -> None:
             print(f"{name}, peak {label}: {1e6 * spent:.0f} us a ray")
             for side, rows in enumerate(("BRDF", "BTDF")):
                 print(
-                    f"  {rows} at {POLAR}: median {np.median(value, axis=0)[side] / right[side]}, "
+                    f"  {rows} at {POLAR_DEG}: median {np.median(value, axis=0)[side] / right[side]}, "
                     f"rms z {z[side]}, scatter {value.std(axis=0)[side] / right[side]}"
                 )
         print(f"  variance at equal time lower by {gain.ravel()}", flush=True)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.analysis import efficiency
+from splits.experiments.papers import performance
 
-NUMBERS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
+NUMBER_COLUMNS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
 
 
-class Table:
+class MethodTable:
     """Rows of the result, printed as they come.
 
     Parameters
@@ -38,9 +38,9 @@ class Table:
         **facts: float,
     ) -> None:
         """Add a method; of several spectra, the root mean square or largest of each number."""
-        facts |= efficiency.combined(
+        facts |= performance.combine_runs(
             [
-                efficiency.deviations(one, self.reference) | efficiency.stated_errors(one)
+                performance.compute_deviations(one, self.reference) | performance.summarize_stated_errors(one)
                 for one in spectra
             ]
         )
@@ -51,9 +51,9 @@ class Table:
             "error": error,
             "seconds": seconds,
             "rays": round(rays),
-            **{key: facts.get(key, np.nan) for key in NUMBERS},
-            "reference_stderr": float(efficiency.stated_errors(self.reference)["stderr_largest"]),
+            **{key: facts.get(key, np.nan) for key in NUMBER_COLUMNS},
+            "reference_stderr": float(performance.summarize_stated_errors(self.reference)["stderr_largest"]),
             "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
         }
         self.rows.append(row)
-        print(efficiency.sentence(row), flush=True)
+        print(performance.format_row(row), flush=True)

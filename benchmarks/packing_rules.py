@@ -10,7 +10,7 @@ rest as in the set ``geometric``, which has `skip`), `point`, the set ``radiativ
 similarity     Reflectance of a half-space at 1300 nm less that of the same grains at 10 kg/m³,
                where no rule matters: 0 at every density, for beams and for diffuse light.
 ordinates      The same less discrete ordinates with the single scattering of the same grains, and
-               transmittance of 5 cm at 700 nm less theirs (`packed`).
+               transmittance of 5 cm at 700 nm less theirs (`correct_dense_packing`).
 reciprocity    BRDF of 5 cm at 1000 nm, averaged over azimuth, from 30° to 70° over that from 70°
                to 30°: 1.
 enhancement    Mean path in a grain under isotropic light over n² times its mean chord: 1 in
@@ -36,12 +36,12 @@ import pandas as pd
 import xarray as xr
 
 import splits
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import packed
-from splits.analysis.tables import write_table
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.experiments.papers.paper_tables import write_table
 
 GEOMETRIC = "geometric"
-RULES: dict[str, Any] = {
+OVERLAP_RULES: dict[str, Any] = {
     rule: {"set": GEOMETRIC, "grain_on_last_leg": rule, "grain_across_boundary": rule}
     for rule in ("reject", "skip", "keep")
 } | {
@@ -49,18 +49,18 @@ RULES: dict[str, Any] = {
     "splits_2007": "splits_2007",
     "splitsnow_2021": "splitsnow_2021",
 }
-DENSITIES = (10.0, 100.0, 300.0, 500.0, 550.0)
-INCIDENCES: tuple[float | str, ...] = (0.0, 30.0, 60.0, 75.0, 80.0, "diffuse")
-ICE = 1.31
-KEYS = ("rule", "density_kg_m3", "law", "light")
-GAPS = ("similarity", "ordinates R", "ordinates T")
+DENSITIES_KG_M3 = (10.0, 100.0, 300.0, 500.0, 550.0)
+INCIDENCES_DEG: tuple[float | str, ...] = (0.0, 30.0, 60.0, 75.0, 80.0, "diffuse")
+ICE_INDEX = 1.31
+KEY_COLUMNS = ("rule", "density_kg_m3", "law", "light")
+ZERO_LAWS = ("similarity", "ordinates R", "ordinates T")
 """Laws that ask for 0; the others ask for 1."""
-FAINT = 0.03
+WEAK_ABSORPTION_PER_M = 0.03
 """Absorption coefficient (1/m) of all materials that measures the mean path."""
 
 
 @dataclass(frozen=True)
-class Effort:
+class PackingEffort:
     """Largest standard error of reflectances, relative one of BRDFs, and rays for mean paths."""
 
     stderr: float = 0.0007
@@ -68,49 +68,49 @@ class Effort:
     rays: int = 2_000_000
 
 
-def natural(rule: str, density: float, **settings: Any) -> splits.Snow:
+def make_snow(rule: str, density: float, **settings: Any) -> splits.Snow:
     """Return natural snow under a rule."""
     return splits.Snow.natural(
-        specific_surface_area_m2_kg=20.0, density_kg_m3=density, readings=RULES[rule], **settings
+        specific_surface_area_m2_kg=20.0, density_kg_m3=density, readings=OVERLAP_RULES[rule], **settings
     )
 
 
 @cache
 def reflect_dilute(rule: str, incidence: float | str, stderr: float) -> xr.Dataset:
     """Return what the dilute half-space reflects."""
-    return splits.spectrophotometer(natural(rule, 10.0), [1300.0], incidence, stderr, 20)
+    return splits.spectrophotometer(make_snow(rule, 10.0), [1300.0], incidence, stderr, 20)
 
 
-def measure_similarity(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+def measure_similarity(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
     """Yield reflectances of a half-space against the dilute one and discrete ordinates."""
-    snow = natural(rule, density)
-    deep = natural(rule, density, depth_m=1e4 / density)
-    optics = packed(splits.single_scattering(deep, [1300.0], rays=500_000))
-    for number, incidence in enumerate(INCIDENCES):
+    snow = make_snow(rule, density)
+    deep = make_snow(rule, density, depth_m=1e4 / density)
+    optics = correct_dense_packing(splits.single_scattering(deep, [1300.0], rays=500_000))
+    for number, incidence in enumerate(INCIDENCES_DEG):
         found = splits.spectrophotometer(snow, [1300.0], incidence, effort.stderr, 10 + number)
         other = reflect_dilute(rule, incidence, effort.stderr)
-        theory = discrete_ordinates(optics, incidence)
+        theory = solve_discrete_ordinates(optics, incidence)
         for law, expected in (("similarity", other), ("ordinates R", theory)):
             gap = (found.reflectance - expected.reflectance).item()
             error = np.hypot(found.reflectance_stderr, expected.reflectance_stderr).item()
             yield law, incidence, gap, error
 
 
-def measure_transmittance(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+def measure_transmittance(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
     """Yield transmittances against discrete ordinates."""
-    snow = natural(rule, density, depth_m=0.05)
-    optics = packed(splits.single_scattering(snow, [700.0], rays=500_000))
+    snow = make_snow(rule, density, depth_m=0.05)
+    optics = correct_dense_packing(splits.single_scattering(snow, [700.0], rays=500_000))
     for number, incidence in enumerate((0.0, 75.0)):
         found = splits.spectrophotometer(snow, [700.0], incidence, effort.stderr, 30 + number)
-        theory = discrete_ordinates(optics, incidence)
+        theory = solve_discrete_ordinates(optics, incidence)
         gap = (found.transmittance - theory.transmittance).item()
         error = np.hypot(found.transmittance_stderr, theory.transmittance_stderr).item()
         yield "ordinates T", incidence, gap, error
 
 
-def measure_reciprocity(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+def measure_reciprocity(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
     """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
-    snow = natural(rule, density, depth_m=0.05)
+    snow = make_snow(rule, density, depth_m=0.05)
     bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="cells").polar.values
     near = [float(bins[np.abs(bins - angle).argmin()]) for angle in (30.0, 70.0)]
     means, errors = [], []
@@ -128,29 +128,29 @@ def measure_reciprocity(rule: str, density: float, effort: Effort) -> Iterator[t
     yield "reciprocity", "30-70", ratio, ratio * float(np.hypot(*errors))
 
 
-def measure_paths(rule: str, density: float, effort: Effort) -> Iterator[tuple[Any, ...]]:
+def measure_paths(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
     """Yield mean path over its law, and the path in ice of index 1 over its share of the depth."""
-    white = natural(rule, density, depth_m=0.02)
+    white = make_snow(rule, density, depth_m=0.02)
     fraction, depth = white.ice_fraction, white.depth_m
-    indices = {"ice": _faint(ICE, FAINT)}
+    indices = {"ice": _make_weak_index(ICE_INDEX, WEAK_ABSORPTION_PER_M)}
     optics = splits.single_scattering(
-        natural(rule, density, depth_m=depth, refractive_index=indices), [1000.0], moments=1,
+        make_snow(rule, density, depth_m=depth, refractive_index=indices), [1000.0], moments=1,
         rays=1_000_000,
     ).squeeze()  # fmt: skip
-    per_path = white.attenuation_per_m / (FAINT * ICE**2)
+    per_path = white.attenuation_per_m / (WEAK_ABSORPTION_PER_M * ICE_INDEX**2)
     enhancement = per_path * (1.0 - optics.single_scattering_albedo.item())
     error = per_path * optics.single_scattering_albedo_stderr.item()
     yield "enhancement", "diffuse", enhancement, error
-    law = 2.0 * depth * (1.0 - fraction + enhancement * ICE**2 * fraction)
+    law = 2.0 * depth * (1.0 - fraction + enhancement * ICE_INDEX**2 * fraction)
     for name, light, index, in_air, length in (
-        ("mean path", "diffuse", ICE, 1.0, law), ("mass", 0.0, 1.0, 0.0, depth * fraction),
+        ("mean path", "diffuse", ICE_INDEX, 1.0, law), ("mass", 0.0, 1.0, 0.0, depth * fraction),
     ):  # fmt: skip
         # Absorptance over the coefficient falls short by half of <L²> times it: two coefficients,
         # whose runs have the same paths, take that out.
         ratios = []
-        for alpha in (FAINT, 2.0 * FAINT):
-            indices = {"ice": _faint(index, alpha), "air": _faint(1.0, in_air * alpha)}
-            snow = natural(rule, density, depth_m=depth, refractive_index=indices)
+        for alpha in (WEAK_ABSORPTION_PER_M, 2.0 * WEAK_ABSORPTION_PER_M):
+            indices = {"ice": _make_weak_index(index, alpha), "air": _make_weak_index(1.0, in_air * alpha)}
+            snow = make_snow(rule, density, depth_m=depth, refractive_index=indices)
             found = splits.spectrophotometer(
                 snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays
             ).squeeze()
@@ -159,7 +159,7 @@ def measure_paths(rule: str, density: float, effort: Effort) -> Iterator[tuple[A
         yield name, light, mean.item(), ratios[0].absorptance_stderr.item()
 
 
-def _faint(index: float, absorption: float) -> dict[str, list[float]]:
+def _make_weak_index(index: float, absorption: float) -> dict[str, list[float]]:
     k = absorption * 1e-6 / (4.0 * np.pi)
     return {"wavelength_nm": [500.0, 2000.0], "n": [index, index], "k": [k, k]}
 
@@ -175,29 +175,29 @@ def main() -> None:
     parser.add_argument("table", nargs="?")
     parser.add_argument("--quick", action="store_true", help="larger errors, two densities")
     given = parser.parse_args()
-    effort = Effort(0.004, 0.03, 100_000) if given.quick else Effort()
-    densities = (10.0, 500.0) if given.quick else DENSITIES
+    effort = PackingEffort(0.004, 0.03, 100_000) if given.quick else PackingEffort()
+    densities = (10.0, 500.0) if given.quick else DENSITIES_KG_M3
     rows = []
-    for rule in RULES:
+    for rule in OVERLAP_RULES:
         for density in densities:
             rows += [
                 (rule, density, *row) for one in MEASURES for row in one(rule, density, effort)
             ]
             print(f"{rule} at {density:g} kg/m3 is measured", flush=True)
-    found = pd.DataFrame(rows, columns=[*KEYS, "value", "stderr"])
-    table = tabulate(found)
+    found = pd.DataFrame(rows, columns=[*KEY_COLUMNS, "value", "stderr"])
+    table = make_summary_table(found)
     if given.table:
         write_table(table, given.table)
     print(found.round(4).to_string(index=False))
     print(table.to_string(index=False))
 
 
-def tabulate(results: pd.DataFrame) -> pd.DataFrame:
+def make_summary_table(results: pd.DataFrame) -> pd.DataFrame:
     """Return the laws at the largest density, similarity at 75° at every one, by rule."""
     densest = results.density_kg_m3 == results.density_kg_m3.max()
     some = results[densest | ((results.law == "similarity") & (results.light == 75.0))].copy()
     some["value"] = [
-        f"{row.value:+.3f} ± {row.stderr:.3f}" if row.law in GAPS else
+        f"{row.value:+.3f} ± {row.stderr:.3f}" if row.law in ZERO_LAWS else
         f"{row.value:.3f} ± {row.stderr:.3f}"
         for row in some.itertuples()
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 Discrete ordinates take the grains' whole phase function; TARTES takes two streams and an asymmetry.
 To both, grains are points; the way of light through them is allowed for in the optical thickness
-(`packed`).  Four steps lead from ours to TARTES:
+(`correct_dense_packing`).  Four steps lead from ours to TARTES:
 
     ours − kept         the rules of a packed medium: grains that would reach across a boundary or
                         lie on the leg before are drawn again;
@@ -27,41 +27,41 @@ import tartes
 import xarray as xr
 
 import splits
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import packed
-from splits.instruments.scenes import constants_of
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.simulation.scene import compute_optical_constants
 
-WAVELENGTHS = np.array([450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0])
+WAVELENGTHS_NM = np.array([450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0])
 ICE_KG_M3 = 917.0
-KEPT = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
-FINE = {"grain_size_um": (100.0, 200.0), "saturation": 0.0}
-COARSE = {"grain_size_um": (400.0, 800.0), "saturation": 0.0}
-PACKS: dict[str, list[dict[str, Any]]] = {
+KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+FINE_GRAINS = {"grain_size_um": (100.0, 200.0), "saturation": 0.0}
+COARSE_GRAINS = {"grain_size_um": (400.0, 800.0), "saturation": 0.0}
+SNOWPACKS: dict[str, list[dict[str, Any]]] = {
     "5 cm fine on 30 cm coarse": [
-        {**FINE, "density_kg_m3": 150.0, "depth_m": 0.05},
-        {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.3},
+        {**FINE_GRAINS, "density_kg_m3": 150.0, "depth_m": 0.05},
+        {**COARSE_GRAINS, "density_kg_m3": 350.0, "depth_m": 0.3},
     ],
     "1 cm fine on 4 cm coarse": [
-        {**FINE, "density_kg_m3": 150.0, "depth_m": 0.01},
-        {**COARSE, "density_kg_m3": 350.0, "depth_m": 0.04},
+        {**FINE_GRAINS, "density_kg_m3": 150.0, "depth_m": 0.01},
+        {**COARSE_GRAINS, "density_kg_m3": 350.0, "depth_m": 0.04},
     ],
-    "2 cm of packed coarse": [{**COARSE, "density_kg_m3": 550.0, "depth_m": 0.02}],
+    "2 cm of packed coarse": [{**COARSE_GRAINS, "density_kg_m3": 550.0, "depth_m": 0.02}],
 }
-SOIL = 0.2
-INCIDENCE = (30.0, 60.0)
+SOIL_ALBEDO = 0.2
+INCIDENCE_DEG = (30.0, 60.0)
 
 
-def shape_of(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
+def compute_shape(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
     """Return B and g over wavelength, diffraction counted."""
-    gamma = constants_of(snow, WAVELENGTHS).absorption[:, snow.list_materials().index("ice")]
+    gamma = compute_optical_constants(snow, WAVELENGTHS_NM).absorption[:, snow.list_materials().index("ice")]
     ssa = 4.0 * optics.extinction.values / snow.density_kg_m3
     albedo = optics.single_scattering_albedo.values
     b = 0.5 * (1.0 - albedo) * ICE_KG_M3 * ssa / (2.0 * gamma)
     g = (1.0 + albedo * optics.asymmetry_parameter.values) / (1.0 + albedo)
-    return pd.DataFrame({"B": b, "g": g}, WAVELENGTHS.astype(int))
+    return pd.DataFrame({"B": b, "g": g}, WAVELENGTHS_NM.astype(int))
 
 
-def two_streams(layers: list[splits.Snow], optics: list[xr.Dataset], angle: float) -> np.ndarray:
+def compute_two_stream_albedo(layers: list[splits.Snow], optics: list[xr.Dataset], angle: float) -> np.ndarray:
     """Return the albedo of a pack by the two streams of TARTES."""
     albedo = np.stack([one.single_scattering_albedo.values for one in optics], axis=-1)
     asymmetry = np.stack([one.asymmetry_parameter.values for one in optics], axis=-1)
@@ -72,41 +72,41 @@ def two_streams(layers: list[splits.Snow], optics: list[xr.Dataset], angle: floa
             0.5 * (1.0 + albedo[i : i + 1]),
             (1.0 + albedo * asymmetry)[i : i + 1] / (1.0 + albedo[i : i + 1]),
             2.0 * extinction[i],
-            bottom_albedo=np.array([SOIL]),
+            bottom_albedo=np.array([SOIL_ALBEDO]),
             dir_frac=np.array([1.0]),
             mudir=float(np.cos(np.radians(angle))),
         )
-        for i in range(len(WAVELENGTHS))
+        for i in range(len(WAVELENGTHS_NM))
     ]
     return np.array(found).ravel()
 
 
-def compared(name: str, number: int, max_stderr: float) -> pd.DataFrame:
+def compare_snowpack(name: str, number: int, max_stderr: float) -> pd.DataFrame:
     """Print the shapes of a pack's layers, and return its reflectance in four ways."""
-    plain = [splits.Snow(**one) for one in PACKS[name]]
-    kept = [splits.Snow(**one, readings=KEPT) for one in PACKS[name]]
+    plain = [splits.Snow(**one) for one in SNOWPACKS[name]]
+    kept = [splits.Snow(**one, readings=KEEP_OVERLAPS) for one in SNOWPACKS[name]]
     single = [
-        splits.single_scattering(one, WAVELENGTHS, seed=10 * number + i)
+        splits.single_scattering(one, WAVELENGTHS_NM, seed=10 * number + i)
         for i, one in enumerate(plain)
     ]
     for layer, optics in zip(plain, single, strict=True):
         print(f"{name}: {layer.density_kg_m3:g} kg/m3")
-        print(shape_of(layer, optics).T.round(3).to_string())
-    thinner = [packed(one) for one in single]
+        print(compute_shape(layer, optics).T.round(3).to_string())
+    thinner = [correct_dense_packing(one) for one in single]
     tables = []
-    for angle in INCIDENCE:
+    for angle in INCIDENCE_DEG:
         ours, loose = (
             splits.spectrophotometer(
-                splits.Stack(layers, ground=SOIL), WAVELENGTHS, angle, max_stderr, seed
+                splits.Stack(layers, ground=SOIL_ALBEDO), WAVELENGTHS_NM, angle, max_stderr, seed
             )
             for seed, layers in ((7, plain), (8, kept))
         )
-        ordinates = discrete_ordinates(thinner, angle, ground=SOIL)
-        streams = two_streams(plain, thinner, angle)
+        ordinates = solve_discrete_ordinates(thinner, angle, ground=SOIL_ALBEDO)
+        streams = compute_two_stream_albedo(plain, thinner, angle)
         table = {
-            "pack": [name] * len(WAVELENGTHS),
-            "incidence": np.full(len(WAVELENGTHS), angle),
-            "nm": WAVELENGTHS,
+            "pack": [name] * len(WAVELENGTHS_NM),
+            "incidence": np.full(len(WAVELENGTHS_NM), angle),
+            "nm": WAVELENGTHS_NM,
             "ours": ours.reflectance,
             "kept": loose.reflectance,
             "ordinates": ordinates.reflectance,
@@ -127,7 +127,7 @@ def main() -> None:
     )
     parser.add_argument("--max-stderr", type=float, default=0.001)
     given = parser.parse_args()
-    found = pd.concat(compared(name, i, given.max_stderr) for i, name in enumerate(PACKS))
+    found = pd.concat(compare_snowpack(name, i, given.max_stderr) for i, name in enumerate(SNOWPACKS))
     print(found.round(4).to_string(index=False))
     steps = ["ours - kept", "kept - ordinates", "ordinates - TARTES"]
     summary = found.groupby(["pack", "incidence"], sort=False)[steps].agg(["mean", "min", "max"])

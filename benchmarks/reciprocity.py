@@ -15,17 +15,17 @@ import numpy as np
 
 import splits
 
-PAIRS = ((0, 40, 0), (20, 70, 0), (20, 70, 180), (45, 75, 90), (60, 30, 180), (10, 80, 45))
+ANGLE_PAIRS = ((0, 40, 0), (20, 70, 0), (20, 70, 180), (45, 75, 90), (60, 30, 180), (10, 80, 45))
 """Angle of incidence, viewing angle, azimuth from the forward direction (degrees)."""
 
-KEEP = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
-SKIP = {"grain_on_last_leg": "skip", "grain_across_boundary": "skip"}
-READINGS = {
+KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+SKIP_OVERLAPS = {"grain_on_last_leg": "skip", "grain_across_boundary": "skip"}
+INTERPRETATIONS = {
     "splits_2007": {},
     "entry projected": {"entry": "projected"},
-    "all grains kept": KEEP,
+    "all grains kept": KEEP_OVERLAPS,
     "skipped at boundaries": {"grain_across_boundary": "skip"},
-    "all skipped, entry projected": {**SKIP, "entry": "projected"},
+    "all skipped, entry projected": {**SKIP_OVERLAPS, "entry": "projected"},
     "the set geometric": {"set": "geometric"},
     "the set geometric, lobe": {"set": "geometric", "wrong_side": "lobe"},
     "the set radiative_transfer": {"set": "radiative_transfer"},
@@ -42,11 +42,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a larger error")
     error = 0.05 if parser.parse_args().quick else 0.012
-    angles = sorted({angle for pair in PAIRS for angle in pair[:2]})
-    azimuths = sorted({float(pair[2]) for pair in PAIRS})
-    print("pairs (incidence, view, azimuth):", *PAIRS)
+    angles = sorted({angle for pair in ANGLE_PAIRS for angle in pair[:2]})
+    azimuths = sorted({float(pair[2]) for pair in ANGLE_PAIRS})
+    print("pairs (incidence, view, azimuth):", *ANGLE_PAIRS)
     for name, (kind, settings, wavelength) in MEDIA.items():
-        for reading, readings in READINGS.items():
+        for reading, readings in INTERPRETATIONS.items():
             medium = kind(**settings, readings={"set": "splits_2007", **readings})
             runs = {
                 angle: splits.goniophotometer(
@@ -61,7 +61,7 @@ def main() -> None:
                 for angle in angles
             }
             cells = []
-            for one, other, azimuth in PAIRS:
+            for one, other, azimuth in ANGLE_PAIRS:
                 there = runs[one].sel(polar=other, azimuth=azimuth).isel(wavelength=0)
                 back = runs[other].sel(polar=one, azimuth=azimuth).isel(wavelength=0)
                 mean = 0.5 * float(there.brdf + back.brdf)

@@ -5,7 +5,7 @@ with the shape that it takes by default (B = n², g 0.82) and with that of our g
 `splits.media.natural_snow`; with diffraction, as TARTES counts, g is (1 + g)/2).  Asymptotic theory
 (Kokhanovsky & Zege 2004) is for deep clean snow of little absorption.
 
-Printed are the mean and the largest difference from ours over `WAVELENGTHS`, with the error of
+Printed are the mean and the largest difference from ours over `WAVELENGTHS_NM`, with the error of
 ours, and what soot takes from the albedo at 500 nm: within grains light meets it B times as often
 as between them, where TARTES has it.
 
@@ -24,18 +24,18 @@ import snowoptics
 import tartes
 
 import splits
-from splits.analysis.tables import write_table
-from splits.materials.impurities import impurities_of
-from splits.media.natural_snow import SHAPE
+from splits.experiments.papers.paper_tables import write_table
+from splits.materials.impurities import make_impurities
+from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
-WAVELENGTHS = np.array(
+WAVELENGTHS_NM = np.array(
     [400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0, 1200.0, 1300.0, 1500.0, 1700.0]
 )
 ASYMPTOTIC_NM = (700.0, 1100.0)
 """Where ice absorbs enough to show, and little enough for the law of small absorption."""
 
 
-class Pack(NamedTuple):
+class SnowpackCase(NamedTuple):
     """Layers of (surface area, density, depth, soot in ng/g) over a ground, and the light."""
 
     layers: list[tuple[float, float, float, float]]
@@ -52,7 +52,7 @@ class Pack(NamedTuple):
             for area, density, depth, soot in self.layers
         ]  # fmt: skip
         stack = splits.Stack(layers, ground=self.ground)
-        run = splits.spectrophotometer(stack, WAVELENGTHS, self.incidence, max_stderr)
+        run = splits.spectrophotometer(stack, WAVELENGTHS_NM, self.incidence, max_stderr)
         return run.reflectance.values, run.reflectance_stderr.values
 
     def compute_tartes_albedo(self, **shape: Any) -> np.ndarray:
@@ -61,7 +61,7 @@ class Pack(NamedTuple):
         beam = self.incidence != "diffuse"
         return np.asarray(
             tartes.albedo(
-                1e-9 * WAVELENGTHS, area, density, np.where(np.isinf(depth), 1e3, depth),
+                1e-9 * WAVELENGTHS_NM, area, density, np.where(np.isinf(depth), 1e3, depth),
                 impurities=1e-9 * soot, soilalbedo=self.ground, dir_frac=float(beam),
                 sza=float(self.incidence) if beam else 0.0, **shape,
             )
@@ -72,42 +72,42 @@ class Pack(NamedTuple):
         area, _, depth, soot = self.layers[0]
         if math.isfinite(depth) or soot:
             return None
-        shape = {"B": SHAPE.absorption_enhancement, "g": DIFFRACTED}
+        shape = {"B": NATURAL_GRAIN_SHAPE.absorption_enhancement, "g": ASYMMETRY_WITH_DIFFRACTION}
         if self.incidence == "diffuse":
-            return np.asarray(snowoptics.albedo_diffuse_KZ04(1e-9 * WAVELENGTHS, area, **shape))
+            return np.asarray(snowoptics.albedo_diffuse_KZ04(1e-9 * WAVELENGTHS_NM, area, **shape))
         angle = math.radians(float(self.incidence))
-        return np.asarray(snowoptics.albedo_direct_KZ04(1e-9 * WAVELENGTHS, angle, area, **shape))
+        return np.asarray(snowoptics.albedo_direct_KZ04(1e-9 * WAVELENGTHS_NM, angle, area, **shape))
 
 
-DIFFRACTED = 0.5 * (1.0 + SHAPE.asymmetry_parameter)
-DEEP = math.inf
-TWO = [(40.0, 150.0, 0.05, 0.0), (12.0, 350.0, 0.2, 0.0)]
+ASYMMETRY_WITH_DIFFRACTION = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
+INFINITE_DEPTH = math.inf
+TWO_LAYERS = [(40.0, 150.0, 0.05, 0.0), (12.0, 350.0, 0.2, 0.0)]
 CASES = {
     **{
-        f"{area:g} m2/kg, deep, {'diffuse' if light == 'diffuse' else '53°'}": Pack(
-            [(area, 300.0, DEEP, 0.0)], 0.0, light
+        f"{area:g} m2/kg, deep, {'diffuse' if light == 'diffuse' else '53°'}": SnowpackCase(
+            [(area, 300.0, INFINITE_DEPTH, 0.0)], 0.0, light
         )
         for area in (5.0, 20.0, 60.0)
         for light in (53.0, "diffuse")
     },
-    **{f"two layers on soil, {angle:g}°": Pack(TWO, 0.2, angle) for angle in (0.0, 53.0, 75.0)},
-    "20 m2/kg, deep, diffuse, 50 ng/g soot": Pack([(20.0, 300.0, DEEP, 50.0)], 0.0, "diffuse"),
-    "20 m2/kg, deep, diffuse, 500 ng/g soot": Pack([(20.0, 300.0, DEEP, 500.0)], 0.0, "diffuse"),
-    "two sooty layers on soil, diffuse": Pack([(*one[:3], 50.0) for one in TWO], 0.2, "diffuse"),
+    **{f"two layers on soil, {angle:g}°": SnowpackCase(TWO_LAYERS, 0.2, angle) for angle in (0.0, 53.0, 75.0)},
+    "20 m2/kg, deep, diffuse, 50 ng/g soot": SnowpackCase([(20.0, 300.0, INFINITE_DEPTH, 50.0)], 0.0, "diffuse"),
+    "20 m2/kg, deep, diffuse, 500 ng/g soot": SnowpackCase([(20.0, 300.0, INFINITE_DEPTH, 500.0)], 0.0, "diffuse"),
+    "two sooty layers on soil, diffuse": SnowpackCase([(*one[:3], 50.0) for one in TWO_LAYERS], 0.2, "diffuse"),
 }
-OWN = {"shape_parameterization": "constant", "B0": SHAPE.absorption_enhancement, "g0": DIFFRACTED}
+OWN_SHAPE = {"shape_parameterization": "constant", "B0": NATURAL_GRAIN_SHAPE.absorption_enhancement, "g0": ASYMMETRY_WITH_DIFFRACTION}
 
 
-def compared(name: str, max_stderr: float) -> pd.DataFrame:
+def compare_models(name: str, max_stderr: float) -> pd.DataFrame:
     """Print how far the others are from ours, and return all by wavelength."""
     pack = CASES[name]
     ours, error = pack.simulate_albedo(max_stderr)
-    table = pd.DataFrame({"case": name, "nm": WAVELENGTHS, "ours": ours, "stderr": error})
+    table = pd.DataFrame({"case": name, "nm": WAVELENGTHS_NM, "ours": ours, "stderr": error})
     table["TARTES"] = pack.compute_tartes_albedo()
-    table["TARTES, our shape"] = pack.compute_tartes_albedo(**OWN)
+    table["TARTES, our shape"] = pack.compute_tartes_albedo(**OWN_SHAPE)
     asymptotic = pack.compute_asymptotic_albedo()
     if asymptotic is not None:
-        little = (ASYMPTOTIC_NM[0] <= WAVELENGTHS) & (ASYMPTOTIC_NM[1] >= WAVELENGTHS)
+        little = (ASYMPTOTIC_NM[0] <= WAVELENGTHS_NM) & (ASYMPTOTIC_NM[1] >= WAVELENGTHS_NM)
         table["asymptotic"] = np.where(little, asymptotic, np.nan)
     parts = []
     for other in table.columns[4:]:
@@ -117,19 +117,19 @@ def compared(name: str, max_stderr: float) -> pd.DataFrame:
     return table
 
 
-def soot(tables: dict[str, pd.DataFrame], max_stderr: float) -> None:
+def report_soot(tables: dict[str, pd.DataFrame], max_stderr: float) -> None:
     """Print what soot takes from the albedo at 500 nm, and why we differ."""
     clean = tables["20 m2/kg, deep, diffuse"].set_index("nm").loc[500.0]
     for amount in ("50", "500"):
         name = f"20 m2/kg, deep, diffuse, {amount} ng/g soot"
         dirty = tables[name].set_index("nm").loc[500.0]
         fall = {n: clean[n] - dirty[n] for n in ("ours", "TARTES", "TARTES, our shape")}
-        pores = CASES[name].simulate_albedo(max_stderr, "pores")[0][list(WAVELENGTHS).index(500.0)]
+        pores = CASES[name].simulate_albedo(max_stderr, "pores")[0][list(WAVELENGTHS_NM).index(500.0)]
         fall["ours, in pores"] = clean.ours - pores
         error = math.hypot(clean.stderr, dirty.stderr)
         said = ", ".join(f"{label} {value:.4f}" for label, value in fall.items())
         print(f"{amount} ng/g soot at 500 nm: {said} (ours ± {error:.4f})")
-    mine = impurities_of({"black_carbon": 1.0}, {})[0].compute_absorption_per_kg_ice(np.array([500.0]))[0] * 1e9
+    mine = make_impurities({"black_carbon": 1.0}, {})[0].compute_absorption_per_kg_ice(np.array([500.0]))[0] * 1e9
     theirs = float(np.ravel(tartes.impurities.SootSNICAR3().MAE(5e-7))[0])
     print(f"absorption per mass at 500 nm: ours {mine:.0f} m2/kg, TARTES {theirs:.0f} m2/kg")
 
@@ -142,8 +142,8 @@ def main() -> None:
     parser.add_argument("table", nargs="?")
     parser.add_argument("--max-stderr", type=float, default=0.002)
     given = parser.parse_args()
-    tables = {name: compared(name, given.max_stderr) for name in CASES}
-    soot(tables, given.max_stderr)
+    tables = {name: compare_models(name, given.max_stderr) for name in CASES}
+    report_soot(tables, given.max_stderr)
     if given.table:
         write_table(pd.concat(tables.values()), given.table)
 

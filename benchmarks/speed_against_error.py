@@ -53,11 +53,18 @@ from method_table import Table
 from theories import THEORIES
 
 import splits
-from splits.analysis import efficiency
-from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, PARTLY, SCALED, UNIFORM
-from splits.analysis.tables import write_table
-from splits.instruments.estimators import ANALOG_PILOT
-from splits.paths import expand_path
+from splits.experiments.papers import performance
+from splits.experiments.papers.performance import (
+    PAPER_ADAPTIVE,
+    VECTORIZED,
+    MEASURED,
+    MEASURED_PARTLY,
+    SCALED,
+    PAPER_UNIFORM,
+)
+from splits.experiments.papers.paper_tables import write_table
+from splits.simulation.estimators import ANALOG_PILOT_RAYS
+from splits.core.paths import expand_path
 
 MEDIA = {
     "representative": splits.Snow(),
@@ -67,12 +74,12 @@ MEDIA = {
 }
 SEED = 3
 REFERENCE_SEED = 101
-UNLIMITED = 2**62
-PHYSICS = ("materials", "media", "transport", "instruments")
+UNLIMITED_RAYS = 2**62
+PHYSICS_FOLDERS = ("materials", "media", "transport", "instruments")
 
 
 @dataclass(frozen=True)
-class Plan:
+class SpeedPlan:
     """How much to measure.
 
     Attributes
@@ -104,10 +111,10 @@ class Plan:
         return self.wavelengths[::10]
 
 
-QUICK = Plan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
+QUICK = SpeedPlan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
 
 
-def timed(
+def time_call(
     function: Callable[..., xr.Dataset], *given: Any, **named: Any
 ) -> tuple[xr.Dataset, float]:
     """Return what a function returns and the time (s) it took."""
@@ -116,37 +123,37 @@ def timed(
     return result, time.perf_counter() - begun
 
 
-def measure(
+def simulate_spectrum(
     medium: splits.Snow, wavelengths: Sequence[float] | np.ndarray, error: float, **named: Any
 ) -> xr.Dataset:
     """Return a spectrum that has reached an error, by default on one thread."""
-    settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED} | named
+    settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED_RAYS} | named
     dataset = splits.spectrophotometer(medium, wavelengths, max_stderr=error, **settings)
     if dataset.attrs["stopped_by"] != "error":
         raise RuntimeError(f"{error:g} was not reached")
     return dataset
 
 
-def sources(medium: splits.Snow) -> str:
+def compute_source_digest(medium: splits.Snow) -> str:
     """Return a digest of everything that a reference depends on."""
     digest = hashlib.sha256(repr(medium.describe()).encode())
     package = Path(splits.__file__).parent
-    for folder in PHYSICS:
+    for folder in PHYSICS_FOLDERS:
         for source in sorted((package / folder).rglob("*.py")):
             digest.update(source.name.encode() + source.read_bytes())
     return digest.hexdigest()
 
 
-def reference(name: str, medium: splits.Snow, plan: Plan, folder: Path) -> xr.Dataset:
+def load_or_compute_reference(name: str, medium: splits.Snow, plan: SpeedPlan, folder: Path) -> xr.Dataset:
     """Return the reference spectrum of a medium, from a file if one is there that still holds."""
     slug = name.replace(" ", "_")
     path = folder / f"reference_{slug}_{plan.step_nm}nm_{plan.reference_stderr:g}.nc"
-    wanted = sources(medium)
+    wanted = compute_source_digest(medium)
     if path.exists():
         dataset = splits.load(path)
         if dataset.attrs.get("sources_sha256") == wanted:
             return dataset
-    dataset = measure(
+    dataset = simulate_spectrum(
         medium,
         plan.wavelengths,
         plan.reference_stderr,
@@ -159,23 +166,23 @@ def reference(name: str, medium: splits.Snow, plan: Plan, folder: Path) -> xr.Da
     return dataset
 
 
-def warm_up(medium: splits.Snow, plan: Plan) -> None:
+def warm_up(medium: splits.Snow, plan: SpeedPlan) -> None:
     """Compile whatever the methods need, by their first rounds."""
     for error in plan.errors:
         for kernel in ("scalar", "lanes"):
             splits.spectrophotometer(
                 medium, plan.wavelengths, max_stderr=error, kernel=kernel, max_rays=1, threads=1
             )
-    measure(medium, [1500.0], 0.3, estimator="analog")
+    simulate_spectrum(medium, [1500.0], 0.3, estimator="analog")
 
 
-def one_by_one(
+def simulate_one_by_one(
     medium: splits.Snow, wavelengths: np.ndarray, error: float, **named: Any
 ) -> tuple[xr.Dataset, np.ndarray, np.ndarray]:
     """Return the spectrum of separate runs per wavelength, their times (s) and rays."""
     # Seeds of their own, or all wavelengths would share their random numbers.
     runs = [
-        timed(measure, medium, [wavelength], error, seed=SEED + number, **named)
+        time_call(simulate_spectrum, medium, [wavelength], error, seed=SEED + number, **named)
         for number, wavelength in enumerate(wavelengths)
     ]
     spectrum = xr.concat([dataset for dataset, _ in runs], "wavelength", combine_attrs="drop")
@@ -183,25 +190,25 @@ def one_by_one(
     return spectrum, np.array([seconds for _, seconds in runs]), rays
 
 
-def time_papers(table: Table, medium: splits.Snow, plan: Plan, include_smallest: bool) -> None:
+def time_papers(table: Table, medium: splits.Snow, plan: SpeedPlan, include_smallest: bool) -> None:
     """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     first = plan.errors[0]
-    spectrum, seconds, rays = one_by_one(medium, plan.sparse_wavelengths, first, estimator="analog")
+    spectrum, seconds, rays = simulate_one_by_one(medium, plan.sparse_wavelengths, first, estimator="analog")
     add_papers(table, first, spectrum, seconds, rays, scale)
-    stderr = largest_per_wavelength(spectrum)
+    stderr = compute_largest_stderr(spectrum)
     for error in plan.errors[1:]:
-        uniform_s, uniform_rays, adaptive_s, adaptive_rays = efficiency.papers_times(
-            seconds, rays, stderr, error, ANALOG_PILOT
+        uniform_s, uniform_rays, adaptive_s, adaptive_rays = performance.scale_paper_times(
+            seconds, rays, stderr, error, ANALOG_PILOT_RAYS
         )
         for method, spent, count in (
-            (UNIFORM, uniform_s, uniform_rays),
-            (ADAPTIVE, adaptive_s, adaptive_rays),
+            (PAPER_UNIFORM, uniform_s, uniform_rays),
+            (PAPER_ADAPTIVE, adaptive_s, adaptive_rays),
         ):
             table.add(method, SCALED, scale * spent, scale * count, error, stderr_largest=error)
     if include_smallest:
         last = plan.errors[-1]
-        add_papers(table, last, *one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"), scale)
+        add_papers(table, last, *simulate_one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"), scale)
 
 
 def add_papers(
@@ -215,33 +222,33 @@ def add_papers(
     """Add both forms of the papers' algorithm from runs that stopped by themselves."""
     shared = spectrum * xr.DataArray(np.sqrt(rays / rays.max()), dims="wavelength")
     table.add(
-        UNIFORM,
-        PARTLY,
+        PAPER_UNIFORM,
+        MEASURED_PARTLY,
         scale * float((seconds / rays).sum() * rays.max()),
         scale * float(rays.max() * len(rays)),
         error,
-        **efficiency.stated_errors(shared),
+        **performance.summarize_stated_errors(shared),
     )
-    table.add(ADAPTIVE, PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum])
+    table.add(PAPER_ADAPTIVE, MEASURED_PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum])
 
 
-def largest_per_wavelength(spectrum: xr.Dataset) -> np.ndarray:
+def compute_largest_stderr(spectrum: xr.Dataset) -> np.ndarray:
     """Return the largest standard error of any quantity at every wavelength."""
-    return np.max([spectrum[f"{name}_stderr"].values for name in efficiency.QUANTITIES], axis=0)
+    return np.max([spectrum[f"{name}_stderr"].values for name in performance.QUANTITIES], axis=0)
 
 
-def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
+def time_weights(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
     """Add weights wavelength by wavelength, together, and together on lanes."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     for error in plan.errors:
-        spectrum, seconds, rays = one_by_one(medium, plan.sparse_wavelengths, error, kernel="scalar")
+        spectrum, seconds, rays = simulate_one_by_one(medium, plan.sparse_wavelengths, error, kernel="scalar")
         table.add(
-            "one_by_one", PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum]
+            "one_by_one", MEASURED_PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum]
         )
-    for kernel in ("scalar", LANES):
+    for kernel in ("scalar", VECTORIZED):
         for error in plan.errors:
             runs = [
-                timed(measure, medium, plan.wavelengths, error, kernel=kernel, seed=SEED + number)
+                time_call(simulate_spectrum, medium, plan.wavelengths, error, kernel=kernel, seed=SEED + number)
                 for number in range(plan.n_repeats)
             ]
             spent = float(np.median([seconds for _, seconds in runs]))
@@ -250,7 +257,7 @@ def time_weights(table: Table, medium: splits.Snow, plan: Plan) -> None:
             table.add(kernel, MEASURED, spent, rays, error, spectra)
 
 
-def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:
+def time_theories(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
     """Add both theories; their time contains the walks through single grains."""
     for method, theory in THEORIES.items():
         try:
@@ -258,22 +265,22 @@ def time_theories(table: Table, medium: splits.Snow, plan: Plan) -> None:
         except ImportError as error:
             print(f"{method} left out: {error}", flush=True)
             continue
-        spectrum, seconds = timed(theory, medium, plan.wavelengths, plan.property_rays)
+        spectrum, seconds = time_call(theory, medium, plan.wavelengths, plan.property_rays)
         table.add(method, MEASURED, seconds, plan.property_rays, spectra=[spectrum])
 
 
-def measure_all(plan: Plan, media: Sequence[str], folder: Path) -> pd.DataFrame:
+def measure_all(plan: SpeedPlan, media: Sequence[str], folder: Path) -> pd.DataFrame:
     """Measure, print and return the table of all media."""
     rows = []
     for name in media:
         medium = MEDIA[name]
-        table = Table(name, reference(name, medium, plan, folder))
+        table = Table(name, load_or_compute_reference(name, medium, plan, folder))
         warm_up(medium, plan)
         time_weights(table, medium, plan)
         time_papers(table, medium, plan, include_smallest=name == next(iter(MEDIA)))
         time_theories(table, medium, plan)
         rows += table.rows
-    return efficiency.with_merits(pd.DataFrame(rows))
+    return performance.add_figures_of_merit(pd.DataFrame(rows))
 
 
 def main() -> None:
@@ -285,10 +292,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a trial: coarse and rough")
     parser.add_argument("--medium", action="append", choices=MEDIA, help="these only")
     parser.add_argument(
-        "--reference-stderr", type=float, help=f"default: {Plan.reference_stderr:g}"
+        "--reference-stderr", type=float, help=f"default: {SpeedPlan.reference_stderr:g}"
     )
     given = parser.parse_args()
-    plan = QUICK if given.quick else Plan()
+    plan = QUICK if given.quick else SpeedPlan()
     if given.reference_stderr:
         plan = replace(plan, reference_stderr=given.reference_stderr)
     media = given.medium or list(MEDIA)
@@ -299,12 +306,12 @@ def main() -> None:
     print("\none core; in brackets, times as a multiple of that of lanes:")
     for name in media:
         for error in plan.errors:
-            print(efficiency.headline(table, name, error, len(plan.wavelengths)))
-    merits = table[table.method.isin(("one_by_one", "scalar", LANES)) & table.error.notna()]
+            print(performance.format_headline(table, name, error, len(plan.wavelengths)))
+    merits = table[table.method.isin(("one_by_one", "scalar", VECTORIZED)) & table.error.notna()]
     print("\nfigures of merit, 1/(error² time), over those of the papers' algorithm:")
     for row in merits.itertuples():
         print(
-            f"{row.medium}, {efficiency.METHODS[row.method]}, error {row.error:g}: "
+            f"{row.medium}, {performance.METHODS[row.method]}, error {row.error:g}: "
             f"{row.figure_of_merit:.3g}/s, uniform {row.over_uniform:.3g}, "
             f"adaptive {row.over_adaptive:.3g}"
         )

@@ -15,8 +15,8 @@ import numpy as np
 
 import splits
 
-WAVELENGTHS = np.arange(400, 2501, 10)
-BANDS = {
+WAVELENGTHS_NM = np.arange(400, 2501, 10)
+SENSOR_BANDS = {
     "400-800 nm": (400, 800),
     "900-1400 nm": (900, 1400),
     "1450-1600 nm": (1450, 1600),
@@ -36,7 +36,7 @@ def main() -> None:
     snow = splits.Snow()
 
     def run(error: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        spectrum = splits.spectrophotometer(snow, WAVELENGTHS, max_stderr=error, seed=seed)
+        spectrum = splits.spectrophotometer(snow, WAVELENGTHS_NM, max_stderr=error, seed=seed)
         return spectrum.reflectance.values, spectrum.reflectance_stderr.values
 
     truth, its_error = run(0.2 * given.max_stderr, 1_000_000)
@@ -47,8 +47,8 @@ def main() -> None:
     noise = np.hypot(values.std(axis=0) / np.sqrt(given.seeds), its_error) / stated
     scatter = values.std(axis=0, ddof=1) / stated
     print(f"{given.seeds} seeds, largest error {given.max_stderr:g}; in units of stated errors")
-    for band, (low, high) in BANDS.items():
-        inside = (low <= WAVELENGTHS) & (high >= WAVELENGTHS)
+    for band, (low, high) in SENSOR_BANDS.items():
+        inside = (low <= WAVELENGTHS_NM) & (high >= WAVELENGTHS_NM)
         print(
             f"  {band}: reflectance {truth[inside].mean():.3f}, shift {shift[inside].mean():+.2f} "
             f"± {noise[inside].mean():.2f} (most {np.abs(shift[inside]).max():.2f}), scatter "

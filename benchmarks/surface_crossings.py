@@ -19,18 +19,24 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.numerics.vectors import Vector
-from splits.transport.particles.crossings import CROSSINGS, EVALUATIONS, LEAKS, LOSSES, crossings
-from splits.transport.rough.march import first_crossing
-from splits.transport.rough.waves import reliefs_at, surface_of
+from splits.kernels.math.vectors import Vector
+from splits.kernels.rough_surface.leak_census import (
+    INTERSECTIONS,
+    EVALUATIONS,
+    LEAKS,
+    LOST_RAYS,
+    count_leaks,
+)
+from splits.kernels.rough_surface.intersection import find_first_intersection
+from splits.kernels.rough_surface.realization import compute_heights_and_slopes, make_realization
 
 THREADS = 2
-BATCH = 2_000
+RAYS_PER_BATCH = 2_000
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
-PRINTED = {"correlation": "exponential_printed"}
+TABULATED_SPECTRUM = {"correlation": "exponential_printed"}
 PAIR = [
-    PRINTED | {"rms_height_m": 11.25, "wave_number_per_m": 0.025, "waves": 500},
-    PRINTED | {"rms_height_m": 0.2, "wave_number_per_m": 3.0, "waves": 100},
+    TABULATED_SPECTRUM | {"rms_height_m": 11.25, "wave_number_per_m": 0.025, "waves": 500},
+    TABULATED_SPECTRUM | {"rms_height_m": 0.2, "wave_number_per_m": 3.0, "waves": 100},
 ]
 SMALL_PAIR = [field | {"waves": waves} for field, waves in zip(PAIR, (20, 12), strict=True)]
 EXPONENTIAL = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 32, "band_limit_per_m": 100}
@@ -46,18 +52,18 @@ CASES = {
 }
 
 
-def count(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float):
+def count_crossings(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float):
     """Return counts of at least so many crossings, and the seconds they took."""
     fields = RoughSurface.from_input(surface).make_height_fields()
 
     def batch(number: int) -> np.ndarray:
-        return crossings(1, number * BATCH, BATCH, fields, index, mu).counts
+        return count_leaks(1, number * RAYS_PER_BATCH, RAYS_PER_BATCH, fields, index, mu).counts
 
     total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
-    while total[CROSSINGS] < min_crossings:
+    while total[INTERSECTIONS] < min_crossings:
         # As many batches as are likely to be missing, so that threads rarely wait.
-        per_batch = total[CROSSINGS] / done if done else 3.0 * BATCH
-        more = THREADS * math.ceil((min_crossings - total[CROSSINGS]) / per_batch / THREADS)
+        per_batch = total[INTERSECTIONS] / done if done else 3.0 * RAYS_PER_BATCH
+        more = THREADS * math.ceil((min_crossings - total[INTERSECTIONS]) / per_batch / THREADS)
         total += sum(pool.map(batch, range(done, done + more)))
         done += more
     return total, time.perf_counter() - begun
@@ -68,17 +74,17 @@ def time_waves() -> None:
     x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
     for waves_per_surface in (16, 64, 600):
         surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})
-        drawn = surface_of(surface.sample_realization(1))
+        drawn = make_realization(surface.sample_realization(1))
         places = [Vector(x[i], y[i], drawn.max_height) for i in range(200)]
         d = Vector(0.6, 0.0, -0.8)
         evaluation = crossing = math.inf
         for _ in range(20):
             begun = time.perf_counter()
-            reliefs_at(drawn.waves, x, y)
+            compute_heights_and_slopes(drawn.waves, x, y)
             evaluation = min(evaluation, time.perf_counter() - begun)
             begun = time.perf_counter()
             for place in places:
-                first_crossing(drawn, place, d, 1.0)
+                find_first_intersection(drawn, place, d, 1.0)
             crossing = min(crossing, time.perf_counter() - begun)
         per_wave = evaluation / x.size / waves_per_surface
         per_crossing = crossing / len(places)
@@ -95,20 +101,20 @@ def main() -> None:
     wanted = 1e6 if parser.parse_args().quick else 1e8
     total, seconds = np.zeros(5, dtype=np.int64), 0.0
     with ThreadPoolExecutor(THREADS) as pool:
-        count(pool, GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 1.0, 1)
+        count_crossings(pool, GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 1.0, 1)
         for name, (surface, index, angle, share) in CASES.items():
             mu = math.cos(math.radians(angle))
-            counts, took = count(pool, surface, index, mu, share * wanted)
+            counts, took = count_crossings(pool, surface, index, mu, share * wanted)
             total += counts
             seconds += took
             print(
-                f"{name}: {counts[CROSSINGS]} crossings, {counts[LEAKS]} leaks, "
-                f"{counts[LOSSES]} lost, {counts[EVALUATIONS] / counts[CROSSINGS]:.1f} evaluations "
-                f"and {1e6 * THREADS * took / counts[CROSSINGS]:.2f} µs per crossing",
+                f"{name}: {counts[INTERSECTIONS]} crossings, {counts[LEAKS]} leaks, "
+                f"{counts[LOST_RAYS]} lost, {counts[EVALUATIONS] / counts[INTERSECTIONS]:.1f} evaluations "
+                f"and {1e6 * THREADS * took / counts[INTERSECTIONS]:.2f} µs per crossing",
                 flush=True,
             )
     print(
-        f"all: {total[CROSSINGS]} crossings, {total[LEAKS]} leaks, {total[LOSSES]} lost, "
+        f"all: {total[INTERSECTIONS]} crossings, {total[LEAKS]} leaks, {total[LOST_RAYS]} lost, "
         f"{seconds:.0f} s on {THREADS} threads"
     )
     time_waves()

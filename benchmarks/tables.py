@@ -27,9 +27,9 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.lookup.axes import Axes
-from splits.lookup.interpolation import weights_at
-from splits.paths import expand_path
+from splits.tables.axes import ParameterGrid
+from splits.tables.interpolation import compute_interpolation_weights
+from splits.core.paths import expand_path
 
 GRID: dict[str, Any] = {
     "optical_radius_um": np.geomspace(30.0, 2000.0, 20).round(1),
@@ -38,24 +38,24 @@ GRID: dict[str, Any] = {
     "soot_ng_g": [0.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0],
     "ground": [0.2, 0.6],
 }
-SMALL = {name: list(row)[:2] for name, row in GRID.items()}
-WAVELENGTHS = np.arange(400.0, 2501.0, 10.0)
-ERROR = 0.003
+SMALL_GRID = {name: list(row)[:2] for name, row in GRID.items()}
+WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
+MAX_STDERR = 0.003
 
 
-def pack(soot_ng_g: float, **point: Any) -> splits.Snow:
+def make_snow(soot_ng_g: float, **point: Any) -> splits.Snow:
     """Return the snow of a point."""
     return splits.Snow.natural(impurities_ng_g={"black_carbon": soot_ng_g}, **point)
 
 
-def timed(call: Any) -> tuple[Any, float, float]:
+def time_call(call: Any) -> tuple[Any, float, float]:
     """Return what a call returns, its time on the clock and that of all cores (s)."""
     begun, used = time.perf_counter(), time.process_time()
     result = call()
     return result, time.perf_counter() - begun, time.process_time() - used
 
 
-def judged(label: str, found: list[np.ndarray], errors: list[np.ndarray]) -> None:
+def report_z_scores(label: str, found: list[np.ndarray], errors: list[np.ndarray]) -> None:
     """Print how far differences lie from 0, in units of their errors."""
     off, error = np.array(found), np.array(errors)
     z = off / error
@@ -71,27 +71,27 @@ def judged(label: str, found: list[np.ndarray], errors: list[np.ndarray]) -> Non
     )
 
 
-def cells(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
+def compare_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
     """Compare random cells with runs of their own."""
     random = np.random.default_rng(11)
-    points = list(Axes.from_mapping(grid).iterate_points())
+    points = list(ParameterGrid.from_mapping(grid).iterate_points())
     off, errors = [], []
     for number in random.choice(len(points), min(count, len(points)), replace=False):
         point = dict(points[number])
         cell = table.sel(point)
         incidence = point.pop("incidence_deg")
         own = splits.spectrophotometer(
-            pack(**point), WAVELENGTHS, incidence, 0.001, 1000 + int(number)
+            make_snow(**point), WAVELENGTHS_NM, incidence, 0.001, 1000 + int(number)
         )
         off.append((cell.reflectance - own.reflectance).values)
         errors.append(np.hypot(cell.reflectance_stderr, own.reflectance_stderr).values)
-    judged("cells against runs of their own to 0.001", off, errors)
+    report_z_scores("cells against runs of their own to 0.001", off, errors)
 
 
-def between(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
+def compare_between_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
     """Compare the table between its nodes with runs there."""
     random, opened = np.random.default_rng(12), splits.Table(table)
-    some = WAVELENGTHS[::21]
+    some = WAVELENGTHS_NM[::21]
     off, errors, missed = [], [], []
     for number in range(count):
         point: dict[str, Any] = {}
@@ -104,17 +104,17 @@ def between(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
                 point[name] = low + (u**2 if name == "soot_ng_g" else u) * (high - low)
         read = opened.interp(**point, wavelength=some)
         incidence = point.pop("incidence_deg")
-        own = splits.spectrophotometer(pack(**point), some, incidence, 0.002, 5000 + number)
+        own = splits.spectrophotometer(make_snow(**point), some, incidence, 0.002, 5000 + number)
         off.append((read.reflectance - own.reflectance).values)
         errors.append(np.hypot(read.reflectance_stderr, own.reflectance_stderr).values)
         missed.append(read.reflectance_interpolation_error.values)
-    judged("between nodes, against runs to 0.002", off, errors)
+    report_z_scores("between nodes, against runs to 0.002", off, errors)
     print(
         f"  error of interpolation said: mean {np.mean(missed):.4f}, largest {np.max(missed):.4f}"
     )
 
 
-def nodes_needed(table: xr.Dataset) -> None:
+def report_nodes_needed(table: xr.Dataset) -> None:
     """Print how many nodes of an axis tell the others to 0.005, and to what the error is then."""
     dims = [str(d) for d in table.reflectance.dims]
     noise = float(table.reflectance_stderr.mean())
@@ -126,7 +126,7 @@ def nodes_needed(table: xr.Dataset) -> None:
             left = [i for i in range(nodes.size) if i not in kept]
             off = []
             for i in left:
-                w = weights_at(name, nodes[kept], float(nodes[i]))
+                w = compute_interpolation_weights(name, nodes[kept], float(nodes[i]))
                 off.append(np.tensordot(w.weights, values[kept][w.nodes], 1) - values[i])
             worst = float(np.abs(off).max())
             rms = float(np.sqrt(np.mean(np.square(off))))
@@ -138,7 +138,7 @@ def nodes_needed(table: xr.Dataset) -> None:
                 break
 
 
-def foretold(folder: Path, spectra: int, used: float) -> None:
+def report_plan_estimates(folder: Path, spectra: int, used: float) -> None:
     """Print what larger tables of this kind would take, and how well a tenth tells the whole.
 
     The time of an ensemble goes with the angles, waters and densities that it does not serve; its
@@ -157,7 +157,7 @@ def foretold(folder: Path, spectra: int, used: float) -> None:
     )
     for wanted in (1e6, 1e8):
         hours = used / spectra * wanted / 3600.0
-        size = 8.0 * WAVELENGTHS.size * wanted
+        size = 8.0 * WAVELENGTHS_NM.size * wanted
         blocks = times.size / spectra * wanted
         print(
             f"{wanted:.0e} spectra: {hours:.3g} core-hours, {blocks:.3g} files of blocks, "
@@ -165,13 +165,13 @@ def foretold(folder: Path, spectra: int, used: float) -> None:
         )
 
 
-def peers() -> None:
+def time_alternatives() -> None:
     """Print what a spectrum costs by other ways."""
-    snow = pack(soot_ng_g=50.0, optical_radius_um=200.0)
-    for error in (ERROR, 0.001):
-        splits.spectrophotometer(snow, WAVELENGTHS, 50.0, error, 1, threads=1)
-        _, _, used = timed(
-            lambda e=error: splits.spectrophotometer(snow, WAVELENGTHS, 50.0, e, 2, threads=1)
+    snow = make_snow(soot_ng_g=50.0, optical_radius_um=200.0)
+    for error in (MAX_STDERR, 0.001):
+        splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, error, 1, threads=1)
+        _, _, used = time_call(
+            lambda e=error: splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, e, 2, threads=1)
         )
         print(f"a run of its own to {error}: {used:.2f} s of one core", flush=True)
     try:
@@ -179,12 +179,12 @@ def peers() -> None:
 
         def tartes_spectrum() -> Any:
             return tartes.albedo(
-                WAVELENGTHS * 1e-9, [15.0], [300.0], [10.0], impurities=[50e-9],
+                WAVELENGTHS_NM * 1e-9, [15.0], [300.0], [10.0], impurities=[50e-9],
                 dir_frac=1.0, sza=50.0,
             )  # fmt: skip
 
         tartes_spectrum()
-        _, _, used = timed(lambda: [tartes_spectrum() for _ in range(100)])
+        _, _, used = time_call(lambda: [tartes_spectrum() for _ in range(100)])
         print(f"TARTES: {used / 100:.5f} s of one core")
     except ImportError:
         print("TARTES: not installed")
@@ -193,10 +193,10 @@ def peers() -> None:
 
         def theory() -> Any:
             sza, area = np.radians(50.0), 3.0 / (917.0 * 200e-6)
-            return snowoptics.albedo_KZ04(WAVELENGTHS * 1e-9, sza, area, impurities={"BC": 50e-9})
+            return snowoptics.albedo_KZ04(WAVELENGTHS_NM * 1e-9, sza, area, impurities={"BC": 50e-9})
 
         theory()
-        _, _, used = timed(lambda: [theory() for _ in range(100)])
+        _, _, used = time_call(lambda: [theory() for _ in range(100)])
         print(f"snowoptics (Kokhanovsky and Zege): {used / 100:.5f} s of one core")
     except ImportError:
         print("snowoptics: not installed")
@@ -212,19 +212,19 @@ def main() -> None:
     parser.add_argument("--between", type=int, default=200)
     parser.add_argument("--quick", action="store_true")
     given = parser.parse_args()
-    grid = SMALL if given.quick else GRID
+    grid = SMALL_GRID if given.quick else GRID
     for water in (0.0, 0.1):
         # Kernels compiled.
-        splits.spectrophotometer(pack(0.0, optical_radius_um=100.0, liquid_water_content=water),
+        splits.spectrophotometer(make_snow(0.0, optical_radius_um=100.0, liquid_water_content=water),
                                  [500.0, 1500.0], 10.0, 0.05)  # fmt: skip
-    table, wall, used = timed(
-        lambda: splits.table(pack, grid, WAVELENGTHS, max_stderr=ERROR, folder=given.folder,
+    table, wall, used = time_call(
+        lambda: splits.build_table(make_snow, grid, WAVELENGTHS_NM, max_stderr=MAX_STDERR, folder=given.folder,
                              progress=True)
     )  # fmt: skip
-    count = Axes.from_mapping(grid).size
+    count = ParameterGrid.from_mapping(grid).size
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(
-        f"{count} spectra of {WAVELENGTHS.size} wavelengths in {table.attrs['ensembles']} "
+        f"{count} spectra of {WAVELENGTHS_NM.size} wavelengths in {table.attrs['ensembles']} "
         f"ensembles, axes that share paths: {table.attrs['axes_that_share_paths']}\n"
         f"{wall:.0f} s on the clock, {used:.0f} s of all cores, {1e3 * used / count:.1f} ms of one "
         f"core per spectrum, largest error {table.attrs['max_stderr_reached']:.4f}, "
@@ -232,11 +232,11 @@ def main() -> None:
         flush=True,
     )
     splits.save(table, given.folder / "table.nc")
-    peers()
-    foretold(given.folder, count, used)
-    nodes_needed(table)
-    cells(table, grid, given.cells)
-    between(table, grid, given.between)
+    time_alternatives()
+    report_plan_estimates(given.folder, count, used)
+    report_nodes_needed(table)
+    compare_nodes(table, grid, given.cells)
+    compare_between_nodes(table, grid, given.between)
 
 
 if __name__ == "__main__":

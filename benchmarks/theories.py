@@ -8,24 +8,24 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.analysis import efficiency
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.propagation import response
-from splits.analysis.radiative_transfer import kz04, packed, shape_factors
-from splits.uncertainty import Variable, quantity
+from splits.experiments.papers import performance
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.error_propagation import propagate_errors
+from splits.analysis.theory.asymptotic import kz04, correct_dense_packing, compute_shape_factors
+from splits.core.uncertainty import Variable, make_variable
 
-STREAMS = 32
+N_STREAMS = 32
 
 
-def by_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+def compute_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
     """Return the spectrum by discrete ordinates, from the medium's own grains."""
     optics = splits.single_scattering(
-        medium, wavelengths, STREAMS, rays, threads=1, wet_pores="equilibrium"
+        medium, wavelengths, N_STREAMS, rays, threads=1, wet_pores="equilibrium"
     )
-    return discrete_ordinates(packed(optics), streams=STREAMS)
+    return solve_discrete_ordinates(correct_dense_packing(optics), streams=N_STREAMS)
 
 
-def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+def compute_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
     """Return the spectrum by asymptotic theory, with B and g of the medium's own grains, dry."""
     optics = splits.single_scattering(
         replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
@@ -34,7 +34,7 @@ def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Datas
     k = medium.refractive_index["ice"](wavelengths).imag
 
     def theory(part: xr.Dataset) -> np.ndarray:
-        enhancement, asymmetry = shape_factors(part, area, k)
+        enhancement, asymmetry = compute_shape_factors(part, area, k)
         spectrum = kz04(
             wavelengths,
             area,
@@ -47,11 +47,11 @@ def by_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Datas
         reflected, passed = spectrum.reflectance.values, spectrum.transmittance.values
         return np.stack([reflected, passed, 1.0 - reflected - passed])
 
-    values, stderr = theory(optics), response(theory, optics)
+    values, stderr = theory(optics), propagate_errors(theory, optics)
     variables: dict[str, Variable] = {}
-    for row, name in enumerate(efficiency.QUANTITIES):
-        variables |= quantity(name, "wavelength", values[row], stderr[row], name)
+    for row, name in enumerate(performance.QUANTITIES):
+        variables |= make_variable(name, "wavelength", values[row], stderr[row], name)
     return xr.Dataset(variables, {"wavelength": wavelengths})
 
 
-THEORIES = {"discrete_ordinates": by_discrete_ordinates, "kz04": by_kz04}
+THEORIES = {"discrete_ordinates": compute_discrete_ordinates, "kz04": compute_kz04}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jupyter_client.manager import KernelManager
 
-from splits.sources import PACKAGE, files_digest
+from splits.core.provenance import PACKAGE_FOLDER, hash_files
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
@@ -50,8 +50,8 @@ myst_links_external_new_tab = False
 nb_execution_mode = "cache"
 # Or every kernel warns that what it is told crosses this machine unencrypted.
 KernelManager.transport_encryption.default_value = "auto"
-SOURCES = sorted(p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.[pc]*[yv]"))
-nb_execution_cache_path = str(HERE / "_build" / "cache" / files_digest(PACKAGE, SOURCES))
+SOURCES = sorted(p.relative_to(PACKAGE_FOLDER).as_posix() for p in PACKAGE_FOLDER.rglob("*.[pc]*[yv]"))
+nb_execution_cache_path = str(HERE / "_build" / "cache" / hash_files(PACKAGE_FOLDER, SOURCES))
 nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True

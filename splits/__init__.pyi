@@ -1,37 +1,37 @@
-from .bird import save_brdf as save_brdf
-from .dataset import load as load
-from .dataset import save as save
+from splits.io.bird_brdf import save_brdf
+from splits.io.netcdf import load
+from splits.io.netcdf import save
 from .instruments import Progress as Progress
 from .instruments import ProgressBar as ProgressBar
-from .instruments import bssrdf as bssrdf
+from splits.instruments import beam_spread as bssrdf
 from .instruments import deep_transmittance as deep_transmittance
 from .instruments import goniophotometer as goniophotometer
 from .instruments import lens as lens
-from .instruments import profile as profile
+from splits.instruments import irradiance_profile as profile
 from .instruments import single_scattering as single_scattering
 from .instruments import spectra as spectra
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
-from .lookup.measuring import table as table
-from .lookup.reading import Table as Table
-from .lookup.reading import open_table as open_table
-from .media import Layer as Layer
-from .media import Readings as Readings
+from splits.tables.build import build_table as table
+from splits.tables.table import Table
+from splits.tables.table import open_table
+from splits.media import ParticleLayer as Layer
+from splits.media import Interpretation as Readings
 from .media import RoughSurface as RoughSurface
 from .media import Sand as Sand
-from .media import SandReadings as SandReadings
+from splits.media import SandInterpretation as SandReadings
 from .media import Snow as Snow
 from .media import Stack as Stack
-from .phase_functions import phase_function as phase_function
-from .phase_functions import with_diffraction as with_diffraction
-from .retrieval.design import best_bands as best_bands
-from .retrieval.importance import sobol_indices as sobol_indices
+from splits.analysis.theory.phase_function import phase_function
+from splits.analysis.theory.phase_function import with_diffraction
+from splits.retrieval.band_selection import select_bands as best_bands
+from splits.retrieval.sobol import sobol_indices
 from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve
-from .skies import Sky as Sky
-from .skies import albedo as albedo
-from .skies import hdrf as hdrf
-from .skies import light_inside as light_inside
-from .skies import sensor as sensor
-from .skies import sky as sky
-from .versions import __version__ as __version__
+from splits.illumination import Sky
+from splits.instruments import albedo
+from splits.illumination import hdrf
+from splits.illumination import radiation_profile as light_inside
+from splits.illumination import sensor_bands as sensor
+from splits.illumination import sky
+from splits.core.provenance import __version__

@@ -18,9 +18,13 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from splits.experiments.instrument_section import ESTIMATORS, ONLY_FOR, REQUIRED
-from splits.experiments.sections import FIGURES, QUANTITIES
-from splits.experiments.study_kinds import FILES, PRODUCTS, ROLES
+from splits.experiments.config.instrument import (
+    ESTIMATORS,
+    INSTRUMENTS_OF_SETTING,
+    REQUIRED_SETTINGS,
+)
+from splits.experiments.config.sections import FIGURE_KINDS, FIGURE_QUANTITIES
+from splits.experiments.config.study_kinds import STUDY_FILES, STUDY_PRODUCTS, STUDY_INPUTS
 
 LOG = logging.getLogger(__name__)
 WORDS = {float: "a number", int: "a whole number", str: "text"}
@@ -120,14 +124,14 @@ class Instruments(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         rows = []
-        for kind, figures in FIGURES.items():
-            own = [key for key, kinds in ONLY_FOR.items() if kind in kinds]
-            needed = REQUIRED.get(kind, ())
+        for kind, figures in FIGURE_KINDS.items():
+            own = [key for key, kinds in INSTRUMENTS_OF_SETTING.items() if kind in kinds]
+            needed = REQUIRED_SETTINGS.get(kind, ())
             columns = [
                 [f"`{name}`" for name in ESTIMATORS.get(kind, ())],
                 [f"`{key}`" + (" (needed)" if key in needed else "") for key in own],
                 [f"`{name}`" for name in figures],
-                [f"`{name}`" for name in QUANTITIES.get(kind, ())],
+                [f"`{name}`" for name in FIGURE_QUANTITIES.get(kind, ())],
             ]
             rows.append([f"`{kind}`", *(", ".join(column) or "—" for column in columns)])
         head = ["`instrument.kind`", "`estimator`", "keys of its own", "`figure.kind`"]
@@ -142,11 +146,11 @@ class Studies(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         given = yaml.safe_load("\n".join(self.content))
-        for kind in sorted(set(PRODUCTS) ^ set(given)):
+        for kind in sorted(set(STUDY_PRODUCTS) ^ set(given)):
             LOG.warning("study-kinds: %s", kind, location=self.get_location())
         rows = []
         for kind, meaning in given.items():
-            columns = ROLES.get(kind, ()), FILES.get(kind, ()), PRODUCTS[kind]
+            columns = STUDY_INPUTS.get(kind, ()), STUDY_FILES.get(kind, ()), STUDY_PRODUCTS[kind]
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
             rows.append([f"`{kind}`", meaning, *cells])
         head = ["kind", "what it is", "roles under `experiments`", "`files`", "makes (`products`)"]

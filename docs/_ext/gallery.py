@@ -14,8 +14,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from splits.experiments.load import load_settings
-from splits.experiments.yaml_files import read_yaml, yaml_of
+from splits.experiments.config.load import load_settings
+from splits.core.yaml import read_yaml, dump_yaml
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "config" / "experiments"
@@ -101,7 +101,7 @@ def _studies() -> list[Page]:
     settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
     for name, study in settings.studies.items():
         paths = study.list_product_paths(name)
-        section = yaml_of({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
+        section = dump_yaml({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
         for product, report in CAPTIONS.get(study.kind, {}).items():
             caption = (ROOT / "workflow" / "report" / f"{report}.rst").read_text(encoding="utf-8")
             files = {"In `config/config.yaml`": section}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from sphinx.application import Sphinx
 
-from splits.analysis.marks import MARKED
+from _numbers.marks import MARK_PATTERN
 
 
 def without_marks(app: Sphinx, name: str, source: list[str]) -> None:
     """Leave the numbers of a page and drop their marks."""
-    source[0] = MARKED.sub(r"\1", source[0])
+    source[0] = MARK_PATTERN.sub(r"\1", source[0])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -1,21 +1,25 @@
-"""Modelled beside measured directions: anisotropy factors, and how far they are apart by angle."""
+"""Modelled beside measured directions: anisotropy factors, and how far they are apart by angle.
+
+How what was found goes with what is known: a line through the origin.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from splits.core.validation import invalid
+from typing import NamedTuple
 
-from splits.checks import refuse
 
-FACTOR = "anisotropy_factor"
-COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", FACTOR)
+FACTOR_COLUMN = "anisotropy_factor"
+MEASURED_COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", FACTOR_COLUMN)
 """What a table of measured directions has, besides columns named like parameters of a grid."""
-EVERY = "all"
+ALL_DIRECTIONS = "all"
 """In place of an angle: every direction."""
 
 
-def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+def compare_with_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """Return every measured anisotropy factor with the modelled one, for each model.
 
     The anisotropy factor is reflectance seen from a direction over that seen from above, so the
@@ -27,7 +31,7 @@ def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame
         BRDF over ``polar`` and ``azimuth`` (degrees), ``wavelength`` (nm) and a grid.  Axes of it
         that the table has no column for are models.
     measured : pandas.DataFrame
-        With `COLUMNS` and one column for each other axis, whose values the grid has.
+        With `MEASURED_COLUMNS` and one column for each other axis, whose values the grid has.
 
     Returns
     -------
@@ -40,12 +44,12 @@ def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame
         For a column that is missing, or directions that the dataset does not have.
     """
     if "brdf" not in dataset:
-        raise refuse("dataset", dataset.attrs.get("title", "a dataset"), "with a BRDF")
-    _check_table(dataset, measured)
+        raise invalid("dataset", dataset.attrs.get("title", "a dataset"), "with a BRDF")
+    _check_columns(dataset, measured)
     brdf, error = dataset.brdf, dataset.brdf_stderr
-    parameters = [c for c in measured.columns if c not in COLUMNS]
+    parameters = [c for c in measured.columns if c not in MEASURED_COLUMNS]
     models = [str(d) for d in brdf.dims if d not in ("wavelength", "polar", "azimuth", *parameters)]
-    _check_reach(dataset, measured)
+    _check_directions(dataset, measured)
     # Once around: directions lie between those of the dataset.
     around = [xr.concat([v, v.isel(azimuth=[0]).assign_coords(azimuth=[360.0])], "azimuth")
               for v in (brdf, error)]  # fmt: skip
@@ -54,7 +58,7 @@ def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame
         for name, column in (("polar", "polar_deg"), ("azimuth", "azimuth_deg"))
     }
     fixed = {
-        name: xr.DataArray(_labels(dataset[name].values, measured[name]), dims="row")
+        name: xr.DataArray(_match_labels(dataset[name].values, measured[name]), dims="row")
         for name in parameters
     } | {"wavelength": xr.DataArray(measured.wavelength_nm.to_numpy(dtype=float), dims="row")}
     seen = [one.sel(fixed).interp(place) for one in around]
@@ -67,34 +71,34 @@ def beside_measured(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame
     return pd.concat([frame[models], rows, frame[["modelled", "stderr"]]], axis=1)
 
 
-def by_angle(table: pd.DataFrame) -> pd.DataFrame:
+def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
     """Return root-mean-square differences of anisotropy factors by the angle of view.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        As `beside_measured` returns it.
+        As `compare_with_measured` returns it.
 
     Returns
     -------
     pandas.DataFrame
-        A row for each model, point of the grid, wavelength and polar angle, and for `EVERY` one,
+        A row for each model, point of the grid, wavelength and polar angle, and for `ALL_DIRECTIONS` one,
         with ``rmse``, the mean difference ``bias``, ``directions``, and ``spread``: the root
         mean square of what was measured less 1, which a model without directions would miss.
     """
-    keys = [c for c in table if c not in ("azimuth_deg", FACTOR, "modelled", "stderr")]
-    whole = table.assign(polar_deg=EVERY)
+    keys = [c for c in table if c not in ("azimuth_deg", FACTOR_COLUMN, "modelled", "stderr")]
+    whole = table.assign(polar_deg=ALL_DIRECTIONS)
     rows = []
     for values, part in [
         pair for one in (table, whole) for pair in one.groupby(keys, sort=False, dropna=False)
     ]:
-        off = (part.modelled - part[FACTOR]).to_numpy()
+        off = (part.modelled - part[FACTOR_COLUMN]).to_numpy()
         rows.append(
             dict(zip(keys, values, strict=True))
             | {
                 "rmse": float(np.sqrt((off**2).mean())),
                 "bias": float(off.mean()),
-                "spread": float(np.sqrt(((part[FACTOR] - 1.0) ** 2).mean())),
+                "spread": float(np.sqrt(((part[FACTOR_COLUMN] - 1.0) ** 2).mean())),
                 "model_stderr": float(np.sqrt((part.stderr**2).mean())),
                 "directions": len(part),
             }
@@ -102,47 +106,47 @@ def by_angle(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _check_table(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
+def _check_columns(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
     """Refuse a table without the columns it must have, with others, empty or with gaps."""
-    for name in COLUMNS:
+    for name in MEASURED_COLUMNS:
         if name not in measured:
-            raise refuse("directions", list(measured.columns), f"a table with column {name}")
+            raise invalid("directions", list(measured.columns), f"a table with column {name}")
         values = pd.to_numeric(measured[name], errors="coerce").to_numpy(dtype=float)
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
             given = measured[name].iloc[int(wrong[0])]
-            raise refuse(f"directions.{name}", given, "numbers without gaps")
+            raise invalid(f"directions.{name}", given, "numbers without gaps")
     if not len(measured):
-        raise refuse("directions", "no rows", "a table of measured directions")
+        raise invalid("directions", "no rows", "a table of measured directions")
     for name in measured.columns:
-        if name not in COLUMNS and name not in dataset.brdf.dims:
+        if name not in MEASURED_COLUMNS and name not in dataset.brdf.dims:
             allowed = (
                 f"left out, or an axis of the experiment: {', '.join(map(str, dataset.brdf.dims))}"
             )
-            raise refuse("directions (column)", name, allowed)
+            raise invalid("directions (column)", name, allowed)
 
 
-def _check_reach(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
+def _check_directions(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
     """Refuse directions beyond those of a dataset, and one that does not look from above."""
     polar, azimuth = dataset.polar.values, dataset.azimuth.values
     if polar[0] != 0.0 or azimuth[0] != 0.0:
-        raise refuse("polar_deg", [float(polar[0]), float(azimuth[0])], "from 0 on, azimuths too")
+        raise invalid("polar_deg", [float(polar[0]), float(azimuth[0])], "from 0 on, azimuths too")
     for name, last in (("polar_deg", polar[-1]), ("azimuth_deg", 360.0)):
         if not measured[name].between(0.0, last).all():
-            raise refuse(f"directions.{name}", float(measured[name].max()), f"0 to {last:g}")
+            raise invalid(f"directions.{name}", float(measured[name].max()), f"0 to {last:g}")
     missing = set(measured.wavelength_nm.astype(float)) - set(dataset.wavelength.values)
     if missing:
-        raise refuse("directions.wavelength_nm", sorted(missing), "those of the experiment")
+        raise invalid("directions.wavelength_nm", sorted(missing), "those of the experiment")
 
 
-def _labels(labels: np.ndarray, values: pd.Series) -> np.ndarray:
+def _match_labels(labels: np.ndarray, values: pd.Series) -> np.ndarray:
     """Return the labels of a grid that values have."""
     known = {str(label): label for label in labels}
     known |= {f"{float(k):g}": v for k, v in known.items() if _is_number(k)}
     texts = [f"{v:g}" if not isinstance(v, str) else v for v in values]
     for text in texts:
         if text not in known:
-            raise refuse(f"directions.{values.name}", text, f"one of {', '.join(map(str, labels))}")
+            raise invalid(f"directions.{values.name}", text, f"one of {', '.join(map(str, labels))}")
     return np.array([known[text] for text in texts])
 
 
@@ -152,3 +156,33 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+class ProportionalFit(NamedTuple):
+    """A line y = a x through points that count alike.
+
+    Attributes
+    ----------
+    slope, stderr : float
+        a, and its standard error by the scatter.
+    scatter : float
+        Standard deviation of y about the line.
+    """
+
+    slope: float
+    stderr: float
+    scatter: float
+
+
+def fit_proportional(x: np.ndarray, y: np.ndarray) -> ProportionalFit:
+    """Return the line through the origin that comes nearest to points.
+
+    Parameters
+    ----------
+    x, y : float, shape (points,)
+        Two points or more.
+    """
+    square = float((x * x).sum())
+    slope = float((x * y).sum() / square)
+    scatter = float(np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1)))
+    return ProportionalFit(slope, scatter / float(np.sqrt(square)), scatter)

@@ -10,33 +10,33 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.errors import error_parts
-from splits.arrays import read_columns
-from splits.checks import ROUNDING, snap_to_ends
-from splits.extras import optional
+from splits.core.uncertainty import compute_error_parts
+from splits.core.arrays import read_columns
+from splits.core.validation import ROUNDING_TOLERANCE, snap_to_limits
+from splits.core.optional import import_optional
 
-OBSERVER = "CIE 1931 2 Degree Standard Observer"
-ILLUMINANT = "D65"
-STEP_NM = 10.0
+STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
+STANDARD_ILLUMINANT = "D65"
+MAX_STEP_NM = 10.0
 """Widest step of wavelengths that tell a colour."""
-VISIBLE_NM = (400.0, 780.0)
+VISIBLE_RANGE_NM = (400.0, 780.0)
 """Range a spectrum must cover; beyond it, 360 to 830 nm, its end values are taken, which weigh less
 than 1e-3 of Y."""
 
 
-def _colour() -> ModuleType:
-    return optional("colour", "figures", "colours need")
+def _import_colour() -> ModuleType:
+    return import_optional("colour", "figures", "colours need")
 
 
 def covers_visible(wavelength_nm: np.ndarray) -> bool:
     """Return whether rising wavelengths (nm) are enough to tell a colour."""
     first, last = wavelength_nm[[0, -1]]
-    low, high = snap_to_ends(VISIBLE_NM, first, last)
-    fine = np.diff(wavelength_nm).max(initial=0.0) <= STEP_NM * (1.0 + ROUNDING)
+    low, high = snap_to_limits(VISIBLE_RANGE_NM, first, last)
+    fine = np.diff(wavelength_nm).max(initial=0.0) <= MAX_STEP_NM * (1.0 + ROUNDING_TOLERANCE)
     return bool(first <= low and high <= last and fine)
 
 
-def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
+def compute_tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     """Return X, Y, Z of a reflecting surface, Y = 1 for a perfect white one.
 
     Parameters
@@ -55,56 +55,56 @@ def tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarra
     -----
     Integration as of CIE 15 in steps of 1 nm by colour-science, under D65 for the 2° observer.
     """
-    colour = _colour()
+    colour = _import_colour()
 
     given = {"wavelength_nm": wavelength_nm, "reflectance": reflectance}
     wavelength, reflectance = read_columns("spectrum", given)
-    low, high = VISIBLE_NM
+    low, high = VISIBLE_RANGE_NM
     if not covers_visible(wavelength):
         raise ValueError(
             f"wavelength_nm: must cover {low:g} to {high:g} nm in steps of at most 10 nm to have "
             "a colour"
         )
-    observer = colour.MSDS_CMFS[OBSERVER]
+    observer = colour.MSDS_CMFS[STANDARD_OBSERVER]
     grid = observer.wavelengths
     spectrum = colour.SpectralDistribution(
         dict(zip(grid, np.interp(grid, wavelength, reflectance), strict=True))
     )
-    light = colour.SDS_ILLUMINANTS[ILLUMINANT].copy().align(observer.shape)
+    light = colour.SDS_ILLUMINANTS[STANDARD_ILLUMINANT].copy().align(observer.shape)
     xyz = colour.sd_to_XYZ(spectrum, observer, light, method="Integration")
     return np.asarray(xyz) / 100.0
 
 
-def lab(xyz: np.ndarray) -> np.ndarray:
+def to_cielab(xyz: np.ndarray) -> np.ndarray:
     """Return CIELAB L*, a*, b* of tristimulus values under D65."""
-    colour = _colour()
+    colour = _import_colour()
 
-    white = colour.CCS_ILLUMINANTS[OBSERVER][ILLUMINANT]
+    white = colour.CCS_ILLUMINANTS[STANDARD_OBSERVER][STANDARD_ILLUMINANT]
     return np.asarray(colour.XYZ_to_Lab(xyz, white))
 
 
-def srgb(xyz: np.ndarray) -> np.ndarray:
+def to_srgb(xyz: np.ndarray) -> np.ndarray:
     """Return sRGB in [0, 1]; a colour outside its gamut is moved to the nearest side of it."""
-    colour = _colour()
+    colour = _import_colour()
 
     return np.clip(np.asarray(colour.XYZ_to_sRGB(xyz)), 0.0, 1.0)
 
 
-def gradient(xyz: np.ndarray) -> np.ndarray:
+def compute_cielab_gradient(xyz: np.ndarray) -> np.ndarray:
     """Return the derivatives of L*, a*, b* (rows) by X, Y, Z (columns)."""
     # CIELAB bends in proportion to its argument: a fixed step loses digits in dark colours.
     steps = np.diag(1e-4 * np.maximum(xyz, 1e-4))
-    return ((lab(xyz + steps) - lab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])).T
+    return ((to_cielab(xyz + steps) - to_cielab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])).T
 
 
 @cache
-def _weights(wavelength_nm: tuple[float, ...]) -> np.ndarray:
+def _compute_tristimulus_weights(wavelength_nm: tuple[float, ...]) -> np.ndarray:
     """Return what X, Y, Z take from each wavelength, shape (3, wavelengths): they are linear."""
     wavelength = np.array(wavelength_nm)
-    return np.stack([tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1)
+    return np.stack([compute_tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1)
 
 
-def colours(dataset: xr.Dataset) -> pd.DataFrame:
+def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
     Errors of L*, a*, b* are their linear parts in that of the spectrum, with the correlations
@@ -122,22 +122,22 @@ def colours(dataset: xr.Dataset) -> pd.DataFrame:
     pandas.DataFrame
         A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
         runs with other seeds, and ``_missed``, a bound on what interpolation adds; red, green,
-        blue and ``srgb`` as hexadecimal code.
+        blue and ``to_srgb`` as hexadecimal code.
     """
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
     rows = []
     for labels in itertools.product(*(dataset[d].values for d in dims)):
         point = dataset.sel(dict(zip(dims, labels, strict=True)))
         x, r = (point[v].values for v in ("wavelength", "reflectance"))
-        xyz = tristimulus(x, r)
+        xyz = compute_tristimulus(x, r)
         weights = xr.DataArray(
-            gradient(xyz) @ _weights(tuple(x)), {"wavelength": x}, ("coordinate", "wavelength")
+            compute_cielab_gradient(xyz) @ _compute_tristimulus_weights(tuple(x)), {"wavelength": x}, ("coordinate", "wavelength")
         )
-        scatter, missed = error_parts(point, "reflectance", weights)
-        code = srgb(xyz)
+        scatter, missed = compute_error_parts(point, "reflectance", weights)
+        code = to_srgb(xyz)
         row = dict(zip(dims, labels, strict=True))
         row |= dict(zip("XYZ", xyz, strict=True))
-        for i, (name, value) in enumerate(zip("Lab", lab(xyz), strict=True)):
+        for i, (name, value) in enumerate(zip("Lab", to_cielab(xyz), strict=True)):
             row[name] = value
             row[f"{name}_stderr"], row[f"{name}_missed"] = float(scatter[i]), float(missed[i])
         row |= dict(zip(("red", "green", "blue"), code, strict=True))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from splits.checks import refuse
+from splits.core.validation import invalid
 
 
-def principal_plane(dataset: xr.Dataset) -> xr.Dataset:
+def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     """Return the plane that holds the beam and the normal of the surface.
 
     Parameters
@@ -31,7 +31,7 @@ def principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     for azimuth, sign in ((180.0, -1.0), (0.0, 1.0)):
         hit = np.flatnonzero(np.isclose(dataset.azimuth.values, azimuth))
         if hit.size == 0:
-            raise refuse("azimuth_deg", dataset.azimuth.values.tolist(), "with 0 and 180 degrees")
+            raise invalid("azimuth_deg", dataset.azimuth.values.tolist(), "with 0 and 180 degrees")
         part = dataset.isel(azimuth=hit[0], drop=True)
         part = part.assign_coords(polar=sign * part.polar.values).rename(polar="angle")
         sides.append(part.isel(angle=slice(None, None, -1)) if sign < 0.0 else part)
@@ -43,7 +43,7 @@ def principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     return plane.assign_coords(angle=("angle", plane.angle.values, about))
 
 
-def merged_cells(dataset: xr.Dataset, factor: int) -> xr.Dataset:
+def merge_angular_bins(dataset: xr.Dataset, factor: int) -> xr.Dataset:
     """Return what larger collectors would have seen, `factor` cells along both angles in one.
 
     Parameters
@@ -65,7 +65,7 @@ def merged_cells(dataset: xr.Dataset, factor: int) -> xr.Dataset:
     """
     polar, azimuth = dataset.sizes["polar"], dataset.sizes["azimuth"]
     if factor < 1 or factor % 2 == 0 or polar % factor or azimuth % factor:
-        raise refuse("factor", factor, f"odd and a divisor of {polar} and {azimuth}")
+        raise invalid("factor", factor, f"odd and a divisor of {polar} and {azimuth}")
     # The middles of cells are equally spaced in the cosine, so that it is their projected area.
     weight = np.cos(np.radians(dataset.polar))
     turned = dataset[["brdf", "brdf_stderr"]].roll(azimuth=factor // 2, roll_coords=False)

@@ -10,24 +10,24 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.analysis.errors import weighted_error
-from splits.checks import under
-from splits.instruments.arguments import check_wavelengths
-from splits.materials.tables import read_numbers
+from splits.core.uncertainty import compute_weighted_error
+from splits.core.validation import key_prefix
+from splits.simulation.arguments import check_wavelengths
+from splits.materials.csv_table import read_numeric_csv
 
-DIFFUSE_SHARE = 0.85
+DIFFUSE_FRACTION = 0.85
 """Share of diffuse light under which Letcher et al. (2022) measured."""
 
 LETCHER_COLUMNS = {0.34: "albedo_340mm", 0.045: "albedo_45mm_black"}
 """Measured column for each depth (m) of the experiment."""
 
 
-WAVELENGTH = "wavelength_nm"
+WAVELENGTH_COLUMN = "wavelength_nm"
 
 
 def read_measured(path: str | Path, key: str = "measured") -> pd.DataFrame:
     """Read a table of measured values, or refuse it under a key; comments hold its citation."""
-    return read_numbers(key, path)
+    return read_numeric_csv(key, path)
 
 
 def read_spectra(path: str | Path, key: str = "measured") -> pd.DataFrame:
@@ -50,13 +50,13 @@ def read_spectra(path: str | Path, key: str = "measured") -> pd.DataFrame:
     ValueError
         For a file that is no such table.
     """
-    table = read_numbers(key, path, [WAVELENGTH])
-    with under(key):
-        check_wavelengths(table[WAVELENGTH])
+    table = read_numeric_csv(key, path, [WAVELENGTH_COLUMN])
+    with key_prefix(key):
+        check_wavelengths(table[WAVELENGTH_COLUMN])
     return table
 
 
-def rmse(
+def compute_rmse(
     difference: np.ndarray, stderr: np.ndarray, compute_stderr: Callable[[np.ndarray], float]
 ) -> tuple[float, float]:
     """Return the root mean square of differences and its standard error.
@@ -83,24 +83,24 @@ def rmse(
     return value, float(min(np.hypot(first, 0.5 * bound**2 / value), bound))
 
 
-def measured_rmse(dataset: xr.Dataset, measured: pd.DataFrame) -> tuple[float, float]:
+def compute_measured_rmse(dataset: xr.Dataset, measured: pd.DataFrame) -> tuple[float, float]:
     """Return the root-mean-square difference of reflectance to a measured spectrum, and its error.
 
     Parameters
     ----------
     dataset, measured
-        As for `bands`.
+        As for `compare_with_spectrum`.
     """
-    table = bands(dataset, measured)
+    table = compare_with_spectrum(dataset, measured)
     part = dataset.sel(wavelength=measured.wavelength_nm.values)
 
     def combined(weights: np.ndarray) -> float:
-        return float(weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength")))
+        return float(compute_weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength")))
 
-    return rmse(table.difference, table.stderr, combined)
+    return compute_rmse(table.difference, table.stderr, combined)
 
 
-def bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+def compare_with_spectrum(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """Return model and measurement at the measured wavelengths of a table.
 
     Parameters
@@ -122,13 +122,13 @@ def bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def letcher_snow(dataset: xr.Dataset, snow: str, depth: float) -> xr.Dataset:
+def mix_letcher_illumination(dataset: xr.Dataset, snow: str, depth: float) -> xr.Dataset:
     """Return the reflectance of a snow under the light of the measurement, with its errors.
 
-    `DIFFUSE_SHARE` of the light comes from the whole hemisphere and the rest in a beam.
+    `DIFFUSE_FRACTION` of the light comes from the whole hemisphere and the rest in a beam.
     """
     part = dataset.sel(medium=snow).sel(depth_m=depth, method="nearest")
-    ways = [(1.0 - DIFFUSE_SHARE, "beam"), (DIFFUSE_SHARE, "diffuse")]
+    ways = [(1.0 - DIFFUSE_FRACTION, "beam"), (DIFFUSE_FRACTION, "diffuse")]
     runs = [(share, part.sel(incidence_deg=incidence)) for share, incidence in ways]
     squares = [(share * run.reflectance_stderr) ** 2 for share, run in runs]
     groups = [share * run.reflectance_groups for share, run in runs]
@@ -142,17 +142,17 @@ def letcher_snow(dataset: xr.Dataset, snow: str, depth: float) -> xr.Dataset:
     )
 
 
-def letcher_bands(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+def compare_with_letcher(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """Return model and measured albedo for every snow and depth of the experiment."""
     tables = []
     for snow, depth in itertools.product(dataset.medium.values, LETCHER_COLUMNS):
-        table = bands(letcher_snow(dataset, snow, depth), letcher_column(measured, depth))
+        table = compare_with_spectrum(mix_letcher_illumination(dataset, snow, depth), select_letcher_column(measured, depth))
         table.insert(0, "snow", str(snow))
         table.insert(1, "depth_m", depth)
         tables.append(table)
     return pd.concat(tables, ignore_index=True)
 
 
-def letcher_column(measured: pd.DataFrame, depth: float) -> pd.DataFrame:
-    """Return what was measured on snow of a depth (m), as `bands` takes it."""
+def select_letcher_column(measured: pd.DataFrame, depth: float) -> pd.DataFrame:
+    """Return what was measured on snow of a depth (m), as `compare_with_spectrum` takes it."""
     return measured.rename(columns={LETCHER_COLUMNS[depth]: "reflectance"})

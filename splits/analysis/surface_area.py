@@ -18,23 +18,23 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from splits.checks import refuse
+from splits.core.validation import invalid
 
 AREA = "specific_surface_area_m2_kg"
-NEAR = ((700.0, 900.0), (990.0, 1090.0), (1220.0, 1300.0))
-FAR = ((1500.0, 1750.0), (2060.0, 2350.0))
-WINDOWS = {"all": (*NEAR, *FAR), "below 1300 nm": NEAR, "above 1500 nm": FAR}
+SHORT_WINDOWS_NM = ((700.0, 900.0), (990.0, 1090.0), (1220.0, 1300.0))
+LONG_WINDOWS_NM = ((1500.0, 1750.0), (2060.0, 2350.0))
+FIT_WINDOWS_NM = {"all": (*SHORT_WINDOWS_NM, *LONG_WINDOWS_NM), "below 1300 nm": SHORT_WINDOWS_NM, "above 1500 nm": LONG_WINDOWS_NM}
 """Wavelengths (nm) that are fitted: impurities count below, water vapour of the air in the gaps."""
-FIELD_NM = 1310.0
+FIELD_WAVELENGTH_NM = 1310.0
 """Where field instruments take the surface area from one reflectance (Gallet et al. 2009)."""
-LAWS: dict[str, Callable[..., np.ndarray]] = {
+PUBLISHED_ALBEDO_LAWS: dict[str, Callable[..., np.ndarray]] = {
     "Kokhanovsky & Zege (2004)": snowoptics.albedo_direct_KZ04,
     "Malinka et al. (2016)": snowoptics.albedo_direct_M16,
 }
 """Published laws for a beam, with the shape factors that snowoptics takes where they have any."""
 
 
-class Fit(NamedTuple):
+class SurfaceAreaFit(NamedTuple):
     """The surface area at which modelled snow comes nearest to a spectrum.
 
     Attributes
@@ -50,9 +50,9 @@ class Fit(NamedTuple):
     rmse: float
 
 
-def fit_area(
+def fit_surface_area(
     areas: np.ndarray, modelled: np.ndarray, measured: np.ndarray, scale: float | None = None
-) -> Fit:
+) -> SurfaceAreaFit:
     """Return the surface area and the level that bring modelled nearest to measured reflectance.
 
     Parameters
@@ -79,10 +79,10 @@ def fit_area(
     found = minimize_scalar(lambda x: at(x)[1], bounds=near, method="bounded",
                             options={"xatol": 1e-7})  # fmt: skip
     log_area = min((float(found.x), *ends), key=lambda x: at(x)[1])
-    return Fit(float(np.exp(log_area)), *at(log_area))
+    return SurfaceAreaFit(float(np.exp(log_area)), *at(log_area))
 
 
-def surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
+def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """Return the surface area of snow from measured spectra.
 
     Parameters
@@ -103,16 +103,16 @@ def surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for column in measured.columns[1:]:
-        snow, values = _beside(dataset, measured, column)
+        snow, values = _match_spectrum(dataset, measured, column)
         areas = snow[AREA].values.astype(float)
         groups = snow.reflectance_groups.transpose("group", AREA, "wavelength").values
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
         nodes = [modelled, *(modelled + group for group in groups)]
         levels: list[float | None] = [None] * len(nodes)
-        for name, window in WINDOWS.items():
-            use = inside(snow.wavelength.values, window)
+        for name, window in FIT_WINDOWS_NM.items():
+            use = is_in_windows(snow.wavelength.values, window)
             fits = [
-                fit_area(areas, node[:, use], values[use], level)
+                fit_surface_area(areas, node[:, use], values[use], level)
                 for node, level in zip(nodes, levels, strict=True)
             ]
             levels = [fit.scale for fit in fits]
@@ -127,13 +127,13 @@ def surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
-def overlay(dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame) -> pd.DataFrame:
+def make_overlay_table(dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame) -> pd.DataFrame:
     """Return measured and modelled spectra at the surface area and level found from all windows.
 
     Parameters
     ----------
     dataset, measured
-        As for `surface_areas`.
+        As for `retrieve_surface_areas`.
     areas : pandas.DataFrame
         What it returns.
 
@@ -145,7 +145,7 @@ def overlay(dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame) ->
     """
     tables = []
     for row in areas[areas.window == "all"].itertuples():
-        snow, values = _beside(dataset, measured, str(row.spectrum))
+        snow, values = _match_spectrum(dataset, measured, str(row.spectrum))
         nodes = snow[AREA].values.astype(float)
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
         model = row.level * CubicSpline(np.log(nodes), modelled)(np.log(row.area))
@@ -154,18 +154,18 @@ def overlay(dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame) ->
         tables.append(pd.DataFrame({
             "spectrum": row.spectrum, "area": row.area, "wavelength_nm": snow.wavelength.values,
             "measured": values, "model": model, "stderr": stderr, "difference": model - values,
-            "fitted": inside(snow.wavelength.values, WINDOWS["all"]),
+            "fitted": is_in_windows(snow.wavelength.values, FIT_WINDOWS_NM["all"]),
         }))  # fmt: skip
     return pd.concat(tables, ignore_index=True)
 
 
-def field_law(dataset: xr.Dataset) -> pd.DataFrame:
+def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
     """Return reflectance at 1310 nm against surface area, ours and by published laws.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        ``reflectance`` over ``medium`` and surface area, holding `FIELD_NM`, under a beam from
+        ``reflectance`` over ``medium`` and surface area, holding `FIELD_WAVELENGTH_NM`, under a beam from
         above.
 
     Returns
@@ -174,13 +174,13 @@ def field_law(dataset: xr.Dataset) -> pd.DataFrame:
         ``snow`` (or the law's name), ``area``, ``reflectance``, ``stderr`` (none for laws).
     """
     areas = dataset[AREA].values.astype(float)
-    part = dataset.sel(wavelength=FIELD_NM, method="nearest")
+    part = dataset.sel(wavelength=FIELD_WAVELENGTH_NM, method="nearest")
     tables = []
     for medium in dataset.medium.values:
         one = part.sel(medium=medium)
         tables.append((str(medium), one.reflectance.values, one.reflectance_stderr.values))
-    for name, law in LAWS.items():
-        values = [float(law(np.array([1e-9 * FIELD_NM]), 0.0, area)[0]) for area in areas]
+    for name, law in PUBLISHED_ALBEDO_LAWS.items():
+        values = [float(law(np.array([1e-9 * FIELD_WAVELENGTH_NM]), 0.0, area)[0]) for area in areas]
         tables.append((name, np.array(values), np.full(len(areas), np.nan)))
     return pd.concat(
         [pd.DataFrame({"snow": name, "area": areas, "reflectance": value, "stderr": error})
@@ -189,12 +189,12 @@ def field_law(dataset: xr.Dataset) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def inside(wavelength_nm: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:
+def is_in_windows(wavelength_nm: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:
     """Tell which wavelengths lie in any of several windows (nm)."""
     return np.any([(wavelength_nm >= a) & (wavelength_nm <= b) for a, b in windows], axis=0)
 
 
-def _beside(
+def _match_spectrum(
     dataset: xr.Dataset, measured: pd.DataFrame, column: str
 ) -> tuple[xr.Dataset, np.ndarray]:
     """Return the part of a dataset for a spectrum's angle, and the spectrum at its wavelengths."""
@@ -202,7 +202,7 @@ def _beside(
     at = [i for i, angle in enumerate(angles) if column.endswith(f"@{angle:g}")]
     if not at:
         known = " or ".join(f"@{angle:g}" for angle in angles)
-        raise refuse("column", column, f"a name that ends with {known}, an angle of illumination")
+        raise invalid("column", column, f"a name that ends with {known}, an angle of illumination")
     snow = dataset.isel(incidence_deg=at[0])
     given = measured.dropna(subset=[column])
     return snow, np.interp(snow.wavelength.values, given.wavelength_nm, given[column])

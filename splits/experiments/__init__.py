@@ -1,14 +1,14 @@
 """Experiments as configuration: validation, grids, names, runs."""
 
-from splits.extras import optional
+from splits.core.optional import import_optional
 
-optional("pydantic", "experiments", "experiments and fits need")
+import_optional("pydantic", "experiments", "experiments and fits need")
 
-from splits.experiments.load import load_experiment, load_experiments, load_settings
-from splits.experiments.model import Experiment
-from splits.experiments.settings import Settings
-from splits.experiments.simulation import Simulation
-from splits.experiments.yaml_files import ConfigError, read_yaml
+from splits.experiments.config.load import load_experiment, load_experiments, load_settings
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SimulationConfig
+from splits.core.yaml import ConfigError, read_yaml
 
 __all__ = [
     "ConfigError",

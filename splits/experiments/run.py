@@ -1,45 +1,56 @@
-"""Running an experiment: every point of its grid, one labelled dataset."""
+"""Running an experiment: every point of its grid, one labelled dataset.
+
+Compositions of all sands that experiments use, for the report.
+"""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
 from typing import Any
-
 import numpy as np
 import xarray as xr
-
-from splits.checks import refuse
-from splits.dataset import attributes, provenance, save
-from splits.experiments.coordinates import grid_coordinates
-from splits.experiments.kept_points import KeptPoints
-from splits.experiments.run_points import REACHED, Measured, Say, measured_points
+from splits.core.validation import invalid
+from splits.io.netcdf import to_netcdf_attributes, make_provenance, save
+from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.checkpoints import PointCache
+from splits.experiments.run_points import (
+    STDERR_ATTRIBUTES,
+    SimulatedPoints,
+    LogCallback,
+    simulate_points,
+)
 from splits.experiments.run_table import run_table, write_table
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.files import check_writable
-from splits.instruments.labels import wavelength_axis
-from splits.sources import physics_digest
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.core.atomic import check_writable
+from splits.simulation.attributes import make_wavelength_coordinate
+from splits.core.provenance import hash_physics_sources
+from collections.abc import Mapping
+import pandas as pd
+from splits.media import Sand
+from splits.media.sand_composition import SandComposition
 
-POINT_FACTS = {
+
+POINT_VARIABLES = {
     "rays": ("number of rays traced", "1"),
     "max_stderr_reached": ("largest standard error reached", "1"),
     "relative_stderr_reached": ("largest relative standard error reached", "1"),
     "mean_grain_distance": ("mean distance between grains along a ray", "m"),
     "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
 }
-_PER_MEDIUM = {
+_MEDIUM_ATTRIBUTES = {
     "mean_grain_distance": "mean_grain_distance_m",
     "specific_surface_area": "specific_surface_area_m2_kg",
 }
 
 
 def run(
-    experiment: Simulation,
+    experiment: SimulationConfig,
     accuracy: Accuracy,
     seed: int = 1,
     threads: int | None = None,
-    log: Say = lambda line: None,
+    log: LogCallback = lambda line: None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -62,22 +73,22 @@ def run(
     """
     if experiment.fit:
         hint = "splits.experiments.run_fit.run_fit fits sands"
-        raise refuse("fit", experiment.fit.measured, "left out", hint)
+        raise invalid("fit", experiment.fit.measured, "left out", hint)
     if experiment.instrument.kind == "refractive_index":
-        return refractive_indices(experiment)
+        return compute_refractive_indices(experiment)
     if experiment.instrument.kind == "table":
         return run_table(experiment, accuracy, seed, None, threads, log)
-    return _points(experiment, accuracy, seed, threads, log)
+    return _run_points(experiment, accuracy, seed, threads, log)
 
 
 def write_run(
-    experiment: Simulation,
+    experiment: SimulationConfig,
     accuracy: Accuracy,
     seed: int,
     folder: Path,
     path: Path,
     threads: int | None = None,
-    log: Say = lambda line: None,
+    log: LogCallback = lambda line: None,
 ) -> None:
     """Write what `run` returns; a run that is interrupted goes on where it stopped.
 
@@ -94,28 +105,28 @@ def write_run(
     if experiment.instrument.kind == "table":
         write_table(experiment, accuracy, seed, folder, path, threads, log)
     elif experiment.instrument.kind == "refractive_index":
-        save(refractive_indices(experiment), path)
+        save(compute_refractive_indices(experiment), path)
     else:
-        kept = KeptPoints(folder, experiment, accuracy, seed)
-        save(_points(experiment, accuracy, seed, threads, log, kept), path)
+        kept = PointCache(folder, experiment, accuracy, seed)
+        save(_run_points(experiment, accuracy, seed, threads, log, kept), path)
         kept.delete()
 
 
-def _points(
-    experiment: Simulation,
+def _run_points(
+    experiment: SimulationConfig,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
-    log: Say,
-    cache: KeptPoints | None = None,
+    log: LogCallback,
+    cache: PointCache | None = None,
 ) -> xr.Dataset:
     """Return the points of a grid, those not kept measured."""
     begun = time.perf_counter()
-    results = measured_points(experiment, accuracy, seed, threads, log, cache)
-    return _stack(experiment, results, time.perf_counter() - begun)
+    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
+    return _stack_points(experiment, results, time.perf_counter() - begun)
 
 
-def _stack(experiment: Simulation, points: Measured, seconds: float) -> xr.Dataset:
+def _stack_points(experiment: SimulationConfig, points: SimulatedPoints, seconds: float) -> xr.Dataset:
     """Return the points of a grid as one dataset."""
     results = points.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
@@ -126,14 +137,14 @@ def _stack(experiment: Simulation, points: Measured, seconds: float) -> xr.Datas
     for name, variable in first[common].data_vars.items():
         stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
         variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
-    for name, (long_name, units) in POINT_FACTS.items():
-        key = f"{first.attrs['medium']}_{_PER_MEDIUM[name]}" if name in _PER_MEDIUM else name
+    for name, (long_name, units) in POINT_VARIABLES.items():
+        key = f"{first.attrs['medium']}_{_MEDIUM_ATTRIBUTES[name]}" if name in _MEDIUM_ATTRIBUTES else name
         if key not in first.attrs:
             continue
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
         variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}
-    coordinates |= grid_coordinates(experiment.grid)
+    coordinates |= make_grid_coordinates(experiment.grid)
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)
     constant = {
         key: value
@@ -147,17 +158,17 @@ def _stack(experiment: Simulation, points: Measured, seconds: float) -> xr.Datas
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
         "rays": points.rays,
-        **{key: max(float(r.attrs[key]) for r in results) for key in REACHED if key in first.attrs},
+        **{key: max(float(r.attrs[key]) for r in results) for key in STDERR_ATTRIBUTES if key in first.attrs},
         "wall_time_s": round(seconds, 3),
-        **provenance(f"experiment {experiment.name}"),
+        **make_provenance(f"experiment {experiment.name}"),
     }
     if "stopped_by" in first.attrs:
         reasons = {r.attrs["stopped_by"] for r in results}
         facts["stopped_by"] = next(r for r in ("degree", "rays", "detail", "error") if r in reasons)
-    return xr.Dataset(variables, coordinates, attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
 
 
-def refractive_indices(experiment: Simulation) -> xr.Dataset:
+def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
     """Return the complex refractive indices of an experiment's medium over wavelength."""
     _, medium, _ = next(experiment.iter_points())
     wavelength = experiment.instrument.get_wavelengths()
@@ -169,7 +180,7 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
     for _, _, variable_attributes in variables.values():
         variable_attributes["units"] = "1"
     coordinates = {
-        "wavelength": wavelength_axis(wavelength),
+        "wavelength": make_wavelength_coordinate(wavelength),
         "material": ("material", list(medium.list_materials()), {"long_name": "material"}),
     }
     facts = {
@@ -177,7 +188,40 @@ def refractive_indices(experiment: Simulation) -> xr.Dataset:
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
         **{f"{medium.kind}_{key}": value for key, value in medium.describe().items()},
-        "physics_sources_sha256": physics_digest(),
-        **provenance(f"experiment {experiment.name}"),
+        "physics_sources_sha256": hash_physics_sources(),
+        **make_provenance(f"experiment {experiment.name}"),
     }
-    return xr.Dataset(variables, coordinates, attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
+
+
+def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.DataFrame:
+    """Return every intermediate of SPLITS section 4.2.5, a row per particle type and sand.
+
+    Parameters
+    ----------
+    experiments : mapping
+        By name.  Points of a grid that share a composition appear once per experiment.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns experiment, sample, iron_oxide, hematite_ratio, magnetite, density_kg_m3 of all
+        particles, and those of `splits.media.composition.Composition.rows`.
+    """
+    rows: list[dict[str, object]] = []
+    for name, experiment in experiments.items():
+        seen: list[SandComposition] = []
+        for labels, medium, _ in experiment.iter_points():
+            if not isinstance(medium, Sand) or medium.composition in seen:
+                continue
+            seen.append(medium.composition)
+            sample = {
+                "experiment": name,
+                "sample": " · ".join(f"{p} {label}" for p, label in labels.items()),
+                "iron_oxide": medium.iron_oxide,
+                "hematite_ratio": medium.hematite_ratio,
+                "magnetite": medium.magnetite,
+                "sand_density_kg_m3": medium.density_kg_m3,
+            }
+            rows += [sample | row for row in medium.composition.to_rows()]
+    return pd.DataFrame(rows)

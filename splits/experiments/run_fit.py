@@ -11,23 +11,23 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.checks import in_range, one_of, refuse, under
-from splits.dataset import attributes, provenance
-from splits.experiments.coordinates import grid_coordinates
-from splits.experiments.fit import Effort, FitResult, fit
-from splits.experiments.parameters import Cube
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.instruments.arguments import check_wavelengths
-from splits.instruments.labels import wavelength_axis
-from splits.instruments.threads import Threads, cpus
-from splits.retrieval.misfit import SPARE
-from splits.sources import physics_digest
-from splits.uncertainty import Variable, quantity
+from splits.core.validation import check_range, check_choice, invalid, key_prefix
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.experiments.config.grid import make_grid_coordinates
+from splits.retrieval.sand_fit import Effort, FitResult, fit
+from splits.retrieval.sand_parameters import UnitCube
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.simulation.arguments import check_wavelengths
+from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.threads import DaemonThreadPool, count_cpus
+from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
+from splits.core.provenance import hash_physics_sources
+from splits.core.uncertainty import Variable, make_variable
 
 
 def run_fit(
-    experiment: Simulation,
+    experiment: SimulationConfig,
     accuracy: Accuracy,
     measured: pd.DataFrame,
     seed: int = 1,
@@ -65,7 +65,7 @@ def run_fit(
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
     max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
     cases = list(itertools.product(experiment.iter_settings(), samples))
-    workers = threads or cpus()
+    workers = threads or count_cpus()
 
     def one(number: int) -> FitResult:
         (labels, settings, incidence), sample = cases[number]
@@ -80,16 +80,16 @@ def run_fit(
             seed if experiment.instrument.seed is None else experiment.instrument.seed,
             max(1, workers // len(cases)),
             lambda line: log(f"{head}: {line}"),
-            effort=effort_for(max_stderr),
+            effort=choose_effort(max_stderr),
         )
 
     # Simulations of a fit are short: whole fits side by side keep more threads busy than theirs.
-    with Threads(min(workers, len(cases))) as pool:
+    with DaemonThreadPool(min(workers, len(cases))) as pool:
         results = list(pool.map(one, range(len(cases))))
-    return _dataset(experiment, results, samples, wavelength, max_stderr, begun)
+    return _make_fit_dataset(experiment, results, samples, wavelength, max_stderr, begun)
 
 
-def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
+def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]:
     """Return the samples to fit, or refuse what cannot be fitted.
 
     Raises
@@ -101,31 +101,31 @@ def check_fit(experiment: Simulation, measured: pd.DataFrame) -> list[str]:
     """
     section = experiment.fit
     if section is None:
-        raise refuse("fit", None, "a section that names a measured table")
+        raise invalid("fit", None, "a section that names a measured table")
     if "wavelength_nm" not in measured:
-        raise refuse(
+        raise invalid(
             "fit.measured", list(measured.columns), "a table, by commas, with column wavelength_nm"
         )
     known = [str(c) for c in measured.columns if c != "wavelength_nm"]
-    samples = [one_of("fit.samples", s, known) for s in section.samples] or known
-    with under("fit.measured"):
+    samples = [check_choice("fit.samples", s, known) for s in section.samples] or known
+    with key_prefix("fit.measured"):
         wavelength = check_wavelengths(measured.wavelength_nm.tolist())
     for sample in samples:
         for x, value in zip(wavelength, measured[sample], strict=True):
             key = f"fit.measured ({sample} at {x:g} nm)"
-            in_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
+            check_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
     for labels, settings, _ in experiment.iter_settings():
         with experiment.locate_errors(labels):
-            cube = Cube(settings, section.ranges)
-        with under("fit.measured"):
+            cube = UnitCube(settings, section.ranges)
+        with key_prefix("fit.measured"):
             cube.to_sand(np.full(len(cube.names), 0.5)).compute_refractive_indices(wavelength)
-        least = len(cube.names) + SPARE
+        least = len(cube.names) + MIN_RESIDUAL_DOF
         if wavelength.size < least:
-            raise refuse("fit.measured", f"{wavelength.size} wavelengths", f"{least} at least")
+            raise invalid("fit.measured", f"{wavelength.size} wavelengths", f"{least} at least")
     return samples
 
 
-def effort_for(max_stderr: float) -> Effort:
+def choose_effort(max_stderr: float) -> Effort:
     """Return the effort that suits an accuracy: a coarse one asks for a quick look only."""
     if max_stderr <= 0.005:
         return Effort(max_stderr=max_stderr)
@@ -134,7 +134,7 @@ def effort_for(max_stderr: float) -> Effort:
     )
 
 
-def _groups(
+def _make_batch_variables(
     dims: tuple[str, ...], deviations: list[xr.DataArray], shape: tuple[int, ...]
 ) -> dict[str, Variable]:
     """Return how errors of modelled reflectance go together, see `splits.analysis.errors`."""
@@ -143,25 +143,25 @@ def _groups(
     return {"reflectance_groups": ((*dims, *tail), values, dict(deviations[0].attrs))}
 
 
-def _coordinates(
-    experiment: Simulation, result: FitResult, samples: list[str], wavelength: np.ndarray
+def _make_fit_coordinates(
+    experiment: SimulationConfig, result: FitResult, samples: list[str], wavelength: np.ndarray
 ) -> dict[str, Any]:
     """Return the coordinates of a dataset of fits like this one."""
     names = list(result.names)
     return {
-        "wavelength": wavelength_axis(wavelength),
+        "wavelength": make_wavelength_coordinate(wavelength),
         "sample": ("sample", samples, {"long_name": "sample measured"}),
         "parameter": ("parameter", list(result.parameters), {"long_name": "parameter of the sand"}),
         **{
             axis: (axis, names, {"long_name": "coordinate of the fit"})
             for axis in ("coordinate", "other_coordinate")
         },
-        **grid_coordinates(experiment.grid),
+        **make_grid_coordinates(experiment.grid),
     }
 
 
-def _dataset(
-    experiment: Simulation,
+def _make_fit_dataset(
+    experiment: SimulationConfig,
     results: list[FitResult],
     samples: list[str],
     wavelength: np.ndarray,
@@ -195,16 +195,16 @@ def _dataset(
     )
     narrowed = "1 where the spectrum narrows the parameter to below half of its range"
     variables: dict[str, Variable] = {
-        **quantity("reflectance", spectrum, modelled, error, "modelled reflectance"),
-        **_groups(dims, [r.spectrum.reflectance_groups for r in results], shape),
-        **quantity("measured", spectrum, measured, None, "measured reflectance"),
-        **quantity("value", over, value, value_error, "fitted parameter"),
-        **quantity("determined", over, told, None, narrowed),
-        **quantity("correlation", square, related, None, "correlation of the fit's coordinates"),
-        **quantity("rmse", dims, rmse, rmse_error, "root mean square misfit"),
-        **quantity("evaluations", dims, tried, None, "number of sands simulated"),
+        **make_variable("reflectance", spectrum, modelled, error, "modelled reflectance"),
+        **_make_batch_variables(dims, [r.spectrum.reflectance_groups for r in results], shape),
+        **make_variable("measured", spectrum, measured, None, "measured reflectance"),
+        **make_variable("value", over, value, value_error, "fitted parameter"),
+        **make_variable("determined", over, told, None, narrowed),
+        **make_variable("correlation", square, related, None, "correlation of the fit's coordinates"),
+        **make_variable("rmse", dims, rmse, rmse_error, "root mean square misfit"),
+        **make_variable("evaluations", dims, tried, None, "number of sands simulated"),
     }
-    coordinates = _coordinates(experiment, first, samples, wavelength)
+    coordinates = _make_fit_coordinates(experiment, first, samples, wavelength)
     facts = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
@@ -212,7 +212,7 @@ def _dataset(
         "configuration": experiment.dump_configuration(),
         "max_stderr": max_stderr,
         "wall_time_s": round(time.perf_counter() - start_time, 3),
-        "physics_sources_sha256": physics_digest(fit=True),
-        **provenance(f"experiment {experiment.name}"),
+        "physics_sources_sha256": hash_physics_sources(fit=True),
+        **make_provenance(f"experiment {experiment.name}"),
     }
-    return xr.Dataset(variables, coordinates, attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))

@@ -8,35 +8,35 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.dataset import attributes
-from splits.experiments.instrument_section import SURFACES, Instrument
-from splits.experiments.kept_points import KeptPoints
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
+from splits.io.netcdf import to_netcdf_attributes
+from splits.experiments.config.instrument import SURFACE_INSTRUMENTS, InstrumentSection
+from splits.experiments.checkpoints import PointCache
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import (
     Progress,
-    bssrdf,
+    beam_spread,
     goniophotometer,
     lens,
     spectrophotometer,
     surface_map,
 )
-from splits.instruments.alike import spectra_of
-from splits.instruments.families import Members, families
-from splits.instruments.spectral_run import Run
-from splits.media.granular import GranularMedium, LayeredMedium
-from splits.media.turbid import Medium
+from splits.instruments.shared_spectra import simulate_spectra
+from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
+from splits.instruments.spectral_run import SpectralRequest
+from splits.media.medium import GranularMedium, LayeredMedium
+from splits.media.medium import Medium
 
-REACHED = ("max_stderr_reached", "relative_stderr_reached")
-BEAM_RAYS = 200_000
+STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
+N_BEAM_RAYS = 200_000
 """Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
 MAX_RAYS = 20_000_000
 
-Say = Callable[[str], None]
-Point = tuple[dict[str, str], Medium, float | str]
+LogCallback = Callable[[str], None]
+GridPoint = tuple[dict[str, str], Medium, float | str]
 
 
-class Measured(NamedTuple):
+class SimulatedPoints(NamedTuple):
     """What was measured.
 
     Attributes
@@ -51,14 +51,14 @@ class Measured(NamedTuple):
     rays: int
 
 
-def measured_points(
-    experiment: Simulation,
+def simulate_points(
+    experiment: SimulationConfig,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
-    log: Say,
-    cache: KeptPoints | None = None,
-) -> Measured:
+    log: LogCallback,
+    cache: PointCache | None = None,
+) -> SimulatedPoints:
     """Measure all points of an experiment but those kept, see `splits.experiments.run.run`.
 
     Points whose spectra need the same paths share them: those that differ in what absorbs, in the
@@ -67,53 +67,53 @@ def measured_points(
     instrument, points = experiment.instrument, list(experiment.iter_points())
     seed = seed if instrument.seed is None else instrument.seed
     found: dict[int, xr.Dataset] = {}
-    groups = _alike(instrument, points)
+    groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
     rays = 0
     for places, members in groups:
-        head = _head(experiment.name, points, places)
+        head = _format_prefix(experiment.name, points, places)
         before = cache.load(places) if cache else None
         if before:
             log(f"{head}: kept from an earlier run")
             found |= dict(zip(places, before, strict=True))
             rays += int(before[0].attrs["rays"])
             continue
-        show = _shown(head, log)
+        show = _make_progress_callback(head, log)
         some = [points[place] for place in places]
         if members is None:
             _, medium, incidence = some[0]
-            datasets = [measure(instrument, medium, incidence, accuracy, seed, threads, show)]
+            datasets = [simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)]
         else:
-            datasets = _together(some, members, instrument, accuracy, seed, threads, show)
+            datasets = _simulate_group(some, members, instrument, accuracy, seed, threads, show)
         datasets = cache.save(places, datasets) if cache else datasets
         found |= dict(zip(places, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _tell(head, datasets, instrument, log)
-    return Measured([found[place] for place in range(len(points))], rays)
+        _log_result(head, datasets, instrument, log)
+    return SimulatedPoints([found[place] for place in range(len(points))], rays)
 
 
-def _alike(
-    instrument: Instrument, points: Sequence[Point]
-) -> list[tuple[list[int], Members | None]]:
+def _group_by_shared_paths(
+    instrument: InstrumentSection, points: Sequence[GridPoint]
+) -> list[tuple[list[int], MediaGroup | None]]:
     """Return the places of points that share paths, with their family; of others none."""
     grains = all(isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points)
     if instrument.kind != "spectrophotometer" or instrument.estimator == "analog" or not grains:
         return [([place], None) for place in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
-    groups: list[tuple[list[int], Members | None]] = []
+    groups: list[tuple[list[int], MediaGroup | None]] = []
     for beam in dict.fromkeys(incidence for *_, incidence in points):
         under = [place for place, (*_, incidence) in enumerate(points) if incidence == beam]
-        for members in families([points[place][1] for place in under], wavelengths):
+        for members in group_by_shared_paths([points[place][1] for place in under], wavelengths):
             places = [under[place] for place in members.positions]
             groups.append((places, members if len(places) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))
 
 
-def _together(
-    points: Sequence[Point],
-    group: Members,
-    instrument: Instrument,
+def _simulate_group(
+    points: Sequence[GridPoint],
+    group: MediaGroup,
+    instrument: InstrumentSection,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
@@ -123,23 +123,23 @@ def _together(
     most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
-    run = Run.from_arguments(instrument.get_wavelengths(), beam, error, seed, most, threads, "auto")
-    spectra = spectra_of(group.path_sharing, run, progress)
+    run = SpectralRequest.from_arguments(instrument.get_wavelengths(), beam, error, seed, most, threads, "auto")
+    spectra = simulate_spectra(group.path_sharing, run, progress)
     return [
-        _of_medium(spectra[which], medium)
+        _relabel_spectrum(spectra[which], medium)
         for which, (_, medium, _) in zip(group.media_indices, points, strict=True)
     ]
 
 
-def _of_medium(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
+def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
     """Return the spectrum of a medium from that of one that is the same to light."""
     start = f"{medium.kind}_"
     told = {f"{start}{key}": value for key, value in medium.describe().items()}
     others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(start)}
-    return xr.Dataset(spectrum.data_vars, spectrum.coords, attributes(others | told))
+    return xr.Dataset(spectrum.data_vars, spectrum.coords, to_netcdf_attributes(others | told))
 
 
-def _head(name: str, points: Sequence[Point], indices: Sequence[int]) -> str:
+def _format_prefix(name: str, points: Sequence[GridPoint], indices: Sequence[int]) -> str:
     """Return how lines about some points begin."""
     if len(indices) > 1:
         return f"{name} {len(indices)} of {len(points)} together, from {min(indices) + 1}"
@@ -148,7 +148,7 @@ def _head(name: str, points: Sequence[Point], indices: Sequence[int]) -> str:
     return f"{name} {place + 1}/{len(points)} {where}".rstrip()
 
 
-def _shown(prefix: str, log: Say) -> Callable[[Progress], None]:
+def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress], None]:
     """Return what tells of progress in lines."""
 
     def show(progress: Progress) -> None:
@@ -163,11 +163,11 @@ def _shown(prefix: str, log: Say) -> Callable[[Progress], None]:
     return show
 
 
-def _tell(prefix: str, datasets: Sequence[xr.Dataset], instrument: Instrument, log: Say) -> None:
+def _log_result(prefix: str, datasets: Sequence[xr.Dataset], instrument: InstrumentSection, log: LogCallback) -> None:
     """Say how it went."""
     facts = datasets[0].attrs
     reached = [
-        f", error {max(one.attrs[key] for one in datasets):.4f}" for key in REACHED if key in facts
+        f", error {max(one.attrs[key] for one in datasets):.4f}" for key in STDERR_ATTRIBUTES if key in facts
     ]
     log(f"{prefix}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
     asked = instrument.rays or instrument.estimator == "cells"
@@ -181,8 +181,8 @@ def _tell(prefix: str, datasets: Sequence[xr.Dataset], instrument: Instrument, l
         )
 
 
-def measure(
-    instrument: Instrument,
+def simulate_point(
+    instrument: InstrumentSection,
     medium: Medium,
     incidence_deg: float | str,
     accuracy: Accuracy,
@@ -199,14 +199,14 @@ def measure(
     )  # fmt: skip
     given = {key: getattr(instrument, key) for key in keys}
     given = {key: value for key, value in given.items() if value is not None}
-    if instrument.kind in SURFACES:
+    if instrument.kind in SURFACE_INSTRUMENTS:
         look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
         return look(medium, seed=seed, **given)
     common |= given
     if instrument.kind == "bssrdf":
         effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
-        common.setdefault("rays", int(np.ceil(BEAM_RAYS * effort)))
-        return bssrdf(*scene, **common)
+        common.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
+        return beam_spread(*scene, **common)
     if accuracy.max_rays is not None:
         common["max_rays"] = accuracy.max_rays
     if instrument.kind == "goniophotometer":

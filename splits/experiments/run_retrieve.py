@@ -9,21 +9,21 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.checks import under
-from splits.dataset import attributes, provenance
-from splits.experiments.retrieve_section import RetrieveSection
-from splits.lookup.reading import Table
-from splits.names import parameter_about
-from splits.retrieval.coordinates import LEVEL
-from splits.retrieval.result import Retrieved
+from splits.core.validation import key_prefix
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.experiments.config.retrieve import RetrieveSection
+from splits.tables.table import Table
+from splits.core.parameter_names import describe_parameter
+from splits.retrieval.state_vector import SCALE
+from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
 
-Say = Callable[[str], None]
-ALONE, OURS = "", "splits"
+LogCallback = Callable[[str], None]
+SINGLE_MODEL, OWN_MODEL = "", "splits"
 """Names of the model where there is but one, and beside a law."""
 
 
-class Reading(NamedTuple):
+class SampleRetrieval(NamedTuple):
     """What a sample tells, read with one model.
 
     Attributes
@@ -39,7 +39,7 @@ class Reading(NamedTuple):
 
     model: str
     sample: str
-    result: Retrieved
+    result: RetrievalResult
     reference_chi2: float
     is_prior_sample: bool
 
@@ -49,8 +49,8 @@ def run_retrieve(
     table: Table,
     measured: pd.DataFrame,
     seed: int = 1,
-    log: Say = lambda line: None,
-) -> list[Reading]:
+    log: LogCallback = lambda line: None,
+) -> list[SampleRetrieval]:
     """Return what every sample tells, with every model.
 
     Raises
@@ -58,28 +58,28 @@ def run_retrieve(
     ValueError
         Names the section's key.
     """
-    with under("retrieve"):
+    with key_prefix("retrieve"):
         spectra = section.select_spectra(measured, table.dataset.wavelength.values)
     used, every = len(next(iter(spectra.values()))), len(measured)
     if used < every:
         log(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
     axis, law = section.models, section.beside
-    alone = OURS if law else ALONE
+    alone = OWN_MODEL if law else SINGLE_MODEL
     names = [str(v) for v in table.dataset[axis].values] if axis else [alone]
     found = []
     for model in names:
         at = {axis: model} if axis else {}
-        found += _Task(section, table, spectra, model, at, seed).retrieve_all(log)
+        found += _RetrievalTask(section, table, spectra, model, at, seed).retrieve_all(log)
     if law:
         # A package that nothing else of retrievals needs.
-        from splits.analysis.law_tables import law_table
+        from splits.analysis.theory.kokhanovsky_zege import make_law_table
 
-        theirs = law_table(table, law, axis)
-        found += _Task(section, theirs, spectra, law, {}, seed).retrieve_all(log)
+        theirs = make_law_table(table, law, axis)
+        found += _RetrievalTask(section, theirs, spectra, law, {}, seed).retrieve_all(log)
     return found
 
 
-class _Task(NamedTuple):
+class _RetrievalTask(NamedTuple):
     """Spectra to be read in a table with one model, at the nodes that say so."""
 
     section: RetrieveSection
@@ -89,7 +89,7 @@ class _Task(NamedTuple):
     fixed: Mapping[str, Any]
     seed: int
 
-    def retrieve_all(self, log: Say) -> list[Reading]:
+    def retrieve_all(self, log: LogCallback) -> list[SampleRetrieval]:
         """Return what all samples tell, and say it."""
         firsts = {one.sample: one for one in self.section.prior_from}
         early = {n: self._retrieve(n, self.section.prior, one.at) for n, one in firsts.items()}
@@ -98,36 +98,36 @@ class _Task(NamedTuple):
             prior = self._make_prior(early, name)
             told = early[name] if name in early else self._retrieve(name, prior, {})
             misfit = np.nan if name in early else self._compute_reference_chi2(name, prior)
-            found.append(Reading(self.model, name, told, misfit, name in early))
+            found.append(SampleRetrieval(self.model, name, told, misfit, name in early))
             mark = f"{name} ({self.model})" if self.model else name
             for line in repr(told).splitlines():
                 log(f"{mark}: {line}")
         return found
 
-    def _retrieve(self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]) -> Retrieved:
+    def _retrieve(self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]) -> RetrievalResult:
         """Return what one sample tells, of which some of what is free elsewhere may be known."""
         axes = self.table.axes
-        names = [n for n in self.section.free if n not in fixed and n in (*axes, LEVEL)]
+        names = [n for n in self.section.free if n not in fixed and n in (*axes, SCALE)]
         given: Any = self.section.free
         free = {n: given[n] for n in names} if isinstance(given, Mapping) else names
         spectrum = self.spectra[name]
         at = {**self.section.get_fixed_values(name, axes), **self.fixed, **fixed}
-        with under(f"retrieve ({name})"):
+        with key_prefix(f"retrieve ({name})"):
             return retrieve(
                 spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
-                at={n: value for n, value in at.items() if n in (*axes, LEVEL)},
+                at={n: value for n, value in at.items() if n in (*axes, SCALE)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
             )  # fmt: skip
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return the misfit left where what is known of a sample is so."""
         known = {n: values[name] for n, values in self.section.known.items() if name in values}
-        others = [n for n in self.section.free if n not in known and n != LEVEL]
-        if not known or not others or LEVEL in known or self.section.noise is None:
+        others = [n for n in self.section.free if n not in known and n != SCALE]
+        if not known or not others or SCALE in known or self.section.noise is None:
             return np.nan
         return float(self._retrieve(name, prior, known).dataset.attrs["chi2"])
 
-    def _make_prior(self, prior_results: Mapping[str, Retrieved], name: str) -> dict[str, Any]:
+    def _make_prior(self, prior_results: Mapping[str, RetrievalResult], name: str) -> dict[str, Any]:
         """Return what is known of a sample before, from those retrieved first, too."""
         prior: dict[str, Any] = dict(self.section.prior)
         for first in self.section.prior_from:
@@ -137,14 +137,14 @@ class _Task(NamedTuple):
         return prior
 
 
-def retrieved_table(retrievals: list[Reading], reference: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
+def make_retrieval_table(retrievals: list[SampleRetrieval], reference: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     """Return a line for every parameter of every sample; `known` has values found otherwise."""
     rows = []
     for one in retrievals:
         ds = one.result.dataset
         for name in map(str, ds.parameter.values):
             own = ds.sel(parameter=name)
-            long_name, _ = parameter_about(name)
+            long_name, _ = describe_parameter(name)
             low, below, middle, above, high = own.quantiles.values
             rows.append(
                 ({"model": one.model} if one.model else {})
@@ -172,7 +172,7 @@ def retrieved_table(retrievals: list[Reading], reference: Mapping[str, Mapping[s
     return pd.DataFrame(rows)
 
 
-def together(retrievals: list[Reading], experiment: str) -> xr.Dataset:
+def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Dataset:
     """Return all samples as one dataset, which `splits.figures.retrievals` draws.
 
     Over models and samples.  Of samples that were measured at other wavelengths, those that all
@@ -181,7 +181,7 @@ def together(retrievals: list[Reading], experiment: str) -> xr.Dataset:
     full = [one for one in retrievals if not one.is_prior_sample]
     models = list(dict.fromkeys(one.model for one in full))
     joined = xr.concat(
-        [_of_model([one for one in full if one.model == model]) for model in models],
+        [_combine_model([one for one in full if one.model == model]) for model in models],
         xr.IndexVariable("model", models), join="outer", combine_attrs="drop",
     )  # fmt: skip
     # In the order of the first model, which knows of all parameters.
@@ -190,12 +190,12 @@ def together(retrievals: list[Reading], experiment: str) -> xr.Dataset:
     facts = {
         "title": f"Retrievals of {experiment}",
         "experiment": experiment,
-        **provenance(f"retrievals of {experiment}"),
+        **make_provenance(f"retrievals of {experiment}"),
     }
-    return joined.assign_attrs(attributes(facts))
+    return joined.assign_attrs(to_netcdf_attributes(facts))
 
 
-def _of_model(retrievals: list[Reading]) -> xr.Dataset:
+def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
     """Return the samples of one model as one dataset."""
     sets, names = [one.result.dataset for one in retrievals], [one.sample for one in retrievals]
     joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")

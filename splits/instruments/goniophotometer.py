@@ -9,49 +9,53 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import in_range, known_arguments, one_of, refuse
-from splits.instruments.angular import Estimate, largest_error
-from splits.instruments.arguments import (
-    check_angles,
-    check_cells,
+from splits.core.validation import check_range, reject_unknown_arguments, check_choice, invalid
+from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
+from splits.simulation.arguments import (
+    check_direction_angles,
+    check_n_bins,
     check_incidence,
     check_medium,
-    check_size,
+    check_dataset_size,
     check_threads,
     check_wavelengths,
-    check_whole,
+    check_integer,
 )
-from splits.instruments.cells import (
-    CELLS_OF_5_DEG,
-    centres,
+from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
+from splits.instruments.angular_expansion import make_direction_mask, trace_expansion
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.instruments.next_event import StoppingRule, estimate_at_detectors
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.core.progress import ProgressCallback, with_progress
+from splits.simulation.runner import Runner
+from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
+from splits.simulation.tracer import KERNELS
+from splits.instruments.angular_result import (
+    AngularResult,
+    estimate_by_bins,
+    make_angular_attributes,
+    from_detectors,
+    count_traced_rays,
+    relabel_for_diffuse_light,
 )
-from splits.instruments.expansion import counted, expand
-from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.local import Goal, listen
-from splits.instruments.nodes import choose_nodes
-from splits.instruments.progress import Report, shows_progress
-from splits.instruments.runner import Runner
-from splits.instruments.scenes import constants_of, ground_of
-from splits.instruments.tracers import KERNELS
-from splits.instruments.views import Found, collected, facts_of, heard_by, traced, under_sky
-from splits.media.turbid import Medium
-from splits.uncertainty import Variable, quantity
+from splits.media.medium import Medium
+from splits.core.uncertainty import Variable, make_variable
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
 
-ESTIMATORS = ("expansion", "cells", "local")
-SIDES = {"brdf": 0, "btdf": 1}
-OF_LIGHT_BELOW = ("btdf", "transmittance", "direct_transmittance")
+ANGULAR_ESTIMATORS = ("expansion", "cells", "local")
+TARGET_SIDES = {"brdf": 0, "btdf": 1}
+TRANSMITTED_VARIABLES = ("btdf", "transmittance", "direct_transmittance")
 """What a dataset tells of light that leaves below: nothing of it over a ground."""
 
-_NODES_SHARE = 0.05
+_INTERPOLATION_FRACTION = 0.05
 """Bound on what interpolation between refractive indices may miss of a reflectance, as a part of
 the relative error asked for."""
 
 
-@known_arguments
-@shows_progress
+@reject_unknown_arguments
+@with_progress
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Any,
@@ -64,11 +68,11 @@ def goniophotometer(
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
     estimator: str = "expansion",
-    cells: tuple[int, int] = CELLS_OF_5_DEG,
+    cells: tuple[int, int] = DEFAULT_N_BINS,
     max_rays: int = 1_000_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Report = None,
+    progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Measure the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
 
@@ -146,75 +150,75 @@ def goniophotometer(
     """
     check_medium(medium)
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
-    relative_stderr = in_range("relative_stderr", relative_stderr, 1e-4, 0.5)
-    grounded = ground_of(medium) is not None
-    side = _side_of(target, grounded)
+    relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
+    grounded = get_reflecting_ground(medium) is not None
+    side = _get_target_side(target, grounded)
     _check_estimator(estimator, incidence)
-    one_of("kernel", kernel, KERNELS)
-    seed, max_rays = check_whole("seed", seed, 0), check_whole("max_rays", max_rays, 1)
+    check_choice("kernel", kernel, KERNELS)
+    seed, max_rays = check_integer("seed", seed, 0), check_integer("max_rays", max_rays, 1)
     if rays is not None:
-        check_whole("rays", rays, 1)
+        check_integer("rays", rays, 1)
     threads = check_threads(threads)
     begun = time.perf_counter()
-    index, absorption = constants_of(medium, wavelengths)
-    nodes = choose_nodes(index, medium.list_interfaces(), _NODES_SHARE * relative_stderr)
+    index, absorption = compute_optical_constants(medium, wavelengths)
+    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
-    polar, azimuth = _directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
-    check_size(len(wavelengths), len(polar) * len(azimuth))
-    goal = Goal(side, relative_stderr, rays, max_rays)
+    polar, azimuth = _make_directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
+    check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
+    goal = StoppingRule(side, relative_stderr, rays, max_rays)
     if estimator == "cells":
-        found = collected(runner, nodes, absorption, cells, rays or 1_000_000)
+        found = estimate_by_bins(runner, nodes, absorption, cells, rays or 1_000_000)
     elif estimator == "local":
-        found = heard_by(
-            listen(medium, float(incidence), polar, azimuth, goal, runner), wavelengths
+        found = from_detectors(
+            estimate_at_detectors(medium, float(incidence), polar, azimuth, goal, runner), wavelengths
         )
     else:
-        paths, result, reached = expand(runner, nodes, absorption, polar, azimuth, goal)
-        found = Found(result, reached, traced(paths), paths)
-    seen = counted(polar, azimuth) | (estimator == "local")
+        paths, result, reached = trace_expansion(runner, nodes, absorption, polar, azimuth, goal)
+        found = AngularResult(result, reached, count_traced_rays(paths), paths)
+    seen = make_direction_mask(polar, azimuth) | (estimator == "local")
     facts = {
-        **run_facts("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
+        **make_run_attributes("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": largest_error(found.estimate, side, seen),
-        **facts_of(found, goal, nodes, runner),
+        "relative_stderr_reached": compute_max_relative_error(found.estimate, side, seen),
+        **make_angular_attributes(found, goal, nodes, runner),
     }
-    dataset = _dataset(found.estimate, found.stokes, wavelengths, polar, azimuth, facts)
-    unseen = OF_LIGHT_BELOW if grounded else found.undefined_variables
+    dataset = _make_dataset(found.estimate, found.stokes, wavelengths, polar, azimuth, facts)
+    unseen = TRANSMITTED_VARIABLES if grounded else found.undefined_variables
     dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
-    return under_sky(dataset) if incidence == "diffuse" else dataset
+    return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:
     """Refuse an estimator that there is not, or that does not know diffuse light."""
-    one_of("estimator", estimator, ESTIMATORS)
+    check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
-        raise refuse("incidence_deg", incidence, allowed, "expansion takes it")
+        raise invalid("incidence_deg", incidence, allowed, "expansion takes it")
 
 
-def _side_of(target: str, has_ground: bool) -> int:
+def _get_target_side(target: str, has_ground: bool) -> int:
     """Return the side of the sample that the target is on, or refuse that of a ground."""
-    side = SIDES[one_of("target", target, SIDES)]
+    side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
     if has_ground and side == 1:
-        raise refuse("target", target, "brdf over a ground", "what reaches it does not leave there")
+        raise invalid("target", target, "brdf over a ground", "what reaches it does not leave there")
     return side
 
 
-def _directions(
+def _make_directions(
     polar_deg: Any, azimuth_deg: Any, n_bins: tuple[int, int] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the directions asked for (degrees), or those of the centres of cells."""
     if n_bins is not None:
-        return centres(check_cells(n_bins))
-    return check_angles("polar_deg", polar_deg, 90.0), check_angles(
+        return compute_bin_centres(check_n_bins(n_bins))
+    return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
         "azimuth_deg", azimuth_deg, 360.0
     )
 
 
-def _dataset(
-    estimate: Estimate,
+def _make_dataset(
+    estimate: AngularEstimate,
     stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
     wavelengths: np.ndarray,
     polar: np.ndarray,
@@ -236,11 +240,11 @@ def _dataset(
     for name, (long_name, units, side, factor) in directional.items():
         mean = (factor * estimate.mean[side]).reshape(shape)
         stderr = (factor * estimate.stderr[side]).reshape(shape)
-        variables |= quantity(name, grid, mean, stderr, long_name, units)
+        variables |= make_variable(name, grid, mean, stderr, long_name, units)
     for name, (values, error) in stokes.items():
         part = name[-1].upper()
         label = f"Stokes {part} of the light that the {name[:4].upper()} is of"
-        variables |= quantity(
+        variables |= make_variable(
             name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
         )
     whole = {
@@ -251,10 +255,10 @@ def _dataset(
     }
     for name, (long_name, row, side) in whole.items():
         mean, stderr = estimate.hemispherical[row : row + 2, side]
-        variables |= quantity(name, "wavelength", mean, stderr, long_name)
+        variables |= make_variable(name, "wavelength", mean, stderr, long_name)
     angle = {"units": "degree"}
     coordinates = {
-        "wavelength": wavelength_axis(wavelengths),
+        "wavelength": make_wavelength_coordinate(wavelengths),
         "polar": ("polar", polar, {**angle, "long_name": "angle from the normal"}),
         "azimuth": (
             "azimuth",

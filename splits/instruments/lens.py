@@ -11,34 +11,34 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.arrays import (
-    check_each,
+from splits.core.arrays import (
+    check_array_range,
     find_labels,
-    increasing,
-    match_places,
-    read_numbers,
-    row_of,
+    check_increasing,
+    match_labels,
+    as_float_array,
+    as_1d_array,
 )
-from splits.checks import in_range, known_arguments, one_of, refuse
-from splits.instruments.arguments import check_half_width, check_medium, check_whole
-from splits.instruments.labels import run_facts
-from splits.media.turbid import SurfaceMedium
-from splits.transport.rough.lens import Landed, refract_ring
-from splits.transport.rough.wave_sums import AMPLITUDE, KX, LANES, PHASE, ROWS
-from splits.transport.rough.waves import reliefs_at
-from splits.uncertainty import quantity
+from splits.core.validation import check_range, reject_unknown_arguments, check_choice, invalid
+from splits.simulation.arguments import check_half_width, check_medium, check_integer
+from splits.simulation.attributes import make_run_attributes
+from splits.media.medium import SurfaceMedium
+from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
+from splits.kernels.rough_surface.realization import compute_heights_and_slopes
+from splits.core.uncertainty import make_variable
 
-LEAST_CAUGHT = 0.5
+MIN_DETECTED_FRACTION = 0.5
 """Share of a ring that must reach a screen for a realisation to count there."""
-OVER = ("crest", "trough", "origin")
-RAYS = 360
-MOST_PLACES = 10_000_000
+CENTRE_CHOICES = ("crest", "trough", "origin")
+DEFAULT_RAYS = 360
+MAX_SCREEN_POINTS = 10_000_000
 """Places on screens, and images, that one result holds at most."""
-SEARCH_POINTS = 161
+N_SEARCH_POINTS = 161
 """Points per side of the grid on which the highest or lowest point is looked for."""
 
 
-@known_arguments
+@reject_unknown_arguments
 def lens(
     medium: SurfaceMedium,
     screen_depth_m: Any,
@@ -46,7 +46,7 @@ def lens(
     *,
     over: str = "crest",
     half_width_m: float | None = None,
-    rays: int = RAYS,
+    rays: int = DEFAULT_RAYS,
     realisations: int = 1,
     seed: int = 1,
     waves: Any = None,
@@ -92,51 +92,51 @@ def lens(
     """
     begun = time.perf_counter()
     check_medium(medium, SurfaceMedium)
-    depths = check_depths("screen_depth_m", screen_depth_m)
-    radius = check_radius(radius_m)
-    one_of("over", over, OVER)
+    depths = check_screen_depths("screen_depth_m", screen_depth_m)
+    radius = check_ring_radius(radius_m)
+    check_choice("over", over, CENTRE_CHOICES)
     if half_width_m is None and over != "origin":
         hint = f'half the side of the square searched for the {over}; over="origin" needs none'
-        raise refuse("half_width_m", None, "given (m)", hint)
+        raise invalid("half_width_m", None, "given (m)", hint)
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
-    rays, realisations = check_ring(rays, realisations, depths.size)
-    seed = check_whole("seed", seed, 0)
+    rays, realisations = check_ring_size(rays, realisations, depths.size)
+    seed = check_integer("seed", seed, 0)
     if waves is None and medium.surface is None:
-        raise refuse("surface", None, "given: a lens needs waves")
-    given = None if waves is None else plane_waves(waves)
+        raise invalid("surface", None, "given: a lens needs waves")
+    given = None if waves is None else check_plane_waves(waves)
     if given is not None and realisations > 1:
-        raise refuse("realisations", realisations, "1 for given waves")
+        raise invalid("realisations", realisations, "1 for given waves")
     angle = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realisations, depths.size))
     caught = np.empty_like(contraction)
     for number in range(realisations):
         drawn = medium.surface.realisation(seed, number) if given is None else given
-        x0, y0, z0 = centre_of(drawn, over, width)
+        x0, y0, z0 = find_centre(drawn, over, width)
         ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
-        landed = refract_ring(drawn, medium.refractive_index, *ring)
-        place, seen = _on_screens(landed, z0 - depths)
+        landed = refract_vertical_rays(drawn, medium.refractive_index, *ring)
+        place, seen = _intersect_screens(landed, z0 - depths)
         caught[number] = seen.mean(axis=1)
-        contraction[number] = _spread(place, seen) / radius
+        contraction[number] = _compute_rms_radius(place, seen) / radius
         if number == 0:
             start = landed.position - (x0, y0, z0)
             shown = np.where(seen[..., np.newaxis], place - (x0, y0), 0.0)
             reached = seen
-    enough = caught >= LEAST_CAUGHT
+    enough = caught >= MIN_DETECTED_FRACTION
     if not enough.any(axis=0).all():
-        raise refuse(
+        raise invalid(
             "screen_depth_m", float(depths[~enough.any(axis=0)][0]),
-            f"where a surface lets at least {LEAST_CAUGHT:g} of the ring through",
+            f"where a surface lets at least {MIN_DETECTED_FRACTION:g} of the ring through",
             "a smaller ring, or other depths",
         )  # fmt: skip
     facts = {
-        **run_facts("Statistical lens", "lens", medium, begun, seed),
+        **make_run_attributes("Statistical lens", "lens", medium, begun, seed),
         "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
         "rays": rays * realisations,
     }  # fmt: skip
-    return _dataset(contraction, caught, _First(start, shown, reached), depths, facts)
+    return _make_dataset(contraction, caught, _FirstRealization(start, shown, reached), depths, facts)
 
 
-class _First(NamedTuple):
+class _FirstRealization(NamedTuple):
     """What the first surface did to the ring, to be shown.
 
     Attributes
@@ -154,26 +154,26 @@ class _First(NamedTuple):
     reaches_screen: np.ndarray
 
 
-def _dataset(
+def _make_dataset(
     contraction: np.ndarray,
     detected_fraction: np.ndarray,
-    first_realization: _First,
+    first_realization: _FirstRealization,
     depths: np.ndarray,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Return what surfaces did to the ring as a labelled dataset."""
-    enough = detected_fraction >= LEAST_CAUGHT
-    size = _mean(contraction, enough)
-    density = _inverse(*_mean(contraction**2, enough))
+    enough = detected_fraction >= MIN_DETECTED_FRACTION
+    size = _average_realizations(contraction, enough)
+    density = _invert_with_error(*_average_realizations(contraction**2, enough))
     at, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
     seen = first_realization.reaches_screen.astype(float)
     variables = {
-        **quantity("contraction", at, *size, "size of the image over the ring's"),
-        **quantity("concentration", at, *density, "inverse mean square size of the image"),
-        **quantity("caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"),
-        **quantity("path", ("ray", "point"), first_realization.surface_point, None, "point of the surface", "m"),
-        **quantity("place", by_ray, first_realization.screen_point, None, "place on the screen", "m"),
-        **quantity("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
+        **make_variable("contraction", at, *size, "size of the image over the ring's"),
+        **make_variable("concentration", at, *density, "inverse mean square size of the image"),
+        **make_variable("caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"),
+        **make_variable("path", ("ray", "point"), first_realization.surface_point, None, "point of the surface", "m"),
+        **make_variable("place", by_ray, first_realization.screen_point, None, "place on the screen", "m"),
+        **make_variable("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
     }
     coordinates = {
         at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
@@ -183,17 +183,17 @@ def _dataset(
     return xr.Dataset(variables, coordinates, attributes)
 
 
-def plane_waves(waves: Any) -> np.ndarray:
+def check_plane_waves(waves: Any) -> np.ndarray:
     """Return given waves as kernels take them, or refuse them; see `lens`."""
     allowed = "rows of amplitude, wave numbers along x and y, and phase"
-    table = read_numbers("waves", waves, allowed)
+    table = as_float_array("waves", waves, allowed)
     if table.ndim != 2 or table.shape[1] != 4 or not len(table):
-        raise refuse("waves", waves, allowed)
+        raise invalid("waves", waves, allowed)
     names = [("amplitude", "wave_number_x", "wave_number_y", "phase")]
-    table = table[:, match_places("waves", find_labels(waves, 1), names)]
+    table = table[:, match_labels("waves", find_labels(waves, 1), names)]
     # Kernels count in cycles, and in the order of wave numbers.
     table = table[np.argsort(np.hypot(table[:, 1], table[:, 2]))]
-    found = np.zeros((len(ROWS), -(-len(table) // LANES) * LANES))
+    found = np.zeros((len(WAVE_ROWS), -(-len(table) // N_WAVE_LANES) * N_WAVE_LANES))
     found[:, : len(table)] = table.T
     found[KX:] /= 2.0 * np.pi
     # Bounds of the surface add up amplitudes.
@@ -202,17 +202,17 @@ def plane_waves(waves: Any) -> np.ndarray:
     return found
 
 
-def centre_of(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[float, float, float]:
+def find_centre(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[float, float, float]:
     """Return where the ring stands: a point of the surface."""
-    line = np.linspace(-half_width, half_width, 1 if centre_on == "origin" else SEARCH_POINTS)
+    line = np.linspace(-half_width, half_width, 1 if centre_on == "origin" else N_SEARCH_POINTS)
     x, y = (0.0 * line[:1],) * 2 if centre_on == "origin" else np.meshgrid(line, line)
     x, y = np.ravel(x), np.ravel(y)
-    height = reliefs_at(waves, x, y).height
+    height = compute_heights_and_slopes(waves, x, y).height
     best = int(height.argmin() if centre_on == "trough" else height.argmax())
     return float(x[best]), float(y[best]), float(height[best])
 
 
-def _on_screens(hits: Landed, screen_heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _intersect_screens(hits: RefractedRays, screen_heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places, shape (screens, rays, 2), and which rays reach them."""
     point, direction, again = hits
     way = (screen_heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
@@ -220,7 +220,7 @@ def _on_screens(hits: Landed, screen_heights: np.ndarray) -> tuple[np.ndarray, n
     return place, (way >= 0.0) & (way < again)
 
 
-def _spread(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
+def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
     """Return the root mean square distance from the centre of the rays that are seen."""
     count = np.maximum(detected.sum(axis=1), 1)
     weight = detected[..., np.newaxis]
@@ -229,7 +229,7 @@ def _spread(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
     return np.sqrt(square)
 
 
-def _mean(values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _average_realizations(values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean over realisations that count with its standard error, of one without."""
     count = valid.sum(axis=0)
     mean = np.where(valid, values, 0.0).sum(axis=0) / count
@@ -241,24 +241,24 @@ def _mean(values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return mean, np.where(count > 1, stderr, mean)
 
 
-def _inverse(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def _invert_with_error(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
     """Return 1/mean and its standard error to first order."""
     inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
     return inverse, None if stderr is None else stderr * inverse**2
 
 
-def check_depths(key: str, values: Any) -> np.ndarray:
+def check_screen_depths(key: str, values: Any) -> np.ndarray:
     """Return increasing depths of screens (m), or refuse them."""
-    depths = row_of(key, values, "numbers in metres")
-    return increasing(key, check_each(key, depths, 0.0, 1e9, "m", open_low=True))
+    depths = as_1d_array(key, values, "numbers in metres")
+    return check_increasing(key, check_array_range(key, depths, 0.0, 1e9, "m", open_low=True))
 
 
-def check_radius(radius_m: Any) -> float:
+def check_ring_radius(radius_m: Any) -> float:
     """Return the radius of a ring (m), or refuse it."""
-    return in_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
+    return check_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
 
 
-def check_ring(rays: Any, realisations: Any, n_screens: int) -> tuple[int, int]:
+def check_ring_size(rays: Any, realisations: Any, n_screens: int) -> tuple[int, int]:
     """Return numbers of rays and of surfaces whose results fit into memory, or refuse them."""
-    most = MOST_PLACES // n_screens
-    return check_whole("rays", rays, 3, most), check_whole("realisations", realisations, 1, most)
+    most = MAX_SCREEN_POINTS // n_screens
+    return check_integer("rays", rays, 3, most), check_integer("realisations", realisations, 1, most)

@@ -8,23 +8,28 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import known_arguments, one_of, refuse
-from splits.instruments.arguments import check_medium, check_threads, check_wavelengths, check_whole
-from splits.instruments.grain_optics import (
-    BATCH,
-    INTERPOLATION,
-    WET_PORES,
-    Plan,
-    materials_of,
-    optics_of,
+from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.simulation.arguments import (
+    check_medium,
+    check_threads,
+    check_wavelengths,
+    check_integer,
 )
-from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.nodes import choose_nodes
-from splits.instruments.scenes import granular_scene
-from splits.media.granular import GranularMedium
-from splits.uncertainty import Variable, quantity
+from splits.simulation.grain_optics import (
+    GRAIN_RAYS_PER_CHUNK,
+    INTERPOLATION_TOLERANCE,
+    WET_PORE_MODELS,
+    GrainOpticsRequest,
+    compute_material_constants,
+    compute_grain_optics,
+)
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.scene import build_scene
+from splits.media.medium import GranularMedium
+from splits.core.uncertainty import Variable, make_variable
 
-LABELS = {
+VARIABLE_LABELS = {
     "single_scattering_albedo": ("single-scattering albedo", "1"),
     "asymmetry_parameter": ("asymmetry parameter", "1"),
     "legendre_moment": ("Legendre moment of the phase function", "1"),
@@ -35,14 +40,14 @@ LABELS = {
     "extinction": ("extinction coefficient", "m-1"),
     "optical_thickness": ("optical thickness of extinction", "1"),
 }
-FOR_THEORIES = {
+ERROR_COMPONENTS = {
     "_left_out": (("part",), "without one part of the rays:"),
     "_missed": ((), "bound on what interpolation misses of"),
 }
 """What theories know errors of the optics by: how names end, dimensions before, and labels."""
 
 
-@known_arguments
+@reject_unknown_arguments
 def single_scattering(
     medium: GranularMedium,
     wavelength_nm: Any,
@@ -72,7 +77,7 @@ def single_scattering(
     moments : int
         Highest order l of the Legendre moments, 1 to 4096.
     rays : int
-        Rays per refractive-index node, at least 2; rounded up to whole batches of `BATCH`.
+        Rays per refractive-index node, at least 2; rounded up to whole batches of `GRAIN_RAYS_PER_CHUNK`.
     seed : int
         Non-negative; the same seed gives the same numbers on any number of threads.
     threads : int, optional
@@ -114,22 +119,22 @@ def single_scattering(
     """
     check_medium(medium, GranularMedium, allow_semi_infinite=True)
     if medium.pores:
-        raise refuse("pores", dict(medium.pores), "empty: pores are dry or wet here")
+        raise invalid("pores", dict(medium.pores), "empty: pores are dry or wet here")
     wavelengths = check_wavelengths(wavelength_nm)
-    moments = check_whole("moments", moments, 1, 4096)
-    rays = BATCH * -(-check_whole("rays", rays, 2) // BATCH)
-    seed = check_whole("seed", seed, 0)
+    moments = check_integer("moments", moments, 1, 4096)
+    rays = GRAIN_RAYS_PER_CHUNK * -(-check_integer("rays", rays, 2) // GRAIN_RAYS_PER_CHUNK)
+    seed = check_integer("seed", seed, 0)
     threads = check_threads(threads)
-    one_of("wet_pores", wet_pores, WET_PORES)
+    check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
     begun = time.perf_counter()
-    scene = granular_scene(medium, 0.0, False)
-    plan = Plan(moments, rays, seed, threads, wet_pores)
-    constants = materials_of(medium, wavelengths)
-    nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION)
-    values = optics_of(medium, scene, constants, plan, nodes)
+    scene = build_scene(medium, 0.0, False)
+    plan = GrainOpticsRequest(moments, rays, seed, threads, wet_pores)
+    constants = compute_material_constants(medium, wavelengths)
+    nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
+    values = compute_grain_optics(medium, scene, constants, plan, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
     facts = {
-        **run_facts(
+        **make_run_attributes(
             "Single-scattering properties", "single_scattering", medium, begun, seed, threads
         ),
         "diffraction": "none",
@@ -140,17 +145,17 @@ def single_scattering(
         "ensembles": len(nodes.index),
     }
     variables: dict[str, Variable] = {}
-    for name, (long_name, units) in LABELS.items():
+    for name, (long_name, units) in VARIABLE_LABELS.items():
         dims = ("wavelength", "order")[: values[name].ndim]
         stderr = values.get(f"{name}_stderr")
-        variables |= quantity(name, dims, values[name], stderr, long_name, units)
+        variables |= make_variable(name, dims, values[name], stderr, long_name, units)
         if stderr is not None:
-            for end, (also, about) in FOR_THEORIES.items():
+            for end, (also, about) in ERROR_COMPONENTS.items():
                 over, label = (*also, *dims), f"{about} {long_name}"
-                variables |= quantity(f"{name}{end}", over, values[name + end], None, label, units)
+                variables |= make_variable(f"{name}{end}", over, values[name + end], None, label, units)
     order = {"long_name": "order of the Legendre moment", "units": "1"}
     coordinates = {
-        "wavelength": wavelength_axis(wavelengths),
+        "wavelength": make_wavelength_coordinate(wavelengths),
         "order": ("order", np.arange(moments + 1), order),
     }
     return xr.Dataset(variables, coordinates, facts)

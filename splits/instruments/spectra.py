@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.checks import known_arguments, name_as_texts, refuse
-from splits.instruments.arguments import check_medium
-from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.progress import Report, shows_progress
-from splits.instruments.shared_paths import Family, check_shared
-from splits.instruments.spectral_run import TITLE, Run
-from splits.media.turbid import Medium
+from splits.core.validation import reject_unknown_arguments, to_text_keys, invalid
+from splits.simulation.arguments import check_medium
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.core.progress import ProgressCallback, with_progress
+from splits.simulation.path_tally import PathSharingMedia, check_path_sharing
+from splits.instruments.spectral_run import TITLE, SpectralRequest
+from splits.media.medium import Medium
 
 
-@known_arguments
-@shows_progress
+@reject_unknown_arguments
+@with_progress
 def spectra(
     media: Mapping[str, Medium],
     wavelength_nm: Any,
@@ -30,7 +30,7 @@ def spectra(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Report = None,
+    progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Measure spectra of media that differ only in what they absorb, from the same paths.
 
@@ -73,28 +73,28 @@ def spectra(
     ('medium', 'wavelength')
     """
     if not isinstance(media, Mapping) or not media:
-        raise refuse("media", media, "a mapping of names to media, at least one")
-    named = name_as_texts("media", media)
+        raise invalid("media", media, "a mapping of names to media, at least one")
+    named = to_text_keys("media", media)
     for medium in named.values():
         check_medium(medium, allow_semi_infinite=True)
-    check_shared(named)
-    run = Run.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    check_path_sharing(named)
+    run = SpectralRequest.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
     begun = time.perf_counter()
-    found = run.estimate(Family.from_media(list(named.values())), progress=progress)
-    differing = _differing(list(named.values()))
+    found = run.estimate(PathSharingMedia.from_media(list(named.values())), progress=progress)
+    differing = _find_differing_inputs(list(named.values()))
     one = next(iter(named.values()))
-    about = run_facts(TITLE, "spectrophotometer", one, begun, run.seed, run.threads)
+    about = make_run_attributes(TITLE, "spectrophotometer", one, begun, run.seed, run.threads)
     about = {key: value for key, value in about.items() if key not in differing}
     axes = {
         "medium": ("medium", list(named), {"long_name": "name of the medium"}),
-        "wavelength": wavelength_axis(run.wavelengths),
+        "wavelength": make_wavelength_coordinate(run.wavelengths),
         **differing,
     }
     variables = run.make_variables(found.estimate, ("medium", "wavelength"))
     return xr.Dataset(variables, axes, about | {"estimator": "spectral"} | run.make_attributes(found))
 
 
-def _differing(media: Sequence[Medium]) -> dict[str, Any]:
+def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:
     """Return as coordinates over the media the inputs in which they differ.
 
     What some have no amount of, they have 0 of.

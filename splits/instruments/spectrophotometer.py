@@ -8,20 +8,26 @@ from typing import Any
 
 import xarray as xr
 
-from splits.checks import known_arguments, one_of, refuse
-from splits.instruments.arguments import check_medium
-from splits.instruments.differences import difference
-from splits.instruments.estimators import ESTIMATORS, Estimate
-from splits.instruments.jacobian import Moves, checked, parameter_axis, slope_variables, together
-from splits.instruments.labels import run_facts, wavelength_axis
-from splits.instruments.progress import Report, shows_progress
-from splits.instruments.shared_paths import Family
-from splits.instruments.spectral_run import SIDES, TITLE, Run
-from splits.media.turbid import Medium
+from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.simulation.arguments import check_medium
+from splits.simulation.finite_differences import compute_finite_difference
+from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
+from splits.simulation.derivatives import (
+    Perturbations,
+    check_jacobian,
+    make_parameter_coordinates,
+    make_jacobian_variables,
+    combine_derivatives,
+)
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.core.progress import ProgressCallback, with_progress
+from splits.simulation.path_tally import PathSharingMedia
+from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
+from splits.media.medium import Medium
 
 
-@known_arguments
-@shows_progress
+@reject_unknown_arguments
+@with_progress
 def spectrophotometer(
     medium: Medium,
     wavelength_nm: Any,
@@ -34,7 +40,7 @@ def spectrophotometer(
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
-    progress: Report = None,
+    progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Measure hemispherical reflectance, transmittance and absorptance of a medium.
 
@@ -96,28 +102,28 @@ def spectrophotometer(
     printed 1/π belongs to a radiance, not to a share of rays).
     """
     check_medium(medium, allow_semi_infinite=estimator == "spectral")
-    one_of("estimator", estimator, ESTIMATORS)
-    run = Run.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
-    names = checked(medium, run.incidence, jacobian)
+    check_choice("estimator", estimator, ESTIMATORS)
+    run = SpectralRequest.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    names = check_jacobian(medium, run.incidence, jacobian)
     if names and estimator != "spectral":
-        raise refuse("jacobian", list(names), "left out for this estimator")
-    moves = Moves.select_exact(medium, names, run.wavelengths)
+        raise invalid("jacobian", list(names), "left out for this estimator")
+    moves = Perturbations.select_exact(medium, names, run.wavelengths)
     begun = time.perf_counter()
-    found = run.estimate(Family.from_media([medium]), moves, estimator, progress)
+    found = run.estimate(PathSharingMedia.from_media([medium]), moves, estimator, progress)
 
-    def nearby(other: Medium, incidence: float | str) -> Estimate:
+    def nearby(other: Medium, incidence: float | str) -> SpectralEstimate:
         one = run._replace(incidence=incidence)
-        return one.estimate(Family.from_media([other]), progress=progress).estimate
+        return one.estimate(PathSharingMedia.from_media([other]), progress=progress).estimate
 
     others = [
-        difference(nearby, medium, run.incidence, n) for n in names if n not in moves.parameters
+        compute_finite_difference(nearby, medium, run.incidence, n) for n in names if n not in moves.parameters
     ]
     variables = run.make_variables(found.estimate, ("wavelength",))
     if names:
-        slopes = together(names, found.estimate.derivatives, moves, others)
-        variables |= slope_variables(slopes, names, SIDES)
-    facts = run_facts(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
+        slopes = combine_derivatives(names, found.estimate.derivatives, moves, others)
+        variables |= make_jacobian_variables(slopes, names, SIDE_QUANTITIES)
+    facts = make_run_attributes(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
     if others:
         facts["rays_of_differences"] = sum(one.n_rays for one in others)
-    axes = {"wavelength": wavelength_axis(run.wavelengths), **parameter_axis(names, moves)}
+    axes = {"wavelength": make_wavelength_coordinate(run.wavelengths), **make_parameter_coordinates(names, moves)}
     return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.make_attributes(found))

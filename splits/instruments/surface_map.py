@@ -7,23 +7,23 @@ import time
 import numpy as np
 import xarray as xr
 
-from splits.checks import known_arguments, refuse
-from splits.instruments.arguments import check_half_width, check_medium, check_whole
-from splits.instruments.labels import run_facts
-from splits.media.turbid import SurfaceMedium
-from splits.transport.rough.waves import reliefs_at
-from splits.uncertainty import quantity
+from splits.core.validation import reject_unknown_arguments, invalid
+from splits.simulation.arguments import check_half_width, check_medium, check_integer
+from splits.simulation.attributes import make_run_attributes
+from splits.media.medium import SurfaceMedium
+from splits.kernels.rough_surface.realization import compute_heights_and_slopes
+from splits.core.uncertainty import make_variable
 
-POINTS = 201
-MOST_REALISATIONS = 10_000_000
+DEFAULT_POINTS = 201
+MAX_REALIZATIONS = 10_000_000
 
 
-@known_arguments
+@reject_unknown_arguments
 def surface_map(
     medium: SurfaceMedium,
     half_width_m: float,
     *,
-    points: int = POINTS,
+    points: int = DEFAULT_POINTS,
     realisations: int = 100,
     seed: int = 1,
 ) -> xr.Dataset:
@@ -59,11 +59,11 @@ def surface_map(
     begun = time.perf_counter()
     check_medium(medium, SurfaceMedium)
     width = check_half_width("surface", half_width_m)
-    points = check_whole("points", points, 2, 3000)
-    realisations = check_whole("realisations", realisations, 2, MOST_REALISATIONS)
-    seed = check_whole("seed", seed, 0)
+    points = check_integer("points", points, 2, 3000)
+    realisations = check_integer("realisations", realisations, 2, MAX_REALIZATIONS)
+    seed = check_integer("seed", seed, 0)
     if medium.surface is None:
-        raise refuse("surface", None, "given: there is nothing to map")
+        raise invalid("surface", None, "given: there is nothing to map")
     line = np.linspace(-width, width, points)
     x, y = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
     # Roughness needs fewer points than a picture.
@@ -73,18 +73,18 @@ def surface_map(
     for number in range(realisations):
         waves = medium.surface.realisation(seed, number)
         if number == 0:
-            height = reliefs_at(waves, x, y).height.reshape(points, points)
-        z, slope = reliefs_at(waves, u, v)
+            height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
+        z, slope = compute_heights_and_slopes(waves, u, v)
         rough[:, number] = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(slope.x**2 + slope.y**2))
     facts = {
-        **run_facts("Rough surface", "surface", medium, begun, seed),
+        **make_run_attributes("Rough surface", "surface", medium, begun, seed),
         "realisations": realisations,
         "rays": 0,
     }
     variables = {
-        **quantity("height", ("x", "y"), height, None, "height of the surface", "m"),
-        **quantity("rms_height", "realisation", rough[0], None, "rms height of the square", "m"),
-        **quantity("rms_slope", "realisation", rough[1], None, "rms slope of the square"),
+        **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
+        **make_variable("rms_height", "realisation", rough[0], None, "rms height of the square", "m"),
+        **make_variable("rms_slope", "realisation", rough[1], None, "rms slope of the square"),
     }
     about = {"units": "m", "long_name": "horizontal distance"}
     return xr.Dataset(variables, {"x": ("x", line, about), "y": ("y", line, about)}, facts)

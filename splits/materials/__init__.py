@@ -1,14 +1,20 @@
 """What matter is: complex refractive indices with range and source, mixtures, and densities."""
 
-from splits.materials.datasets import dataset_names
-from splits.materials.density import MINERAL_KG_M3, ice_density
-from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Sellmeier, Tabulated
-from splits.materials.mixing import MIXING, linear, maxwell_garnett
-from splits.materials.oscillators import Band, Oscillators
+from splits.materials.library import list_datasets
+from splits.materials.density import MINERAL_DENSITY_KG_M3, ice_density
 from splits.materials.refractive_index import (
+    ConstantIndex,
+    RefractiveIndex,
+    ScaledIndex,
+    SellmeierIndex,
+    TabulatedIndex,
+)
+from splits.materials.mixing import MIXING_RULES, linear_mixing, maxwell_garnett
+from splits.materials.lorentz import LorentzOscillator, LorentzIndex
+from splits.materials.lookup import (
     absorption_coefficient,
-    given_index,
-    refractive_index,
+    parse_refractive_index,
+    make_refractive_index,
 )
 
 __all__ = [

@@ -7,12 +7,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from splits.checks import in_range
+from splits.core.validation import check_range
 
-_TEMPERATURE_C = np.array([-40.0, -30.0, -20.0, -10.0, 0.0])
-_ICE_KG_M3 = np.array([922.8, 921.6, 920.3, 918.7, 916.7])
+_ICE_TEMPERATURE_C = np.array([-40.0, -30.0, -20.0, -10.0, 0.0])
+_ICE_DENSITY_KG_M3 = np.array([922.8, 921.6, 920.3, 918.7, 916.7])
 
-MINERAL_KG_M3: Mapping[str, float] = MappingProxyType(
+MINERAL_DENSITY_KG_M3: Mapping[str, float] = MappingProxyType(
     {
         "quartz": 2650.0,
         "hematite": 5250.0,
@@ -41,5 +41,5 @@ def ice_density(temperature_c: float) -> float:
     ----------
     CRC Handbook of Chemistry and Physics (Rumble 2019), as used in SPLITSnow appendix A.
     """
-    temperature_c = in_range("temperature_c", temperature_c, -40.0, 0.0, "degrees Celsius")
-    return float(np.interp(temperature_c, _TEMPERATURE_C, _ICE_KG_M3))
+    temperature_c = check_range("temperature_c", temperature_c, -40.0, 0.0, "degrees Celsius")
+    return float(np.interp(temperature_c, _ICE_TEMPERATURE_C, _ICE_DENSITY_KG_M3))

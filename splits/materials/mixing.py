@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from splits.arrays import read_numbers
-from splits.checks import refuse, snap_to_ends
+from splits.core.arrays import as_float_array
+from splits.core.validation import invalid, snap_to_limits
 
 
-def _complex(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
-    share = snap_to_ends(read_numbers("fraction", fraction, allow_gaps=True), 0.0, 1.0)
+def _check_arguments(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
+    share = snap_to_limits(as_float_array("fraction", fraction, allow_gaps=True), 0.0, 1.0)
     outside = share[~((share >= 0.0) & (share <= 1.0))]
     if outside.size:
-        raise refuse("fraction", float(outside.flat[0]), "in [0, 1]")
+        raise invalid("fraction", float(outside.flat[0]), "in [0, 1]")
     return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), share
 
 
@@ -43,7 +43,7 @@ def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     SPLITS (Kimmel & Baranoski 2007) section 4.2.4 Eq 4; Maxwell Garnett 1904, Philosophical
     Transactions of the Royal Society A 203, 385-420.
     """
-    m, i, f = _complex(matrix, inclusion, fraction)
+    m, i, f = _check_arguments(matrix, inclusion, fraction)
     outer, inner = m * m, i * i
     contrast, total = (i - m) * (i + m), inner + 2.0 * outer
     # The formula above, as the distance from the nearer of its ends: k of a mixture then keeps its
@@ -56,7 +56,7 @@ def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     return np.where(f == 0.0, m, np.where(f == 1.0, i, mixed))
 
 
-def linear(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
+def linear_mixing(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     """Return the mean of the two indices by volume: the simplest rule, to set beside the other.
 
     Parameters
@@ -71,11 +71,11 @@ def linear(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     ValueError
         For a fraction outside [0, 1].
     """
-    m, i, f = _complex(matrix, inclusion, fraction)
+    m, i, f = _check_arguments(matrix, inclusion, fraction)
     return (1.0 - f) * m + f * i
 
 
-MIXING: Mapping[str, Callable[[Any, Any, Any], np.ndarray]] = MappingProxyType(
-    {"maxwell_garnett": maxwell_garnett, "linear": linear}
+MIXING_RULES: Mapping[str, Callable[[Any, Any, Any], np.ndarray]] = MappingProxyType(
+    {"maxwell_garnett": maxwell_garnett, "linear": linear_mixing}
 )
 """Rules of mixture by name."""

@@ -1,111 +1,196 @@
-"""The complex refractive index n + i k that a user's specification stands for.
+"""Kinds of complex refractive index n + i k (k ≥ 0) over wavelength.
 
-Wherever an index is asked for, a named dataset can stand, a constant, or a user's table.
+A constant, a table, a closed form without absorption, and any of them with k scaled.  Between
+tabulated wavelengths n is linear, and log k is linear, in log wavelength: k spans ten orders of
+magnitude and its tables are coarse where water absorbs most steeply.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from splits.arrays import read_columns
-from splits.checks import Refusal, in_range, number, one_of, refuse, scalar
-from splits.materials.datasets import dataset, dataset_names
-from splits.materials.kinds import Constant, RefractiveIndex, Scaled, Tabulated
-from splits.materials.tables import columns_of, user_table
+from splits.core.arrays import as_float_array
+from splits.core.validation import check_range, invalid, snap_to_limits
+from splits.core.equality import ContentEquality
 
 
-def refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
-    """Return the refractive index that `spec` stands for.
+class RefractiveIndex(Protocol):
+    """A material's complex refractive index."""
+
+    @property
+    def name(self) -> str:
+        """What the table or constant is called."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """Where its values are from."""
+        ...
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i k at the vacuum wavelengths `wavelength_nm` (nm)."""
+        ...
+
+
+def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
+    """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
+    w = snap_to_limits(as_float_array("wavelength_nm", wavelength_nm, allow_gaps=True), low, high)
+    inside = (w >= low) & (w <= high)
+    if not inside.all():
+        raise invalid(
+            "wavelength_nm",
+            float(w[~inside].flat[0]),
+            f"in [{low:g}, {high:g}] nm, the range of {name}",
+            f"give wavelengths within it, such as {_suggest_wavelengths(w[inside], low, high)}, or choose other "
+            "data",
+        )
+    return w
+
+
+def _suggest_wavelengths(valid_wavelengths: np.ndarray, low: float, high: float) -> str:
+    """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
+    first, last = (valid_wavelengths.min(), valid_wavelengths.max()) if valid_wavelengths.size > 1 else (low, high)
+    return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
+
+
+@dataclass(frozen=True)
+class ConstantIndex:
+    """The same complex index at every wavelength.
 
     Parameters
     ----------
-    material : str
-        ``"ice"``, ``"water"``, ``"quartz"``, ``"hematite"``, ``"goethite"``, ``"magnetite"`` or
-        ``"kaolinite"``; decides which dataset names are known.
-    spec : None, str, number, mapping, path or RefractiveIndex
-        Nothing takes the material's default dataset.  A string is a dataset's name, a complex
-        number such as ``"1.31+1e-7j"``, or the path of a CSV file with columns
-        ``wavelength_nm, n, k``.  A mapping holds ``n`` and ``k``, numbers or, together with
-        ``wavelength_nm``, lists; or ``dataset`` (a name; without it the default) and ``k_factor``
-        (above 0), which multiplies the dataset's k and leaves its n.
-
-    Raises
-    ------
-    ValueError
-        For an unknown name, a malformed table, an impossible index or a bad factor.
-
-    Examples
-    --------
-    >>> refractive_index("goethite", {"k_factor": 0.5}).name
-    'oscillators, k x 0.5'
+    value : complex
+        n + kj with n > 0 and k ≥ 0.
+    name : str
+        What it is called; a constant without a name of its own is called by its value.
+    source : str
+        Where it is from.
     """
-    names = dataset_names(material)
-    if spec is None:
-        return dataset(material, names[0])
-    if isinstance(spec, Mapping) and {"dataset", "k_factor"} & set(spec):
-        return _scaled(f"refractive_index[{material}]", material, spec)
-    return given_index(material, spec, names)
+
+    value: complex
+    name: str = ""
+    source: str = "given by the user"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.value) and self.value.real > 0.0 and self.value.imag >= 0.0):
+            raise invalid("refractive_index", self.value, "n + kj with n > 0 and k >= 0")
+        if not self.name:
+            object.__setattr__(self, "name", f"{self.value.real:g}+{self.value.imag:g}j")
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return the constant, shaped like `wavelength_nm`."""
+        return np.full(np.shape(wavelength_nm), self.value, dtype=complex)
 
 
-def given_index(material: str, spec: Any, dataset_names: Sequence[str] = ()) -> RefractiveIndex:
-    """Return what `refractive_index` does of a material with datasets of these names, or none."""
-    key, spec = f"refractive_index[{material}]", columns_of(spec)
-    if isinstance(spec, str):
-        if spec in dataset_names:
-            return dataset(material, spec)
-        if spec.endswith(".csv"):
-            return _user_table(key, Path(spec))
-        try:
-            return Constant(complex(spec.replace(" ", "")))
-        except Refusal:
-            raise
-        except ValueError:
-            one_of(key, spec, [*dataset_names, "a complex number", "a .csv file"])
-    if isinstance(spec, Path):
-        return _user_table(key, spec)
-    if isinstance(spec, Mapping):
-        return _user_values(key, material, spec)
-    spec = scalar(spec)
-    if isinstance(spec, (int, float, complex)) and not isinstance(spec, bool):
-        return Constant(spec if isinstance(spec, complex) else complex(number(key, spec)))
-    if callable(spec) and hasattr(spec, "name"):
-        return spec
-    raise refuse(key, spec, "a dataset name, a complex constant, a table or a CSV file")
+@dataclass(frozen=True, repr=False, eq=False)
+class TabulatedIndex(ContentEquality):
+    """A table of n and k, interpolated in log wavelength (and log k).
+
+    Parameters
+    ----------
+    name, source : str
+        What the table is called and where it is from.
+    wavelength_nm, n, k : numpy.ndarray
+        Vacuum wavelengths (nm, strictly increasing), n > 0, k ≥ 0.
+    sha256 : str
+        Of the content of the file that a user's table was read from; "" for others.
+    """
+
+    name: str
+    source: str
+    wavelength_nm: np.ndarray
+    n: np.ndarray
+    k: np.ndarray
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        w, n, k = self.wavelength_nm, self.n, self.k
+        key = f"refractive_index ({self.name})"
+        if not (w.ndim == 1 and w.size >= 2 and w.shape == n.shape == k.shape):
+            raise invalid(key, w.shape, "three columns of equal length, at least 2 rows")
+        if not (np.isfinite([w, n, k]).all() and (np.diff(w) > 0).all() and w[0] > 0):
+            raise invalid(key, "wavelength_nm", "finite, positive and strictly increasing")
+        if not ((n > 0).all() and (k >= 0).all()):
+            raise invalid(key, "n, k", "n > 0 and k >= 0 in every row")
+
+    def __repr__(self) -> str:
+        low, high = self.wavelength_nm[0], self.wavelength_nm[-1]
+        return f"Tabulated({self.name!r}, {low:g}-{high:g} nm)"
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i k; a wavelength outside the table raises ValueError."""
+        w = check_wavelength_range(wavelength_nm, self.wavelength_nm[0], self.wavelength_nm[-1], self.name)
+        x, xp = np.log(w), np.log(self.wavelength_nm)
+        n = np.interp(x, xp, self.n)
+        k = np.interp(x, xp, self.k)
+        # In log wherever both neighbours absorb; next to a row without absorption, linearly.
+        row = np.clip(np.searchsorted(xp, x, side="right"), 1, xp.size - 1)
+        logarithmic = (self.k[row - 1] > 0.0) & (self.k[row] > 0.0)
+        floor = np.log(np.where(self.k > 0.0, self.k, 1.0))
+        k = np.where(logarithmic, np.exp(np.interp(x, xp, floor)), k)
+        return n + 1j * k
 
 
-def _scaled(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
-    if set(spec) - {"dataset", "k_factor"}:
-        raise refuse(key, dict(spec), "a mapping of dataset and k_factor, and nothing else")
-    names = dataset_names(material)
-    index = dataset(material, one_of(f"{key}.dataset", spec.get("dataset", names[0]), names))
-    if "k_factor" not in spec:
-        return index
-    factor = in_range(f"{key}.k_factor", spec["k_factor"], 0.0, np.inf, open_low=True)
-    return Scaled(index, factor)
+@dataclass(frozen=True)
+class SellmeierIndex:
+    """A transparent material: n² = 1 + constant + Σ B λ² / (λ² − C), λ in µm.
+
+    Parameters
+    ----------
+    name, source : str
+        What the formula is called and where it is from.
+    range_nm : (low, high)
+        Vacuum wavelengths (nm) it is stated for.
+    constant : float
+    terms : sequence of (B, C)
+        Strengths B and squared resonance wavelengths C (µm²).
+    """
+
+    name: str
+    source: str
+    range_nm: tuple[float, float]
+    constant: float
+    terms: tuple[tuple[float, float], ...]
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + 0i; a wavelength outside the range raises ValueError."""
+        square = (check_wavelength_range(wavelength_nm, *self.range_nm, self.name) * 1e-3) ** 2
+        epsilon = 1.0 + self.constant + sum(b * square / (square - c) for b, c in self.terms)
+        return np.sqrt(epsilon) + 0j
 
 
-def _user_values(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
-    if set(spec) - {"wavelength_nm", "n", "k"} or "n" not in spec:
-        allowed = "a mapping of n, k and, for a table, wavelength_nm, or of dataset and k_factor"
-        raise refuse(key, dict(spec), allowed)
-    k = spec.get("k", 0.0)
-    if "wavelength_nm" not in spec:
-        return Constant(complex(number(f"{key}.n", spec["n"]), number(f"{key}.k", k)))
-    given = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
-    w, n, k = read_columns(key, given)
-    k = np.broadcast_to(k, w.shape) if k.size == 1 else k
-    return Tabulated(f"user table for {material}", "given by the user", w, n, k)
+@dataclass(frozen=True)
+class ScaledIndex:
+    """An index with its k multiplied by a factor and n as it was, to ask how much k matters.
 
+    Parameters
+    ----------
+    index : RefractiveIndex
+    k_factor : float
+        Above 0.
+    """
 
-def _user_table(key: str, path: Path) -> Tabulated:
-    (w, n, k), digest = user_table(key, path, ("wavelength_nm", "n", "k"))
-    return Tabulated(path.name, "table of the user", w, n, k, digest)
+    index: RefractiveIndex
+    k_factor: float
 
+    def __post_init__(self) -> None:
+        check_range("k_factor", self.k_factor, 0.0, np.inf, open_low=True)
 
-def absorption_coefficient(index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return α = 4πk/λ in 1/m (SPLITSnow Eq 6) for complex indices and wavelengths in nm."""
-    return 4.0 * np.pi * index.imag / (np.asarray(wavelength_nm, dtype=float) * 1e-9)
+    @property
+    def name(self) -> str:
+        """The index's name and the factor."""
+        return f"{self.index.name}, k x {self.k_factor:g}"
+
+    @property
+    def source(self) -> str:
+        """Where the values are from before scaling."""
+        return f"k multiplied by {self.k_factor:g}; {self.index.source}"
+
+    def __call__(self, wavelength_nm: Any) -> np.ndarray:
+        """Return complex n + i factor k."""
+        index = self.index(wavelength_nm)
+        return index.real + 1j * (self.k_factor * index.imag)

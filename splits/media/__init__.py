@@ -1,8 +1,8 @@
 """What a user describes: media, turned into numbers for the kernels."""
 
-from splits.media.granular import GranularMedium
-from splits.media.layer import Layer
-from splits.media.readings import Readings, SandReadings
+from splits.media.medium import GranularMedium
+from splits.media.particle_layer import ParticleLayer
+from splits.media.interpretations import Interpretation, SandInterpretation
 from splits.media.rough_surface import RoughSurface
 from splits.media.sand import Sand
 from splits.media.snow import Snow

@@ -13,20 +13,20 @@ from functools import cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from splits.transport.numerics.rng import table_probabilities
+from splits.kernels.math.rng import make_table_probabilities
 
-TABLE_POINTS = 1025
+N_TABLE_POINTS = 1025
 """Probabilities at which quantile functions are tabulated."""
 
-_PROBABILITIES = table_probabilities(TABLE_POINTS)
-_PANELS = 128
-_NODES, _WEIGHTS = (0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True))
+_PROBABILITIES = make_table_probabilities(N_TABLE_POINTS)
+_N_PANELS = 128
+_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True))
 """Gauss and Legendre's nodes and weights on (0, 1)."""
-_TAIL = 9.0
+_TAIL_SIGMA = 9.0
 """Standard deviations beyond which a normal holds less than 1e-18."""
 
 
-def integral_and_quantiles(
+def integrate_with_quantiles(
     density: Callable[[np.ndarray], np.ndarray],
     low: float,
     high: float,
@@ -45,11 +45,11 @@ def integral_and_quantiles(
     probability : array_like, optional
         In [0, 1].
     """
-    edges = np.linspace(low, high, _PANELS + 1)
+    edges = np.linspace(low, high, _N_PANELS + 1)
     width = np.diff(edges)
 
     def mass(start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        return length * (density(start[:, np.newaxis] + length[:, np.newaxis] * _NODES) @ _WEIGHTS)
+        return length * (density(start[:, np.newaxis] + length[:, np.newaxis] * _GAUSS_NODES) @ _GAUSS_WEIGHTS)
 
     def ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.divide(a, b, out=np.zeros_like(a), where=b > 0.0)
@@ -57,7 +57,7 @@ def integral_and_quantiles(
     cumulative = np.concatenate([[0.0], np.cumsum(mass(edges[:-1], width))])
     total = float(cumulative[-1])
     u = np.atleast_1d(np.asarray([] if probability is None else probability, dtype=float))
-    panel = np.clip(np.searchsorted(cumulative, total * u, side="right") - 1, 0, _PANELS - 1)
+    panel = np.clip(np.searchsorted(cumulative, total * u, side="right") - 1, 0, _N_PANELS - 1)
     wanted = total * u - cumulative[panel]
     start, width = edges[panel], width[panel]
     x = ratio(wanted, mass(start, width))
@@ -68,7 +68,7 @@ def integral_and_quantiles(
     return total, np.where(u <= 0.0, low, np.where(u >= 1.0, high, x))
 
 
-def surface_to_volume(sphericity: np.ndarray | float) -> np.ndarray:
+def surface_to_volume_ratio(sphericity: np.ndarray | float) -> np.ndarray:
     """Return A(Ψ), surface area over volume of a prolate spheroid of major axis 1.
 
     SPLITSnow Eq A.9 (SPLITS Eq 14): 3 (1 + asin(x)/(Ψ² x)) with x = √(1 − Ψ⁴); 6 for a sphere.
@@ -101,14 +101,14 @@ def size_attenuation(smallest: float, largest: float) -> float:
 def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
     """Return K2 for a sphericity normal within limits: the mean of A(Ψ)/4 (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
-        return float(surface_to_volume(_fixed(minimum, maximum, mean))) / 4.0
-    low, high = _scores(minimum, maximum, mean, sd)
-    weighted, _ = integral_and_quantiles(_weighted_bell(minimum, maximum, mean, sd), low, high)
-    plain, _ = integral_and_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
+        return float(surface_to_volume_ratio(_get_single_value(minimum, maximum, mean))) / 4.0
+    low, high = _standardize_limits(minimum, maximum, mean, sd)
+    weighted, _ = integrate_with_quantiles(_make_weighted_normal(minimum, maximum, mean, sd), low, high)
+    plain, _ = integrate_with_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
     return weighted / plain / 4.0
 
 
-def struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
+def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
     """Return the quantile function of the inverse major axis of struck grains (1/m).
 
     Parameters
@@ -129,53 +129,53 @@ def struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.
 
 
 @cache
-def struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
+def tabulate_struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of the sphericity of struck grains (SPLITS Eq 26).
 
     Density ∝ A(Ψ) times the normal density within [minimum, maximum].
     """
     if sd == 0.0 or minimum == maximum:
-        return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    _, score = integral_and_quantiles(
-        _weighted_bell(minimum, maximum, mean, sd),
-        *_scores(minimum, maximum, mean, sd),
+        return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
+    _, score = integrate_with_quantiles(
+        _make_weighted_normal(minimum, maximum, mean, sd),
+        *_standardize_limits(minimum, maximum, mean, sd),
         _PROBABILITIES,
     )
     return np.clip(mean + sd * score, minimum, maximum)
 
 
 @cache
-def truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
+def tabulate_truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of a normal distribution within [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:
-        return np.full(TABLE_POINTS, _fixed(minimum, maximum, mean))
-    _, score = integral_and_quantiles(
-        lambda t: np.exp(-0.5 * t * t), *_scores(minimum, maximum, mean, sd), _PROBABILITIES
+        return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
+    _, score = integrate_with_quantiles(
+        lambda t: np.exp(-0.5 * t * t), *_standardize_limits(minimum, maximum, mean, sd), _PROBABILITIES
     )
     return np.clip(mean + sd * score, minimum, maximum)
 
 
-def _fixed(minimum: float, maximum: float, mean: float) -> float:
+def _get_single_value(minimum: float, maximum: float, mean: float) -> float:
     return minimum if minimum == maximum else mean
 
 
-def _scores(minimum: float, maximum: float, mean: float, sd: float) -> tuple[float, float]:
+def _standardize_limits(minimum: float, maximum: float, mean: float, sd: float) -> tuple[float, float]:
     """Return the limits in standard deviations from the mean, without tails that hold nothing.
 
     In these units no peak is too narrow between its limits to be seen.
     """
     with np.errstate(over="ignore"):
         low, high = np.divide([minimum - mean, maximum - mean], sd)
-    return max(float(low), -_TAIL), min(float(high), _TAIL)
+    return max(float(low), -_TAIL_SIGMA), min(float(high), _TAIL_SIGMA)
 
 
-def _weighted_bell(
+def _make_weighted_normal(
     minimum: float, maximum: float, mean: float, sd: float
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return A(Ψ) times the normal density, up to a factor, over standard deviations."""
 
     def density(score: np.ndarray) -> np.ndarray:
         psi = np.clip(mean + sd * score, minimum, maximum)
-        return np.exp(-0.5 * score**2) * surface_to_volume(psi)
+        return np.exp(-0.5 * score**2) * surface_to_volume_ratio(psi)
 
     return density

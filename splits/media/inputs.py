@@ -7,38 +7,38 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
-from splits.arrays import numbers
-from splits.checks import in_range, refuse, scalar, snap_to_ends, suggestion
-from splits.materials import RefractiveIndex, given_index, refractive_index
-from splits.media.ground import ground_facts
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import check_range, invalid, as_scalar, snap_to_limits, suggest_name
+from splits.materials import RefractiveIndex, parse_refractive_index, lookup
+from splits.media.ground import describe_ground
 
-SPELT_OUT = (
+EXPANDED_INPUTS = (
     "refractive_index", "readings", "ground", "pores",
     "impurities_ng_g", "algae_cells_ml", "impurities_in",
 )  # fmt: skip
 """Inputs that attributes hold part by part."""
-_LIMITS = ("min", "max", "mean", "sd")
+_TRUNCATED_NORMAL_NAMES = ("min", "max", "mean", "sd")
 
 
-def limited_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
+def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
     """Return (min, max, mean, sd) of a normal distribution within limits in [low, 1], or refuse."""
-    *ends, sd = numbers(key, value, _LIMITS)
-    minimum, maximum, mean = snap_to_ends(ends, low, 1.0).tolist()
+    *ends, sd = check_named_numbers(key, value, _TRUNCATED_NORMAL_NAMES)
+    minimum, maximum, mean = snap_to_limits(ends, low, 1.0).tolist()
     if not low <= minimum <= mean <= maximum <= 1.0:
-        raise refuse(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
-    in_range(f"{key} (sd)", sd, 0.0, 1.0)
+        raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
+    check_range(f"{key} (sd)", sd, 0.0, 1.0)
     return minimum, maximum, mean, sd
 
 
-def sample_depth(depth_m: Any) -> float:
+def check_sample_depth(depth_m: Any) -> float:
     """Return the thickness of a sample of grains (m), above 0 to 1e4 or infinite, or refuse it."""
     hint = "or infinite: .inf in YAML, math.inf in Python"
-    if isinstance(scalar(depth_m), float) and depth_m == math.inf:
+    if isinstance(as_scalar(depth_m), float) and depth_m == math.inf:
         return math.inf
-    return in_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
+    return check_range("depth_m", depth_m, 0.0, 1e4, "m", open_low=True, hint=hint)
 
 
-def indices_of(
+def make_refractive_indices(
     materials: Iterable[str], given: Any, pore_fluids: Iterable[str] = ()
 ) -> dict[str, RefractiveIndex]:
     """Return the refractive index of every material, where nothing is given the default dataset.
@@ -60,33 +60,33 @@ def indices_of(
     others = [*pore_fluids, "air"] if isinstance(given, Mapping) and "air" in given else list(pore_fluids)
     names = known + others
     if not isinstance(given, Mapping):
-        raise refuse("refractive_index", given, "a mapping by material")
+        raise invalid("refractive_index", given, "a mapping by material")
     for name in given:
         if name not in names:
-            raise refuse(
+            raise invalid(
                 "refractive_index",
                 name,
                 "a mapping with keys " + ", ".join(names),
-                suggestion(name, names),
+                suggest_name(name, names),
             )
-    return {m: refractive_index(m, given.get(m)) for m in known} | {
-        m: given_index(m, given[m]) for m in others
+    return {m: lookup(m, given.get(m)) for m in known} | {
+        m: parse_refractive_index(m, given[m]) for m in others
     }
 
 
-def described(medium: Any) -> dict[str, Any]:
+def describe_inputs(medium: Any) -> dict[str, Any]:
     """Return a medium's inputs under names fit for dataset attributes.
 
     Parameters
     ----------
     medium : dataclass
-        With fields ``refractive_index`` (by material), ``readings`` and ``ground`` among others.
+        With fields ``make_refractive_index`` (by material), ``readings`` and ``ground`` among others.
     """
-    inputs = {f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in SPELT_OUT}
+    inputs = {f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS}
     inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):
             inputs[f"refractive_index_{material}_sha256"] = digest
     inputs |= {f"reading_{k}": v for k, v in medium.interpretation.as_dict().items()}
-    return inputs | ground_facts(medium.ground)
+    return inputs | describe_ground(medium.ground)

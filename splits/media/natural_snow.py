@@ -12,19 +12,19 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from splits.checks import in_range, known_arguments, refuse
+from splits.core.validation import check_range, reject_unknown_arguments, invalid
 from splits.materials import ice_density
-from splits.media.measured_inputs import AREA, RADIUS
-from splits.media.readings import Readings, together
+from splits.media.measured_inputs import SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY
+from splits.media.interpretations import Interpretation, merge_interpretations
 
 if TYPE_CHECKING:
     from splits.media.snow import Snow
 
-FACETNESS = 0.05
-SPHERICITY = 0.75
+NATURAL_FACETNESS = 0.05
+NATURAL_SPHERICITY = 0.75
 
 
-class Shape(NamedTuple):
+class NaturalGrainShape(NamedTuple):
     """Optical shape of dry grains at 900 nm, see `splits.analysis.grain_shape`."""
 
     absorption_enhancement: float
@@ -33,22 +33,22 @@ class Shape(NamedTuple):
     asymmetry_parameter_stderr: float
 
 
-SHAPE = Shape(1.661, 0.003, 0.678, 0.001)
+NATURAL_GRAIN_SHAPE = NaturalGrainShape(1.661, 0.003, 0.678, 0.001)
 
-LIGHTEST = 10.0
+MIN_NATURAL_DENSITY_KG_M3 = 10.0
 """Density (kg/m³) below which no snow lies."""
 
-INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
+NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
 
-GRAINS: dict[str, Any] = {
-    "facetness": (FACETNESS, FACETNESS, FACETNESS, 0.0),
-    "sphericity": (SPHERICITY, SPHERICITY, SPHERICITY, 0.0),
+NATURAL_GRAINS: dict[str, Any] = {
+    "facetness": (NATURAL_FACETNESS, NATURAL_FACETNESS, NATURAL_FACETNESS, 0.0),
+    "sphericity": (NATURAL_SPHERICITY, NATURAL_SPHERICITY, NATURAL_SPHERICITY, 0.0),
 }
-READINGS = "radiative_transfer"
+NATURAL_INTERPRETATION = "radiative_transfer"
 
 
-@known_arguments
-def natural(
+@reject_unknown_arguments
+def make_natural_snow(
     cls: type[Snow],
     *,
     specific_surface_area_m2_kg: float | None = None,
@@ -67,7 +67,7 @@ def natural(
     sphericity: tuple[float, float, float, float] | None = None,
     pores: Mapping[str, float] | None = None,
     refractive_index: Mapping[str, Any] | None = None,
-    interpretation: Readings | str | Mapping[str, Any] | None = None,
+    interpretation: Interpretation | str | Mapping[str, Any] | None = None,
 ) -> Snow:
     """Return snow as it lies, by its surface area: dry, deep and clean unless said.
 
@@ -104,10 +104,10 @@ def natural(
     given = {**locals()}
     given.pop("cls")
     given = {name: value for name, value in given.items() if value is not None}
-    return cls(**natural_settings(given))
+    return cls(**complete_natural_keywords(given))
 
 
-def natural_settings(keywords: Mapping[str, Any]) -> dict[str, Any]:
+def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of `splits.Snow` that natural snow has, with those given.
 
     Raises
@@ -115,42 +115,42 @@ def natural_settings(keywords: Mapping[str, Any]) -> dict[str, Any]:
     ValueError
         Where no size is given.
     """
-    if not {AREA, RADIUS, "grain_size_um"} & set(keywords):
-        raise refuse(
-            AREA, None, "given, or optical_radius_um",
+    if not {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"} & set(keywords):
+        raise invalid(
+            SURFACE_AREA_KEY, None, "given, or optical_radius_um",
             "m2/kg: fresh snow has 40 and more, old snow 10, melting snow 3",
         )  # fmt: skip
     usual = {
-        **GRAINS, "readings": READINGS, "density_kg_m3": 300.0, "depth_m": math.inf,
+        **NATURAL_GRAINS, "readings": NATURAL_INTERPRETATION, "density_kg_m3": 300.0, "depth_m": math.inf,
     }  # fmt: skip
     if "saturation" not in keywords and "liquid_water_content" not in keywords:
         usual["saturation"] = 0.0
     if "density_kg_m3" in keywords:
         key, temperature = "density_kg_m3", keywords.get("temperature_c", -1.0)
-        ice = ice_density(in_range("temperature_c", temperature, -40.0, 0.0, "°C"))
+        ice = ice_density(check_range("temperature_c", temperature, -40.0, 0.0, "°C"))
         hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
-        in_range(key, keywords[key], LIGHTEST, ice, "kg/m3", hint=hint, open_high=True)
+        check_range(key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True)
     readings = keywords.get("readings", {})
     if isinstance(readings, Mapping):
-        keywords = {**keywords, "readings": together([READINGS, readings])}
+        keywords = {**keywords, "readings": merge_interpretations([NATURAL_INTERPRETATION, readings])}
     index = keywords.get("refractive_index", {})
-    indices = {"refractive_index": {**INDICES, **index} if isinstance(index, Mapping) else index}
+    indices = {"refractive_index": {**NATURAL_REFRACTIVE_INDICES, **index} if isinstance(index, Mapping) else index}
     return {**usual, **keywords, **indices}
 
 
 def is_natural(snow: Any) -> bool:
     """Tell whether snow has the grains and the readings of natural snow."""
-    alike = all(getattr(snow, name) == value for name, value in GRAINS.items())
-    return alike and snow.interpretation == type(snow.interpretation).from_input(READINGS)
+    alike = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
+    return alike and snow.interpretation == type(snow.interpretation).from_input(NATURAL_INTERPRETATION)
 
 
-def shape_facts(snow: Any) -> dict[str, float]:
+def describe_grain_shape(snow: Any) -> dict[str, float]:
     """Return the optical shape of natural snow's grains as attributes, of other grains nothing."""
     if not is_natural(snow):
         return {}
     return {
-        "absorption_enhancement_900nm_dry": SHAPE.absorption_enhancement,
-        "absorption_enhancement_900nm_dry_stderr": SHAPE.absorption_enhancement_stderr,
-        "asymmetry_parameter_900nm_dry": SHAPE.asymmetry_parameter,
-        "asymmetry_parameter_900nm_dry_stderr": SHAPE.asymmetry_parameter_stderr,
+        "absorption_enhancement_900nm_dry": NATURAL_GRAIN_SHAPE.absorption_enhancement,
+        "absorption_enhancement_900nm_dry_stderr": NATURAL_GRAIN_SHAPE.absorption_enhancement_stderr,
+        "asymmetry_parameter_900nm_dry": NATURAL_GRAIN_SHAPE.asymmetry_parameter,
+        "asymmetry_parameter_900nm_dry_stderr": NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr,
     }

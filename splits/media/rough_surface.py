@@ -11,39 +11,39 @@ from typing import Any
 
 import numpy as np
 
-from splits.arrays import read_columns, read_numbers
-from splits.checks import (
-    NO_NUMBERS,
-    in_range,
-    known_keywords,
-    one_of,
-    refuse,
-    scalar,
-    snap_to_ends,
-    suggestion,
-    under,
+from splits.core.arrays import read_columns, as_float_array
+from splits.core.validation import (
+    NON_NUMERIC_TYPES,
+    check_range,
+    reject_unknown_keywords,
+    check_choice,
+    invalid,
+    as_scalar,
+    snap_to_limits,
+    suggest_name,
+    key_prefix,
 )
-from splits.equality import ByContent
-from splits.media.surface_laws import (
+from splits.core.equality import ContentEquality
+from splits.media.height_spectra import (
     CORRELATIONS,
-    LAWS,
-    QUANTILES,
-    integral,
-    mean_of_cells,
-    quantiles_of,
-    sum_of_cells,
+    HEIGHT_SPECTRA,
+    N_QUANTILES,
+    integrate_bessel_j0,
+    average_over_quantiles,
+    compute_quantiles,
+    average_bessel_j0,
 )
-from splits.media.words import call, word
-from splits.transport.numerics.rng import start_stream
-from splits.transport.rough import waves as kernels
+from splits.media.formatting import format_call, format_value
+from splits.kernels.math.rng import start_stream
+from splits.kernels.rough_surface import realization as kernels
 
-MOST_WAVES = 100_000
-_SPECTRUM = ("wave_number_per_m", "density")
+MAX_WAVES = 100_000
+_SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 
 
-@known_keywords
+@reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class SurfaceField(ByContent):
+class RandomHeightField(ContentEquality):
     """One random field of heights, Budak & Grimailo 2020, Eq 3.
 
     Parameters
@@ -83,24 +83,24 @@ class SurfaceField(ByContent):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("rms_height_m", in_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
-        one_of("correlation", self.correlation, CORRELATIONS)
-        put("waves", _whole("waves", self.waves, MOST_WAVES))
+        put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
+        check_choice("correlation", self.correlation, CORRELATIONS)
+        put("waves", _check_integer("waves", self.waves, MAX_WAVES))
         if self.correlation == "spectrum":
             for key in ("wave_number_per_m", "band_limit_per_m"):
                 if getattr(self, key) is not None:
-                    raise refuse(key, getattr(self, key), "left out", "the spectrum has its own")
-            put("spectrum", _columns(self.spectrum))
+                    raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
+            put("spectrum", _read_spectrum(self.spectrum))
             return
         if self.spectrum is not None:
-            raise refuse("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
+            raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
         key, k0 = "wave_number_per_m", self.wave_number_per_m
         if k0 is None:
-            raise refuse(key, None, "given (1/m)", "the inverse of the length of its correlation")
-        put(key, k0 := in_range(key, k0, 1e-9, 1e9, "1/m"))
+            raise invalid(key, None, "given (1/m)", "the inverse of the length of its correlation")
+        put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
         key, limit = "band_limit_per_m", self.band_limit_per_m
         if limit is None and self.correlation == "exponential":
-            raise refuse(
+            raise invalid(
                 key, None, "given (1/m)",
                 "slopes, about rms_height_m √(k0 limit), grow without end with it and change "
                 "reflectance; name the finest waves that light shall see, or infinity; this is for "
@@ -109,7 +109,7 @@ class SurfaceField(ByContent):
         if limit is None or limit == math.inf:
             put(key, math.inf)
         else:
-            put(key, in_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
+            put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
 
     def as_input(self) -> dict[str, Any]:
         """Return the keywords of this field that are not as by default."""
@@ -122,7 +122,7 @@ class SurfaceField(ByContent):
 
     def __repr__(self) -> str:
         """Return the field on one line, as it was given."""
-        return call("SurfaceField", self.as_input())
+        return format_call("SurfaceField", self.as_input())
 
     @property
     def _relative_band_limit(self) -> float:
@@ -134,30 +134,30 @@ class SurfaceField(ByContent):
     def wave_number_quantiles(self) -> np.ndarray:
         """Quantile function of a spectrum's wave numbers (1/m), see `rng.table_probabilities`."""
         assert self.spectrum is not None
-        return quantiles_of(*(np.array(self.spectrum[key]) for key in _SPECTRUM))
+        return compute_quantiles(*(np.array(self.spectrum[key]) for key in _SPECTRUM_COLUMNS))
 
     def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
-        r = read_numbers("r_m", r_m, "numbers in metres")
+        r = as_float_array("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
-            return np.array([sum_of_cells(self.wave_number_quantiles, x) for x in r.ravel()]).reshape(r.shape)
-        law = LAWS[self.correlation]
+            return np.array([average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]).reshape(r.shape)
+        law = HEIGHT_SPECTRA[self.correlation]
         assert self.wave_number_per_m is not None
         r = self.wave_number_per_m * r
         if law.cdf(self._relative_band_limit) == 1.0:
             return law.correlation(r)
-        found = [integral(law.density, self._relative_band_limit, x) for x in r.ravel()]
+        found = [integrate_bessel_j0(law.density, self._relative_band_limit, x) for x in r.ravel()]
         return np.array(found).reshape(r.shape) / law.cdf(self._relative_band_limit)
 
     def mean_square_wave_number(self) -> float:
         """Return the expected λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
-            return mean_of_cells(self.wave_number_quantiles, lambda k: k * k)
+            return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
         assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * LAWS[self.correlation].mean_square(self._relative_band_limit)
+        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(self._relative_band_limit)
 
 
-@known_keywords
+@reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class RoughSurface:
     """Superposed random fields of heights above a plane.
@@ -165,7 +165,7 @@ class RoughSurface:
     Parameters
     ----------
     fields : SurfaceField, mapping or a sequence of them
-        What one field is, see `SurfaceField`, or several.
+        What one field is, see `RandomHeightField`, or several.
 
     Examples
     --------
@@ -179,12 +179,12 @@ class RoughSurface:
 
     def __post_init__(self) -> None:
         given = self.fields
-        if isinstance(given, (SurfaceField, Mapping)):
+        if isinstance(given, (RandomHeightField, Mapping)):
             given = [given]
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
-            raise refuse("surface", given, "one field, or a list of fields, of keys and values")
+            raise invalid("surface", given, "one field, or a list of fields, of keys and values")
         places = [f"surface[{i}]" for i in range(len(given))] if len(given) > 1 else ["surface"]
-        found = tuple(_field(*pair) for pair in zip(places, given, strict=True))
+        found = tuple(_make_height_field(*pair) for pair in zip(places, given, strict=True))
         object.__setattr__(self, "fields", found)
 
     @classmethod
@@ -199,7 +199,7 @@ class RoughSurface:
 
     def __repr__(self) -> str:
         """Return the surface on one line, as it was given."""
-        return f"RoughSurface({word(self)})"
+        return f"RoughSurface({format_value(self)})"
 
     @property
     def rms_height_m(self) -> float:
@@ -208,7 +208,7 @@ class RoughSurface:
 
     def correlation(self, r_m: Any) -> np.ndarray:
         """Return the expected correlation of heights at distances (m); of a plane, 1."""
-        r = read_numbers("r_m", r_m, "numbers in metres")
+        r = as_float_array("r_m", r_m, "numbers in metres")
         if self.rms_height_m == 0.0:
             return np.ones_like(r)
         shares = ((field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields)
@@ -220,21 +220,21 @@ class RoughSurface:
         rough = [field for field in self.fields if field.rms_height_m > 0.0]
         return math.sqrt(sum(f.rms_height_m**2 * f.mean_square_wave_number() for f in rough))
 
-    def make_height_fields(self) -> kernels.Fields:
+    def make_height_fields(self) -> kernels.HeightFields:
         """Return the surface as kernels take it."""
         count = len(self.fields)
-        law = np.full(count, kernels.TABLE, dtype=np.int64)
+        law = np.full(count, kernels.TABULATED, dtype=np.int64)
         wave_number, share = np.ones(count), np.ones(count)
         tables = any(field.spectrum is not None for field in self.fields)
-        quantile = np.zeros((count, QUANTILES if tables else 2))
+        quantile = np.zeros((count, N_QUANTILES if tables else 2))
         for i, field in enumerate(self.fields):
             if field.spectrum is not None:
                 quantile[i] = field.wave_number_quantiles
                 continue
-            named = LAWS[field.correlation]
+            named = HEIGHT_SPECTRA[field.correlation]
             law[i], wave_number[i] = named.kernel_code, field.wave_number_per_m
             share[i] = named.cdf(field._relative_band_limit)
-        return kernels.Fields(
+        return kernels.HeightFields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
             n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),
             law=law,
@@ -248,65 +248,65 @@ class RoughSurface:
 
         Rows are those of `splits.transport.rough.waves`, which also evaluates them.
         """
-        seed, ray_number = _whole("seed", seed, low=0), _whole("number", ray_number, low=0)
+        seed, ray_number = _check_integer("seed", seed, low=0), _check_integer("number", ray_number, low=0)
         state = np.zeros(1, dtype=np.uint64)
         start_stream(state, seed, 0, ray_number)
         drawn = self.make_height_fields()
-        waves: np.ndarray = kernels.draw_waves(state, drawn, kernels.room_for(drawn)).waves
+        waves: np.ndarray = kernels.sample_realization(state, drawn, kernels.allocate_realization(drawn)).waves
         return waves
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and rms slope under names fit for dataset attributes, a list per input."""
         inputs: dict[str, Any] = {}
-        for key in (f.name for f in fields(SurfaceField) if f.name != "spectrum"):
+        for key in (f.name for f in fields(RandomHeightField) if f.name != "spectrum"):
             values = [getattr(field, key) for field in self.fields]
             # Without a band limit waves have none; fields with a table have no k0.
             none = math.inf if key == "band_limit_per_m" else 0.0
             inputs[key] = [none if value is None else value for value in values]
         inputs["correlation"] = ", ".join(inputs["correlation"])
         tables = [field.spectrum for field in self.fields if field.spectrum is not None]
-        for key in _SPECTRUM if tables else ():
+        for key in _SPECTRUM_COLUMNS if tables else ():
             inputs[f"spectrum_{key}"] = [x for table in tables for x in table[key]]
         return inputs | {"rms_slope": self.rms_slope()}
 
 
-def _field(key: str, value: Any) -> SurfaceField:
+def _make_height_field(key: str, value: Any) -> RandomHeightField:
     """Return a field, or refuse it and say which."""
-    if isinstance(value, SurfaceField):
+    if isinstance(value, RandomHeightField):
         return value
-    names = [f.name for f in fields(SurfaceField)]
+    names = [f.name for f in fields(RandomHeightField)]
     allowed = "one of " + ", ".join(names)
     if not isinstance(value, Mapping):
-        raise refuse(key, value, "a mapping of keys, each " + allowed)
+        raise invalid(key, value, "a mapping of keys, each " + allowed)
     for name in value:
         if name not in names:
-            raise refuse(key, name, allowed, suggestion(name, names))
+            raise invalid(key, name, allowed, suggest_name(name, names))
     if "rms_height_m" not in value:
-        raise refuse(f"{key}.rms_height_m", None, "given (m)")
-    with under(key):
-        return SurfaceField(**value)
+        raise invalid(f"{key}.rms_height_m", None, "given (m)")
+    with key_prefix(key):
+        return RandomHeightField(**value)
 
 
-def _whole(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
+def _check_integer(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
     """Return a whole number, or refuse it."""
-    value = scalar(value)
-    whole = isinstance(value, Integral) and not isinstance(value, NO_NUMBERS)
+    value = as_scalar(value)
+    whole = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
     if not whole or not low <= int(value) <= high:
-        raise refuse(key, value, f"a whole number from {low} to {high}")
+        raise invalid(key, value, f"a whole number from {low} to {high}")
     return int(value)
 
 
-def _columns(given: Any) -> dict[str, tuple[float, ...]]:
+def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
     """Return the columns of a spectrum, or refuse them."""
-    allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM)
-    if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM):
-        raise refuse("spectrum", given, allowed)
-    k, density = read_columns("spectrum", {key: given[key] for key in _SPECTRUM})
+    allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM_COLUMNS)
+    if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM_COLUMNS):
+        raise invalid("spectrum", given, allowed)
+    k, density = read_columns("spectrum", {key: given[key] for key in _SPECTRUM_COLUMNS})
     if k.shape != density.shape or k.size < 2:
-        raise refuse("spectrum", dict(given), allowed, "two rows at least")
-    k, density = (snap_to_ends(row, 0.0, math.inf) for row in (k, density))
+        raise invalid("spectrum", dict(given), allowed, "two rows at least")
+    k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
     if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
-        raise refuse("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
+        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
     if (density < 0.0).any() or not density[k > 0.0].any():
-        raise refuse("spectrum.density", density.tolist(), "0 or more, and more somewhere")
-    return dict(zip(_SPECTRUM, (tuple(k.tolist()), tuple(density.tolist())), strict=True))
+        raise invalid("spectrum.density", density.tolist(), "0 or more, and more somewhere")
+    return dict(zip(_SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))

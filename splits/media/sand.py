@@ -10,29 +10,38 @@ from typing import Any
 
 import numpy as np
 
-from splits.arrays import numbers
-from splits.checks import in_range, known_keywords, refuse
-from splits.equality import ByContent
-from splits.materials import MINERAL_KG_M3, MIXING
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import check_range, reject_unknown_keywords, invalid
+from splits.core.equality import ContentEquality
+from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
-from splits.media.composition import Composition, coating_fraction, compose
-from splits.media.granular import Interface, mean_leg_m
+from splits.media.sand_composition import (
+    SandComposition,
+    compute_coating_fraction,
+    make_composition,
+)
+from splits.media.medium import Interface, compute_mean_free_path_m
 from splits.media.ground import Ground
-from splits.media.inputs import described, indices_of, limited_normal, sample_depth
-from splits.media.pores import WATER, Pores, other_pores
-from splits.media.readings import SandReadings
-from splits.media.soil_sizes import SEPARATES, SoilSizes, soil_sizes
-from splits.media.wetness import Wetness, wetness
-from splits.media.words import call, unusual
-from splits.transport.grains.scene import WET_PORE, Grains, Types
+from splits.media.inputs import (
+    describe_inputs,
+    make_refractive_indices,
+    check_truncated_normal,
+    check_sample_depth,
+)
+from splits.media.pore_fluids import WATER, PoreFluids, check_other_fluids
+from splits.media.interpretations import SandInterpretation
+from splits.media.soil_texture import SOIL_SEPARATES, SoilSizeDistribution, make_size_distribution
+from splits.media.wetness import WaterDistribution, distribute_water
+from splits.media.formatting import format_call, find_differences
+from splits.kernels.grains.scene import WET_PORE, GrainPopulation, GrainTypes
 
-FILM = "water film"
+WATER_FILM = "water film"
 """Name of the water on grains, among their materials."""
 
 
-@known_keywords
+@reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class Sand(ByContent):
+class Sand(ContentEquality):
     """A homogeneous sand.
 
     By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and
@@ -108,7 +117,7 @@ class Sand(ByContent):
     depth_m: float = 1.0
     size_tail: float = 1e-4
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    interpretation: SandReadings = field(default_factory=SandReadings)
+    interpretation: SandInterpretation = field(default_factory=SandInterpretation)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
 
@@ -116,17 +125,17 @@ class Sand(ByContent):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("readings", SandReadings.from_input(self.interpretation))
-        put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
+        put("readings", SandInterpretation.from_input(self.interpretation))
+        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         put(
             "porosity",
-            in_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True),
+            check_range("porosity", self.porosity, 0.0, 1.0, open_low=True, open_high=True),
         )
-        mean, sd = numbers("roundness", self.roundness, ("mean", "sd"))
-        mean = in_range("roundness (mean)", mean, 0.0, 1.0)
-        put("roundness", (mean, in_range("roundness (sd)", sd, 0.0, 1.0)))
-        put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
-        thickness = in_range(
+        mean, sd = check_named_numbers("roundness", self.roundness, ("mean", "sd"))
+        mean = check_range("roundness (mean)", mean, 0.0, 1.0)
+        put("roundness", (mean, check_range("roundness (sd)", sd, 0.0, 1.0)))
+        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
+        thickness = check_range(
             "relative_coating_thickness",
             self.relative_coating_thickness,
             0.0,
@@ -136,36 +145,36 @@ class Sand(ByContent):
         )
         put("relative_coating_thickness", thickness)
         kinds = ("pure", "mixed", "coated")
-        put("partition", numbers("partition", self.partition, kinds, (0.0, 1.0)))
-        put("texture", numbers("texture", self.texture, SEPARATES, (0.0, 1.0)))
+        put("partition", check_named_numbers("partition", self.partition, kinds, (0.0, 1.0)))
+        put("texture", check_named_numbers("texture", self.texture, SOIL_SEPARATES, (0.0, 1.0)))
         put("ground", Ground.from_input(self.ground))
-        put("depth_m", sample_depth(self.depth_m))
+        put("depth_m", check_sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
-            put(name, in_range(name, getattr(self, name), 0.0, 1.0))
+            put(name, check_range(name, getattr(self, name), 0.0, 1.0))
         given = self.refractive_index
-        put("pores", other_pores(self.pores, self.saturation, given, MINERAL_KG_M3))
+        put("pores", check_other_fluids(self.pores, self.saturation, given, MINERAL_DENSITY_KG_M3))
         if self.pores and self.interpretation.water != "whole_pores":
             hint = "which pores these media fill is not known: leave readings.water out"
             allowed = f"empty with readings.water {self.interpretation.water}"
-            raise refuse("pores", dict(self.pores), allowed, hint)
-        put("refractive_index", indices_of([*MINERAL_KG_M3, "water"], given, self.pores))
+            raise invalid("pores", dict(self.pores), allowed, hint)
+        put("refractive_index", make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], given, self.pores))
         # What these derive is checked here.
         _ = self.size_distribution, self.composition
 
     def __repr__(self) -> str:
         """Return the sand on one line, as it was given."""
-        return call("Sand", unusual(self, type(self)()))
+        return format_call("Sand", find_differences(self, type(self)()))
 
     @cached_property
-    def size_distribution(self) -> SoilSizes:
+    def size_distribution(self) -> SoilSizeDistribution:
         """Sizes of the particles, of every type alike."""
-        return soil_sizes(self.texture, self.size_tail, self.interpretation.sizes)
+        return make_size_distribution(self.texture, self.size_tail, self.interpretation.sizes)
 
     @cached_property
-    def composition(self) -> Composition:
+    def composition(self) -> SandComposition:
         """Particle types with mass fractions, volume fractions and densities."""
-        coat = coating_fraction(self.sphericity[2], self.relative_coating_thickness)
-        return compose(
+        coat = compute_coating_fraction(self.sphericity[2], self.relative_coating_thickness)
+        return make_composition(
             self.iron_oxide,
             self.hematite_ratio,
             self.magnetite,
@@ -201,10 +210,10 @@ class Sand(ByContent):
         return 4.0 * self.attenuation_per_m / self.density_kg_m3
 
     @cached_property
-    def _water(self) -> Wetness:
+    def _water(self) -> WaterDistribution:
         """Where the water is."""
         sphericity, reading = self.sphericity[2], self.interpretation.water
-        return wetness(self.saturation, self.porosity, sphericity, reading)
+        return distribute_water(self.saturation, self.porosity, sphericity, reading)
 
     @property
     def wet_fraction(self) -> float:
@@ -214,7 +223,7 @@ class Sand(ByContent):
     @cached_property
     def _shell_materials(self) -> list[tuple[str, ...]]:
         """Names of the materials of each particle type, from the outside in."""
-        film = (FILM,) if self._water.relative_film_thickness else ()
+        film = (WATER_FILM,) if self._water.relative_film_thickness else ()
         return [(*film, *t.shell_materials) for t in self.composition.particle_types]
 
     def list_materials(self) -> tuple[str, ...]:
@@ -223,11 +232,11 @@ class Sand(ByContent):
         return (*self.pore_fluids.names, *minerals)
 
     @cached_property
-    def pore_fluids(self) -> Pores:
+    def pore_fluids(self) -> PoreFluids:
         """What fills the pores, by the probability that legs run there."""
-        return Pores.from_saturation(self.wet_fraction, self.pores)
+        return PoreFluids.from_saturation(self.wet_fraction, self.pores)
 
-    def make_grain_population(self) -> Grains:
+    def make_grain_population(self) -> GrainPopulation:
         """Return the table of particle types; sizes and shapes are those of all types."""
         names = self.list_materials()
         deepest = max(len(layers) for layers in self._shell_materials)
@@ -238,18 +247,18 @@ class Sand(ByContent):
             thickness[i, : len(layers) - 1] = self.relative_coating_thickness
             if self._water.relative_film_thickness:
                 thickness[i, 0] = self._water.relative_film_thickness
-        facetness = statistics.truncated_normal(
+        facetness = statistics.tabulate_truncated_normal(
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
-        return Grains(
-            attenuation=1.0 / mean_leg_m(self),
+        return GrainPopulation(
+            attenuation=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.cumsum(self.composition.volume_fractions),
-            types=Types(
+            types=GrainTypes(
                 n_shells=np.array([len(layers) for layers in self._shell_materials], dtype=np.int64),
                 material=material,
                 coating_thickness=thickness,
                 curvature=2.0 * self.size_distribution.tabulate_struck_inverse_sizes()[np.newaxis],
-                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
+                sphericity=statistics.tabulate_struck_sphericities(*self.sphericity)[np.newaxis],
                 facetness=facetness[np.newaxis],
             ),
         )
@@ -267,7 +276,7 @@ class Sand(ByContent):
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
-        mix = MIXING[self.interpretation.mixing]
+        mix = MIXING_RULES[self.interpretation.mixing]
         index = np.ones((wavelength_nm.size, len(self.list_materials())), dtype=complex)
         self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
         # A leg that is water for a part of its length absorbs by that part.
@@ -280,7 +289,7 @@ class Sand(ByContent):
             return known[mineral]
 
         if self._water.relative_film_thickness:
-            index[:, self.list_materials().index(FILM)] = pure(WATER)
+            index[:, self.list_materials().index(WATER_FILM)] = pure(WATER)
         for particle in self.composition.particle_types:
             for name in particle.shell_materials:
                 row = self.list_materials().index(name)
@@ -292,7 +301,7 @@ class Sand(ByContent):
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
-        return described(self) | {
+        return describe_inputs(self) | {
             "particle_types": ", ".join(t.name for t in self.composition.particle_types),
             "particle_volume_fractions": self.composition.volume_fractions,
             "particle_density_kg_m3": self.density_kg_m3,

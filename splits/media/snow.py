@@ -9,30 +9,35 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splits.arrays import numbers
-from splits.checks import in_range, known_keywords, one_of, refuse
-from splits.equality import ByContent
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import check_range, reject_unknown_keywords, check_choice, invalid
+from splits.core.equality import ContentEquality
 from splits.materials import ice_density
-from splits.materials.impurities import Impurity, described_impurities, impurities_of
+from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics
-from splits.media.granular import Interface, mean_leg_m
+from splits.media.medium import Interface, compute_mean_free_path_m
 from splits.media.ground import Ground
-from splits.media.inputs import described, indices_of, limited_normal, sample_depth
-from splits.media.measured_inputs import in_words_of_input, takes_measured
-from splits.media.natural_snow import is_natural, natural, shape_facts
-from splits.media.pores import Pores, other_pores
-from splits.media.readings import Readings
-from splits.media.words import call, unusual
-from splits.transport.grains.scene import Grains, Types
+from splits.media.inputs import (
+    describe_inputs,
+    make_refractive_indices,
+    check_truncated_normal,
+    check_sample_depth,
+)
+from splits.media.measured_inputs import to_shortest_keywords, accepts_measured_inputs
+from splits.media.natural_snow import is_natural, make_natural_snow, describe_grain_shape
+from splits.media.pore_fluids import PoreFluids, check_other_fluids
+from splits.media.interpretations import Interpretation
+from splits.media.formatting import format_call, find_differences
+from splits.kernels.grains.scene import GrainPopulation, GrainTypes
 
-THINNEST_KG_M3 = 1e-12
+MIN_DENSITY_KG_M3 = 1e-12
 """Least density: a grain in 1e11 m of a ray, far from where numbers end."""
 
 
-@known_keywords
-@takes_measured
+@reject_unknown_keywords
+@accepts_measured_inputs
 @dataclass(frozen=True, eq=False, repr=False)
-class Snow(ByContent):
+class Snow(ContentEquality):
     """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
 
     For snow of which a surface area was measured see `Snow.natural`.
@@ -106,7 +111,7 @@ class Snow(ByContent):
     temperature_c: float = -1.0
     depth_m: float = 0.12
     refractive_index: Mapping[str, Any] = field(default_factory=dict)
-    interpretation: Readings = field(default_factory=Readings)
+    interpretation: Interpretation = field(default_factory=Interpretation)
     ground: Any = None
     pores: Mapping[str, float] = field(default_factory=dict)
     impurities_ng_g: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -125,7 +130,7 @@ class Snow(ByContent):
             temperature_c: float = ...,
             depth_m: float = ...,
             refractive_index: Mapping[str, Any] = ...,
-            interpretation: Readings | str | Mapping[str, Any] = ...,
+            interpretation: Interpretation | str | Mapping[str, Any] = ...,
             ground: Any = ...,
             pores: Mapping[str, float] = ...,
             impurities_ng_g: Mapping[str, Any] = ...,
@@ -137,44 +142,44 @@ class Snow(ByContent):
             liquid_water_content: float | None = ...,
         ) -> None: ...
 
-    natural = classmethod(natural)
+    natural = classmethod(make_natural_snow)
 
     def __repr__(self) -> str:
         """Return the snow on one line, as it was given."""
         if is_natural(self):
             usual = type(self).natural(grain_size_um=self.grain_size_um)
-            inputs = {"grain_size_um": self.grain_size_um, **unusual(self, usual)}
-            return call("Snow.natural", in_words_of_input(self, inputs))
-        return call("Snow", in_words_of_input(self, unusual(self, type(self)())))
+            inputs = {"grain_size_um": self.grain_size_um, **find_differences(self, usual)}
+            return format_call("Snow.natural", to_shortest_keywords(self, inputs))
+        return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        sizes = numbers("grain_size_um", self.grain_size_um, ("min", "max"), (1.0, 1e5))
+        sizes = check_named_numbers("grain_size_um", self.grain_size_um, ("min", "max"), (1.0, 1e5))
         smallest, largest = sizes
         if not 1.0 <= smallest <= largest <= 1e5:
-            raise refuse(
+            raise invalid(
                 "grain_size_um", self.grain_size_um, "1 <= min <= max <= 100000 micrometres"
             )
         if largest > 1e3 * smallest:
-            raise refuse("grain_size_um", self.grain_size_um, "max <= 1000 min")
+            raise invalid("grain_size_um", self.grain_size_um, "max <= 1000 min")
         put("grain_size_um", (smallest, largest))
-        put("facetness", limited_normal("facetness", self.facetness, 0.0))
-        put("sphericity", limited_normal("sphericity", self.sphericity, 0.1))
-        put("saturation", in_range("saturation", self.saturation, 0.0, 1.0))
-        put("temperature_c", in_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
+        put("facetness", check_truncated_normal("facetness", self.facetness, 0.0))
+        put("sphericity", check_truncated_normal("sphericity", self.sphericity, 0.1))
+        put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
+        put("temperature_c", check_range("temperature_c", self.temperature_c, -40.0, 0.0, "°C"))
         ice = ice_density(self.temperature_c)
         hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
         key, density = "density_kg_m3", self.density_kg_m3
-        put(key, in_range(key, density, THINNEST_KG_M3, ice, "kg/m3", hint=hint, open_high=True))
+        put(key, check_range(key, density, MIN_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True))
         put("ground", Ground.from_input(self.ground))
-        put("depth_m", sample_depth(self.depth_m))
-        put("readings", Readings.from_input(self.interpretation))
+        put("depth_m", check_sample_depth(self.depth_m))
+        put("readings", Interpretation.from_input(self.interpretation))
         given = self.refractive_index
-        put("pores", other_pores(self.pores, self.saturation, given, ("ice",)))
-        put("refractive_index", indices_of(("ice", "water"), given, self.pores))
-        one_of("impurities_in", self.impurities_in, ("ice", "pores"))
+        put("pores", check_other_fluids(self.pores, self.saturation, given, ("ice",)))
+        put("refractive_index", make_refractive_indices(("ice", "water"), given, self.pores))
+        check_choice("impurities_in", self.impurities_in, ("ice", "pores"))
         # Bad ones are refused here.
         _ = self._impurities
 
@@ -185,7 +190,7 @@ class Snow(ByContent):
 
     @cached_property
     def _impurities(self) -> tuple[Impurity, ...]:
-        return impurities_of(self.impurities_ng_g, self.algae_cells_ml)
+        return make_impurities(self.impurities_ng_g, self.algae_cells_ml)
 
     def _comparison_key(self) -> tuple[Hashable, ...]:
         # A table is what it holds, and not the path that it was read from.
@@ -239,19 +244,19 @@ class Snow(ByContent):
         """Probability that a leg through pores runs in water."""
         return self.saturation
 
-    def make_grain_population(self) -> Grains:
+    def make_grain_population(self) -> GrainPopulation:
         """Return the table of particle types: one, of ice."""
-        sizes = statistics.struck_inverse_sizes(*self._diameter_limits_m, self.interpretation.struck_size)
-        return Grains(
-            attenuation=1.0 / mean_leg_m(self),
+        sizes = statistics.tabulate_struck_inverse_sizes(*self._diameter_limits_m, self.interpretation.struck_size)
+        return GrainPopulation(
+            attenuation=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.ones(1),
-            types=Types(
+            types=GrainTypes(
                 n_shells=np.ones(1, dtype=np.int64),
                 material=np.array([[self._ice_column]], dtype=np.int64),
                 coating_thickness=np.zeros((1, 1)),
                 curvature=2.0 * sizes[np.newaxis],
-                sphericity=statistics.struck_sphericities(*self.sphericity)[np.newaxis],
-                facetness=statistics.truncated_normal(*self.facetness)[np.newaxis],
+                sphericity=statistics.tabulate_struck_sphericities(*self.sphericity)[np.newaxis],
+                facetness=statistics.tabulate_truncated_normal(*self.facetness)[np.newaxis],
             ),
         )
 
@@ -260,9 +265,9 @@ class Snow(ByContent):
         return (*self.pore_fluids.names, "ice")
 
     @cached_property
-    def pore_fluids(self) -> Pores:
+    def pore_fluids(self) -> PoreFluids:
         """What fills the pores."""
-        return Pores.from_saturation(self.saturation, self.pores)
+        return PoreFluids.from_saturation(self.saturation, self.pores)
 
     @property
     def _ice_column(self) -> int:
@@ -292,7 +297,7 @@ class Snow(ByContent):
         else:
             # Per length of leg: what leaves as much of the impurity along a ray as there is per
             # mass of ice, of which a ray crosses 1/K (Eq A.5) for every leg.
-            ice_per_leg = 1.0 / (self.attenuation_per_m * mean_leg_m(self))
+            ice_per_leg = 1.0 / (self.attenuation_per_m * compute_mean_free_path_m(self))
             density = ice_density(self.temperature_c) * ice_per_leg
             added[:, : self._ice_column] = np.reshape(density * per_ice, (-1, 1))
         return added
@@ -300,13 +305,13 @@ class Snow(ByContent):
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities under names fit for dataset attributes."""
         return (
-            described(self)
-            | described_impurities(self._impurities, self.impurities_in)
+            describe_inputs(self)
+            | describe_impurities(self._impurities, self.impurities_in)
             | {
                 "mean_grain_distance_m": self.mean_grain_distance_m,
                 "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
                 "optical_radius_um": self.optical_radius_um,
                 "liquid_water_content": self.liquid_water_content,
             }
-            | shape_facts(self)
+            | describe_grain_shape(self)
         )

@@ -11,20 +11,26 @@ from typing import Any, cast
 
 import numpy as np
 
-from splits.checks import known_keywords, one_of, refuse, suggestion, under
-from splits.media.granular import GranularMedium, Interface
-from splits.media.ground import Ground, ground_facts
-from splits.media.layer import Layer
-from splits.media.particles import ParticleLayer
-from splits.media.pores import Pores
-from splits.media.readings import SETS
-from splits.media.words import word
-from splits.transport.grains.scene import WET_PORE
+from splits.core.validation import (
+    reject_unknown_keywords,
+    check_choice,
+    invalid,
+    suggest_name,
+    key_prefix,
+)
+from splits.media.medium import GranularMedium, Interface
+from splits.media.ground import Ground, describe_ground
+from splits.media.particle_layer import ParticleLayer
+from splits.media.stacked_particle_layer import StackedParticleLayer
+from splits.media.pore_fluids import PoreFluids
+from splits.media.interpretations import INTERPRETATION_SETS
+from splits.media.formatting import format_value
+from splits.kernels.grains.scene import WET_PORE
 
-MOST_LAYERS = 200
+MAX_LAYERS = 200
 
 
-@known_keywords
+@reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class Stack:
     """Media of grains in order, top first.
@@ -38,7 +44,7 @@ class Stack:
     ----------
     layers : sequence of Snow, Sand or Layer
         Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
-        of them has a ground of its own.  A `Layer` has no bottom here, and a rough surface only
+        of them has a ground of its own.  A `StackedParticleLayer` has no bottom here, and a rough surface only
         as the first.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
@@ -62,41 +68,41 @@ class Stack:
 
     kind = "stack"
 
-    layers: tuple[GranularMedium | Layer, ...]
+    layers: tuple[GranularMedium | ParticleLayer, ...]
     ground: Any = None
     interpretation: str | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.layers, str | GranularMedium | Layer) or not isinstance(
+        if isinstance(self.layers, str | GranularMedium | ParticleLayer) or not isinstance(
             self.layers, Iterable
         ):
-            raise refuse("layers", self.layers, "a list of media, top first")
+            raise invalid("layers", self.layers, "a list of media, top first")
         layers = tuple(self.layers)
-        if not 1 <= len(layers) <= MOST_LAYERS:
-            raise refuse("layers", f"{len(layers)} layers", f"1 to {MOST_LAYERS}")
+        if not 1 <= len(layers) <= MAX_LAYERS:
+            raise invalid("layers", f"{len(layers)} layers", f"1 to {MAX_LAYERS}")
         for number, layer in enumerate(layers):
-            if isinstance(layer, Layer):
-                with under(f"layers[{number}]"):
-                    ParticleLayer(layer, number == 0)
+            if isinstance(layer, ParticleLayer):
+                with key_prefix(f"layers[{number}]"):
+                    StackedParticleLayer(layer, number == 0)
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
-                near = suggestion(str(given).capitalize(), ["Snow", "Sand", "Layer"])
+                near = suggest_name(str(given).capitalize(), ["Snow", "Sand", "Layer"])
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.Layer(...)"
-                raise refuse(f"layers[{number}]", given, allowed, near)
+                raise invalid(f"layers[{number}]", given, allowed, near)
             if layer.depth_m == math.inf and number < len(layers) - 1:
                 hint = "only the lowest layer has no end"
-                raise refuse(f"layers[{number}].depth_m", math.inf, "finite", hint)
+                raise invalid(f"layers[{number}].depth_m", math.inf, "finite", hint)
             if layer.ground is not None:
                 hint = "give it to the stack"
-                raise refuse(f"layers[{number}].ground", layer.ground.name, "left out", hint)
+                raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
-        grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, Layer)]
+        grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, ParticleLayer)]
         for number, layer in grains:
             top, first = grains[0]
             if layer.interpretation.to_transport_dict() != first.interpretation.to_transport_dict():
-                raise refuse(
+                raise invalid(
                     f"layers[{number}].readings", layer.interpretation.as_dict(),
                     f"those of layers[{top}], {first.interpretation.as_dict()}",
                     "one set holds for all: Stack(..., readings='radiative_transfer')",
@@ -107,23 +113,23 @@ class Stack:
     def __repr__(self) -> str:
         """Return the stack, a layer to a line, as it was given."""
         inputs = {"ground": self.ground, "readings": self.interpretation}
-        ends = [f", {key}={word(value)}" for key, value in inputs.items() if value is not None]
+        ends = [f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None]
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(ends)})"]
         return "\n".join(lines)
 
-    def _apply_interpretation(self, layer: GranularMedium | Layer) -> GranularMedium | Layer:
+    def _apply_interpretation(self, layer: GranularMedium | ParticleLayer) -> GranularMedium | ParticleLayer:
         """Return a layer with the stack's readings."""
-        if isinstance(layer, Layer):
+        if isinstance(layer, ParticleLayer):
             return layer
         own: Any = layer.interpretation
-        chosen = SETS[one_of("readings", self.interpretation, SETS)]
+        chosen = INTERPRETATION_SETS[check_choice("readings", self.interpretation, INTERPRETATION_SETS)]
         return replace(cast(Any, layer), readings=type(own).from_input({**own.as_dict(), **chosen}))
 
     @cached_property
-    def scene_layers(self) -> tuple[GranularMedium | ParticleLayer, ...]:
+    def scene_layers(self) -> tuple[GranularMedium | StackedParticleLayer, ...]:
         """The layers as scenes take them."""
         return tuple(
-            ParticleLayer(layer, number == 0) if isinstance(layer, Layer) else layer
+            StackedParticleLayer(layer, number == 0) if isinstance(layer, ParticleLayer) else layer
             for number, layer in enumerate(self.layers)
         )
 
@@ -162,10 +168,10 @@ class Stack:
     def _list_boundary_interfaces(self, number: int, neighbour_number: int, first_columns: list[int]) -> list[Interface]:
         """Return what the pores of one layer of grains have in common with its neighbour."""
         grains, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if isinstance(grains, ParticleLayer):
+        if isinstance(grains, StackedParticleLayer):
             return []
-        shares = Pores.from_saturation(grains.wet_fraction, grains.pores).fractions
-        matrix = isinstance(neighbour, ParticleLayer)
+        shares = PoreFluids.from_saturation(grains.wet_fraction, grains.pores).fractions
+        matrix = isinstance(neighbour, StackedParticleLayer)
         if not matrix and not grains.interpretation.to_sampling_rules().boundary_fresnel:
             return []
         # Air and water of two layers of grains may have tables of their own.
@@ -190,4 +196,4 @@ class Stack:
             described = layer.describe()
             described.pop("ground", None)
             facts |= {f"layers_{number}_{key}": value for key, value in described.items()}
-        return facts | ground_facts(self.ground)
+        return facts | describe_ground(self.ground)

@@ -11,19 +11,19 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.media.grain_statistics import surface_to_volume
+from splits.media.grain_statistics import surface_to_volume_ratio
 
-WATER = ("whole_pores", "narrow_pores", "film")
+WATER_MODELS = ("whole_pores", "narrow_pores", "film")
 """Readings: of legs drawn by volume, of the shortest legs, on the grains."""
-THICKEST = 0.05
+MAX_RELATIVE_FILM_THICKNESS = 0.05
 """Relative thickness up to which a film counts as a flat slab."""
-LITTLE = 1e-6
+MAX_SERIES_SATURATION = 1e-6
 """Saturation up to which a series says which legs are wet."""
-NEWTON = 40
+N_NEWTON_STEPS = 40
 """Steps, of which some ten do where least water is missing."""
 
 
-class Wetness(NamedTuple):
+class WaterDistribution(NamedTuple):
     """Where water is.
 
     Attributes
@@ -41,7 +41,7 @@ class Wetness(NamedTuple):
     relative_film_thickness: float
 
 
-def wetness(saturation: float, porosity: float, sphericity: float, water_model: str) -> Wetness:
+def distribute_water(saturation: float, porosity: float, sphericity: float, water_model: str) -> WaterDistribution:
     """Return where the water of a sand is.
 
     Parameters
@@ -53,24 +53,24 @@ def wetness(saturation: float, porosity: float, sphericity: float, water_model: 
         Mean sphericity of the grains.
     reading : {"whole_pores", "narrow_pores", "film"}
         Of legs drawn by volume; of all legs shorter than some length; on the grains up to
-        `THICKEST`, and the rest in whole pores.
+        `MAX_RELATIVE_FILM_THICKNESS`, and the rest in whole pores.
     """
     if water_model == "narrow_pores" and saturation > 0.0:
-        share = narrowest(saturation)
-        return Wetness(share, saturation / share, 0.0)
+        share = narrow_pore_fraction(saturation)
+        return WaterDistribution(share, saturation / share, 0.0)
     if water_model == "film":
         # Thin: its volume is surface times thickness.
-        per_thickness = float(surface_to_volume(sphericity)) * (1.0 - porosity) / porosity
-        film = min(saturation / per_thickness, THICKEST)
+        per_thickness = float(surface_to_volume_ratio(sphericity)) * (1.0 - porosity) / porosity
+        film = min(saturation / per_thickness, MAX_RELATIVE_FILM_THICKNESS)
         room = max(1.0 - film * per_thickness, 0.0)
         if room == 0.0:
-            return Wetness(0.0, 1.0, film)
+            return WaterDistribution(0.0, 1.0, film)
         # What films leave of the pores fills with the rest.
-        return Wetness(max(1.0 - (1.0 - saturation) / room, 0.0), room, film)
-    return Wetness(saturation, 1.0, 0.0)
+        return WaterDistribution(max(1.0 - (1.0 - saturation) / room, 0.0), room, film)
+    return WaterDistribution(saturation, 1.0, 0.0)
 
 
-def narrowest(saturation: float) -> float:
+def narrow_pore_fraction(saturation: float) -> float:
     """Return the share of legs that are wet where water fills the shortest ones.
 
     Legs are exponential.  Of those shorter than x mean legs, the share of all is f = 1 − e⁻ˣ, and
@@ -95,9 +95,9 @@ def narrowest(saturation: float) -> float:
         return 1.0
     # Where S is small, x = √(2S) + 2S/3; elsewhere Newton's method, from above where S bends down.
     x = math.sqrt(2.0 * saturation) + 2.0 * saturation / 3.0
-    if saturation > LITTLE:
+    if saturation > MAX_SERIES_SATURATION:
         x = max(x, -math.log1p(-saturation))
-        for _ in range(NEWTON):
+        for _ in range(N_NEWTON_STEPS):
             dry = math.exp(-x)
             x += (saturation - 1.0 + (1.0 + x) * dry) / (x * dry)
     return -math.expm1(-x)

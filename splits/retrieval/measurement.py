@@ -9,16 +9,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.arrays import find_labels, increasing, read_in_order, row_of
-from splits.checks import ROUNDING, in_range, refuse
-from splits.skies.bands import Band, bands_of
+from splits.core.arrays import find_labels, check_increasing, align_to_labels, as_1d_array
+from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.illumination.bands import SpectralBand, as_bands
 
-PER_CENT = 2.0
+MAX_REFLECTANCE = 2.0
 """Reflectance factor above which the numbers are taken for per cent."""
-ALIKE = ("stderr", "correlation_nm", "independent")
-EVEN = 1.0
+NOISE_KEYS = ("stderr", "correlation_nm", "independent")
+UNKNOWN_NOISE_STDERR = 1.0
 """Errors of all wavelengths where none are known, so large that all weigh alike."""
-LARGEST = 3.0
+MAX_NOISE_STDERR = 3.0
 """Noise of a reflectance above which it says nothing."""
 
 
@@ -41,7 +41,7 @@ class Measurement(NamedTuple):
     values: np.ndarray
     wavelength_nm: np.ndarray
     covariance: np.ndarray
-    bands: dict[str, Band]
+    bands: dict[str, SpectralBand]
     noise_known: bool = True
 
     @classmethod
@@ -65,114 +65,114 @@ class Measurement(NamedTuple):
         ValueError
             For gaps, per cent, noise that is not above 0, or numbers that do not go together.
         """
-        some = bands_of(bands)
-        w, values = _in_bands(measured, some) if some else _spectrum(measured)
+        some = as_bands(bands)
+        w, values = _read_bands(measured, some) if some else _read_spectrum(measured)
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             where = f"in band {[*some][gaps[0]]}" if some else f"at {w[gaps[0]]:g} nm"
             hint = "masked, NaN or missing: leave those out"
-            raise refuse("measured", f"{gaps.size} gaps, the first {where}", "numbers", hint)
-        if np.abs(values).max() > PER_CENT:
+            raise invalid("measured", f"{gaps.size} gaps, the first {where}", "numbers", hint)
+        if np.abs(values).max() > MAX_REFLECTANCE:
             largest = float(values[np.abs(values).argmax()])
-            raise refuse("measured", largest, f"at most {PER_CENT:g}", "a share, not per cent")
+            raise invalid("measured", largest, f"at most {MAX_REFLECTANCE:g}", "a share, not per cent")
         if noise is None:
-            return cls(values, w, EVEN**2 * np.eye(values.size), some, False)
-        return cls(values, w, _covariance("noise", noise, w, list(some)), some)
+            return cls(values, w, UNKNOWN_NOISE_STDERR**2 * np.eye(values.size), some, False)
+        return cls(values, w, _make_covariance("noise", noise, w, list(some)), some)
 
     def check_noise_known(self) -> Measurement:
         """Return it, or refuse noise that is not known."""
         if not self.noise_known:
-            raise refuse("noise", None, "given", "only splits.retrieve finds it from the misfit")
+            raise invalid("noise", None, "given", "only splits.retrieve finds it from the misfit")
         return self
 
 
-def _in_bands(measured: Any, bands: Mapping[str, Band]) -> tuple[np.ndarray, np.ndarray]:
+def _read_bands(measured: Any, bands: Mapping[str, SpectralBand]) -> tuple[np.ndarray, np.ndarray]:
     """Return the middles (nm) and the reflectances of bands, or refuse them."""
-    values = np.atleast_1d(read_in_order("measured", measured, list(bands), allow_gaps=True))
+    values = np.atleast_1d(align_to_labels("measured", measured, list(bands), allow_gaps=True))
     if values.shape != (len(bands),):
-        raise refuse("measured", f"{values.size} values", f"{len(bands)}, one for each band")
-    return np.array([_middle(band) for band in bands.values()]), values
+        raise invalid("measured", f"{values.size} values", f"{len(bands)}, one for each band")
+    return np.array([_compute_mean_wavelength(band) for band in bands.values()]), values
 
 
-def _spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
+def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths and reflectances, or refuse them."""
     allowed = "a DataArray over wavelength, a Series, or (wavelengths, reflectances)"
     if isinstance(measured, pd.DataFrame):
         if measured.shape[1] != 1:
             hint = "choose one: frame['name'], with wavelengths (nm) for an index"
-            raise refuse("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
+            raise invalid("measured", f"a DataFrame of {measured.shape[1]} columns", allowed, hint)
         measured = measured.iloc[:, 0]
     if isinstance(measured, xr.DataArray):
         if measured.dims != ("wavelength",) or "wavelength" not in measured.coords:
-            raise refuse("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
+            raise invalid("measured", f"over {', '.join(map(str, measured.dims))}", allowed)
         pair: Any = (measured.wavelength.values, measured.values)
     elif isinstance(measured, pd.Series):
         if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
             hint = "pandas.read_csv(file, index_col=0)['name'], where the first column has them"
-            raise refuse("measured", "a Series that is only counted",
+            raise invalid("measured", "a Series that is only counted",
                          "one over wavelengths (nm)", hint)  # fmt: skip
         pair = (measured.index.to_numpy(), measured.to_numpy())
     elif isinstance(measured, tuple | list) and len(measured) == 2:
         pair = measured
     else:
-        raise refuse("measured", type(measured).__name__, allowed)
-    w = increasing("measured (wavelengths)", row_of("measured (wavelengths)", pair[0]))
-    values = read_in_order("measured", pair[1], w, find_labels(pair[0]), allow_gaps=True)
+        raise invalid("measured", type(measured).__name__, allowed)
+    w = check_increasing("measured (wavelengths)", as_1d_array("measured (wavelengths)", pair[0]))
+    values = align_to_labels("measured", pair[1], w, find_labels(pair[0]), allow_gaps=True)
     if values.shape != w.shape:
         found = f"{w.size} wavelengths, {values.size} values"
-        raise refuse("measured", found, "as many of both")
+        raise invalid("measured", found, "as many of both")
     return w, values
 
 
-def _covariance(
+def _make_covariance(
     key: str, noise: Any, wavelength_nm: np.ndarray, bands: Sequence[str]
 ) -> np.ndarray:
     """Return the covariance of noise, in the order of wavelengths or bands, or refuse it."""
     count = wavelength_nm.size
     allowed = f"standard errors above 0, one or {count} of them, or their covariance"
     if isinstance(noise, Mapping):
-        return _alike(noise, wavelength_nm, bands)
+        return _make_correlated_covariance(noise, wavelength_nm, bands)
     # Wavelengths that are only counted tell nothing; bands have an order.
     labels = [bands] if bands else [wavelength_nm]
-    given = read_in_order(key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands))
+    given = align_to_labels(key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands))
     if given.shape == (count, count):
-        if not np.allclose(given, given.T, rtol=ROUNDING, atol=0.0):
-            raise refuse(key, "a matrix that is not symmetric", allowed)
+        if not np.allclose(given, given.T, rtol=ROUNDING_TOLERANCE, atol=0.0):
+            raise invalid(key, "a matrix that is not symmetric", allowed)
         if not np.linalg.eigvalsh(given)[0] > 0.0:
-            raise refuse(key, "a matrix that is not positive definite", allowed)
-        if np.diag(given).max() >= LARGEST**2:
+            raise invalid(key, "a matrix that is not positive definite", allowed)
+        if np.diag(given).max() >= MAX_NOISE_STDERR**2:
             largest = float(np.diag(given).max())
-            raise refuse(key, f"a variance of {largest:g}", f"below {LARGEST**2:g}")
+            raise invalid(key, f"a variance of {largest:g}", f"below {MAX_NOISE_STDERR**2:g}")
         return given
     if given.shape not in ((), (count,)):
-        raise refuse(key, f"of shape {given.shape}", allowed)
-    wrong = ~((given > 0.0) & (given < LARGEST))
+        raise invalid(key, f"of shape {given.shape}", allowed)
+    wrong = ~((given > 0.0) & (given < MAX_NOISE_STDERR))
     if wrong.any():
         hint = "no measurement is without noise"
-        raise refuse(key, float(given[wrong].flat[0]), allowed, hint)
+        raise invalid(key, float(given[wrong].flat[0]), allowed, hint)
     return np.diag(np.broadcast_to(given, (count,)) ** 2)
 
 
-def _alike(noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]) -> np.ndarray:
+def _make_correlated_covariance(noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]) -> np.ndarray:
     """Return the covariance of noise that is alike at near wavelengths, or refuse it."""
-    if not {"stderr", "correlation_nm"} <= set(noise) <= {*ALIKE}:
-        raise refuse("noise", sorted(map(str, noise)), " and ".join(ALIKE[:2]))
-    length = in_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
+    if not {"stderr", "correlation_nm"} <= set(noise) <= {*NOISE_KEYS}:
+        raise invalid("noise", sorted(map(str, noise)), " and ".join(NOISE_KEYS[:2]))
+    length = check_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
     if np.ndim(noise["stderr"]) > 1:
-        raise refuse(
+        raise invalid(
             "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
         )
     own: Any = 0.0
-    stderr = _covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
+    stderr = _make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
     if "independent" in noise:
-        own = _covariance("noise.independent", noise["independent"], wavelength_nm, bands)
+        own = _make_covariance("noise.independent", noise["independent"], wavelength_nm, bands)
     apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
     error = np.sqrt(np.diag(stderr))
     together: np.ndarray = np.exp(-apart / length) * error[:, np.newaxis] * error + own
     return together
 
 
-def _middle(band: Band) -> float:
+def _compute_mean_wavelength(band: SpectralBand) -> float:
     """Return the mean wavelength (nm) of a band."""
     w = np.linspace(*band.limits_nm, 501)
     response = np.interp(w, band.wavelength_nm, band.response)

@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from splits.arrays import numbers
-from splits.checks import in_range, refuse, under, unknown_key
-from splits.instruments.arguments import check_incidence, check_medium
-from splits.instruments.progress import Report
-from splits.lookup.axes import check_places
-from splits.lookup.interpolation import spaced
-from splits.media.measured_inputs import check_one_of_each
-from splits.media.parameters import INCIDENCE, value_of, with_value
-from splits.media.turbid import Medium
-from splits.retrieval.coordinates import LEVEL, Free, Widest
-from splits.retrieval.forward import LEVELS
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import check_range, invalid, key_prefix, unknown_key
+from splits.simulation.arguments import check_incidence, check_medium
+from splits.core.progress import ProgressCallback
+from splits.tables.axes import check_axis_values
+from splits.tables.interpolation import transform_axis
+from splits.media.measured_inputs import check_no_equivalents
+from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
+from splits.media.medium import Medium
+from splits.retrieval.state_vector import SCALE, StateVector, ParameterRange
+from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.runs import OfRuns
+from splits.retrieval.simulation_model import SimulationForwardModel
 
 
-def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Free:
+def make_medium_state_vector(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> StateVector:
     """Return what a user leaves free of a medium, or refuse it.
 
     Parameters
@@ -41,49 +41,49 @@ def free_of(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> Fre
     check_medium(medium, allow_semi_infinite=True)
     if not isinstance(ranges, Mapping):
         hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
-        raise refuse("free", ranges, "(low, high) by name", hint)
-    with under("free"):
-        check_one_of_each({str(name): pair for name, pair in ranges.items()})
-    known: dict[str, Widest] = {LEVEL: Widest(*LEVELS, "itself")}
+        raise invalid("free", ranges, "(low, high) by name", hint)
+    with key_prefix("free"):
+        check_no_equivalents({str(name): pair for name, pair in ranges.items()})
+    known: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
     for name, pair in ranges.items():
-        if name == LEVEL:
+        if name == SCALE:
             continue
-        if name != INCIDENCE:
-            value_of(medium, name)
+        if name != INCIDENCE_KEY:
+            get_parameter(medium, name)
         elif incidence == "diffuse":
             raise unknown_key(f"free.{name}", ["level"])
-        ends = np.array(numbers(f"free.{name}", pair, ("low", "high")))
+        ends = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
         if not ends[0] < ends[1]:
-            raise refuse(f"free.{name}", pair, "low < high")
-        for value in ends if name != INCIDENCE else ():
+            raise invalid(f"free.{name}", pair, "low < high")
+        for value in ends if name != INCIDENCE_KEY else ():
             try:
-                with_value(medium, name, float(value))
+                replace_parameter(medium, name, float(value))
             except ValueError as error:
-                raise refuse(f"free.{name}", float(value), "what a medium can have",
+                raise invalid(f"free.{name}", float(value), "what a medium can have",
                              str(error)) from None  # fmt: skip
-        for value in ends if name == INCIDENCE else ():
+        for value in ends if name == INCIDENCE_KEY else ():
             check_incidence(float(value))
         middle = np.array([ends[0], 0.5 * ends.sum(), ends[1]])
-        known[name] = Widest(float(ends[0]), float(ends[1]), spaced(name, middle)[0])
-    return Free.from_ranges(dict(ranges), prior, known)
+        known[name] = ParameterRange(float(ends[0]), float(ends[1]), transform_axis(name, middle)[0])
+    return StateVector.from_ranges(dict(ranges), prior, known)
 
 
-def incidence_of(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
+def check_measurement_incidence(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
     """Return the incidence that a measurement of a medium was made under, or refuse it."""
     free = ranges if isinstance(ranges, Mapping) else ()
-    return check_incidence(check_places(at, [INCIDENCE], "at.", free_axes=free).get(INCIDENCE, 0.0))
+    return check_incidence(check_axis_values(at, [INCIDENCE_KEY], "at.", free_axes=free).get(INCIDENCE_KEY, 0.0))
 
 
-def runs_of(
+def make_simulation_model(
     medium: Medium,
     measurement: Measurement,
-    state_vector: Free,
+    state_vector: StateVector,
     incidence: float | str,
     max_stderr: float | None,
     seed: int,
-    progress: Report = None,
-) -> OfRuns:
+    progress: ProgressCallback = None,
+) -> SimulationForwardModel:
     """Return a measurement as runs have it, or refuse an error of theirs."""
     if max_stderr is not None:
-        max_stderr = in_range("max_stderr", max_stderr, 1e-6, 0.5)
-    return OfRuns(medium, measurement, state_vector, incidence, max_stderr, seed, progress)
+        max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
+    return SimulationForwardModel(medium, measurement, state_vector, incidence, max_stderr, seed, progress)

@@ -12,21 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.estimation import Optimum, told
-from splits.retrieval.forward import Model
+from splits.retrieval.optimal_estimation import MAPEstimate, summarize_posterior
+from splits.retrieval.forward_model import ForwardModel
 from splits.retrieval.measurement import Measurement
 
-DRAWS = 4000
-FREEDOM = 5.0
+N_DRAWS = 4000
+STUDENT_T_DOF = 5.0
 """Degrees of freedom of Student's t: tails heavier than any that is to be found."""
-ENOUGH = 400.0
+MIN_EFFECTIVE_DRAWS = 400.0
 """Effective number of draws."""
-ROUNDS = 6
-DEFENCE = 0.1
+MAX_ITERATIONS = 6
+DEFENSIVE_FRACTION = 0.1
 """Share of draws from the whole range, so that no part of it is overlooked for good."""
 
 
-class Draws(NamedTuple):
+class PosteriorDraws(NamedTuple):
     """Draws from a posterior.
 
     Attributes
@@ -41,20 +41,20 @@ class Draws(NamedTuple):
     n_effective: float
 
 
-class _Part(NamedTuple):
+class _MixtureComponent(NamedTuple):
     """A part of the distribution that is drawn from."""
 
     centre: np.ndarray
     cholesky: np.ndarray
 
     @classmethod
-    def from_covariance(cls, centre: np.ndarray, covariance: np.ndarray) -> _Part:
+    def from_covariance(cls, centre: np.ndarray, covariance: np.ndarray) -> _MixtureComponent:
         tiny = 1e-12 * np.eye(len(centre))
         return cls(centre, np.linalg.cholesky(covariance + tiny))
 
     def draw(self, random: np.random.Generator, n_draws: int) -> np.ndarray:
         normal = random.standard_normal((n_draws, len(self.centre)))
-        wide = np.sqrt(FREEDOM / random.chisquare(FREEDOM, n_draws))[:, np.newaxis]
+        wide = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))[:, np.newaxis]
         places: np.ndarray = self.centre + wide * (normal @ self.cholesky.T)
         return places
 
@@ -63,13 +63,13 @@ class _Part(NamedTuple):
         off = np.linalg.solve(self.cholesky, (states - self.centre).T)
         many = len(self.centre)
         scale = np.log(np.diag(self.cholesky)).sum()
-        found: np.ndarray = -scale - 0.5 * (FREEDOM + many) * np.log1p(
-            (off**2).sum(axis=0) / FREEDOM
+        found: np.ndarray = -scale - 0.5 * (STUDENT_T_DOF + many) * np.log1p(
+            (off**2).sum(axis=0) / STUDENT_T_DOF
         )
         return found
 
 
-def draws_of(model: Model, measurement: Measurement, estimates: Sequence[Optimum], seed: int) -> Draws:
+def draw_posterior(model: ForwardModel, measurement: Measurement, estimates: Sequence[MAPEstimate], seed: int) -> PosteriorDraws:
     """Return draws from the posterior.
 
     Parameters
@@ -81,46 +81,46 @@ def draws_of(model: Model, measurement: Measurement, estimates: Sequence[Optimum
     seed : int
     """
     random = np.random.default_rng([seed, 20])
-    parts = [_Part.from_covariance(end.state, 1.5 * told(end, model.state_vector).covariance) for end in estimates]
-    constant = _student(len(estimates[0].state))
+    parts = [_MixtureComponent.from_covariance(end.state, 1.5 * summarize_posterior(end, model.state_vector).covariance) for end in estimates]
+    constant = _compute_log_normalization(len(estimates[0].state))
     best = (0.0, np.zeros(0), np.zeros(0), parts)
-    for _ in range(ROUNDS):
-        places = _drawn(parts, random)
+    for _ in range(MAX_ITERATIONS):
+        places = _draw_mixture(parts, random)
         inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
         places = places[inside]
         height = np.logaddexp.reduce([part.compute_log_density(places) for part in parts], axis=0)
-        height += constant - np.log(len(parts)) + np.log1p(-DEFENCE)
-        log = _probable(model, measurement, places, estimates) - np.logaddexp(height, np.log(DEFENCE))
+        height += constant - np.log(len(parts)) + np.log1p(-DEFENSIVE_FRACTION)
+        log = _compute_log_posterior(model, measurement, places, estimates) - np.logaddexp(height, np.log(DEFENSIVE_FRACTION))
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         effective = float(1.0 / (weight**2).sum())
         if effective > best[0]:
             best = (effective, places, weight, parts)
-        if effective >= ENOUGH:
+        if effective >= MIN_EFFECTIVE_DRAWS:
             break
         # A round that was worse than one before tells less where to draw.
         _, known, weights, drawn = best
-        parts = _anew(known, weights, drawn)
+        parts = _update_components(known, weights, drawn)
     effective, places, weight, _ = best
-    return Draws(places[_systematic(weight, random)], effective)
+    return PosteriorDraws(places[_resample_systematically(weight, random)], effective)
 
 
-def _drawn(components: Sequence[_Part], random: np.random.Generator) -> np.ndarray:
+def _draw_mixture(components: Sequence[_MixtureComponent], random: np.random.Generator) -> np.ndarray:
     """Return draws from all parts, and some from everywhere."""
-    everywhere = random.random((int(DEFENCE * DRAWS), len(components[0].centre)))
-    share = (DRAWS - len(everywhere)) // len(components)
+    everywhere = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
+    share = (N_DRAWS - len(everywhere)) // len(components)
     return np.concatenate([everywhere, *(part.draw(random, share) for part in components)])
 
 
-def _student(n_dimensions: int) -> float:
+def _compute_log_normalization(n_dimensions: int) -> float:
     """Return the logarithm of the constant of Student's t in so many dimensions."""
     from math import lgamma, log, pi
 
-    return lgamma(0.5 * (FREEDOM + n_dimensions)) - lgamma(0.5 * FREEDOM) - 0.5 * n_dimensions * log(FREEDOM * pi)
+    return lgamma(0.5 * (STUDENT_T_DOF + n_dimensions)) - lgamma(0.5 * STUDENT_T_DOF) - 0.5 * n_dimensions * log(STUDENT_T_DOF * pi)
 
 
-def _probable(
-    model: Model, measurement: Measurement, states: np.ndarray, estimates: Sequence[Optimum]
+def _compute_log_posterior(
+    model: ForwardModel, measurement: Measurement, states: np.ndarray, estimates: Sequence[MAPEstimate]
 ) -> np.ndarray:
     """Return the logarithm of the posterior, but for a constant."""
     off = model.evaluate(states) - measurement.values
@@ -136,7 +136,7 @@ def _probable(
     return found
 
 
-def _anew(states: np.ndarray, weights: np.ndarray, components: Sequence[_Part]) -> list[_Part]:
+def _update_components(states: np.ndarray, weights: np.ndarray, components: Sequence[_MixtureComponent]) -> list[_MixtureComponent]:
     """Return parts around what was found, each place with the part that it is nearest to."""
     nearest = np.argmax([part.compute_log_density(states) for part in components], axis=0)
     found = []
@@ -152,12 +152,12 @@ def _anew(states: np.ndarray, weights: np.ndarray, components: Sequence[_Part]) 
         # A handful of places does not tell a covariance.
         keep = 1.0 / (1.0 + few / (4.0 * len(centre)))
         before = part.cholesky @ part.cholesky.T
-        found.append(_Part.from_covariance(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
+        found.append(_MixtureComponent.from_covariance(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
     return found or list(components)
 
 
-def _systematic(weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def _resample_systematically(weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Return rows as often as they weigh, with as little chance as can be."""
-    at = (np.arange(DRAWS) + random.random()) / DRAWS
+    at = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
     rows: np.ndarray = np.searchsorted(np.cumsum(weights), at * weights.sum())
     return np.minimum(rows, len(weights) - 1)

@@ -7,31 +7,41 @@ from typing import Any
 
 import numpy as np
 
-from splits.checks import known_arguments, one_of, refuse
-from splits.instruments.arguments import check_whole
-from splits.instruments.progress import Report, shows_progress
-from splits.lookup.reading import Table
+from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.simulation.arguments import check_integer
+from splits.core.progress import ProgressCallback, with_progress
+from splits.tables.table import Table
 from splits.retrieval import least_squares
-from splits.retrieval.coordinates import Free
-from splits.retrieval.estimation import RIVAL, Optimum, optima, optimum, told
-from splits.retrieval.forward import OfTable, ranges_of
-from splits.retrieval.line import Around, bent
-from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import free_of, incidence_of, runs_of
-from splits.retrieval.posterior import draws_of
-from splits.retrieval.result import (
-    FAR_FROM_PRIOR,
-    Found,
-    Retrieved,
-    excess_of,
-    result_of,
-    tension_of,
+from splits.retrieval.state_vector import StateVector
+from splits.retrieval.optimal_estimation import (
+    ALTERNATIVE_CHI2,
+    MAPEstimate,
+    find_distinct_map_estimates,
+    find_map_estimate,
+    summarize_posterior,
 )
-from splits.retrieval.runs import OfRuns
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.media import (
+    make_medium_state_vector,
+    check_measurement_incidence,
+    make_simulation_model,
+)
+from splits.retrieval.posterior import draw_posterior
+from splits.retrieval.result import (
+    MAX_PRIOR_TENSION,
+    Solution,
+    RetrievalResult,
+    compute_variance_inflation,
+    make_result,
+    compute_prior_tension,
+)
+from splits.retrieval.simulation_model import SimulationForwardModel
 
 
-@known_arguments
-@shows_progress
+@reject_unknown_arguments
+@with_progress
 def retrieve(
     measured: Any,
     model: Any,
@@ -44,8 +54,8 @@ def retrieve(
     quantity: str = "reflectance",
     seed: int = 1,
     max_stderr: float | None = None,
-    progress: Report = None,
-) -> Retrieved:
+    progress: ProgressCallback = None,
+) -> RetrievalResult:
     """Retrieve parameters from a measured spectrum, with their errors.
 
     The most probable values, and draws from the distribution of all that the measurement allows
@@ -122,71 +132,71 @@ def retrieve(
     >>> found.determined
     {'optical_radius_um': True}
     """
-    seed = check_whole("seed", seed, 0)
+    seed = check_integer("seed", seed, 0)
     if isinstance(model, Table):
         if max_stderr is not None:
-            raise refuse("max_stderr", max_stderr, "left out", "a table has errors of its own")
-        one_of("quantity", quantity, model.quantities)
+            raise invalid("max_stderr", max_stderr, "left out", "a table has errors of its own")
+        check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
-        which = Free.from_ranges(free, prior, ranges_of(model))
-        known = OfTable(model, measurement, which, at, quantity)
+        which = StateVector.from_ranges(free, prior, get_table_ranges(model))
+        known = TableForwardModel(model, measurement, which, at, quantity)
         if not measurement.noise_known:
-            found, measurement = least_squares.in_table(known, measurement, seed)
+            found, measurement = least_squares.retrieve_from_table(known, measurement, seed)
         else:
-            found = _found(known, measurement, seed)
-        return result_of(which, measurement, found)
+            found = _solve(known, measurement, seed)
+        return make_result(which, measurement, found)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
         given = type(model).__name__
         hint = "splits.Table(splits.table(…)), open_table, or a snow, sand, layer or stack"
-        raise refuse("model", given, "a Table, or a medium", hint)
-    one_of("quantity", quantity, ["reflectance"])
+        raise invalid("model", given, "a Table, or a medium", hint)
+    check_choice("quantity", quantity, ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
-    beam = incidence_of(at, free)
-    which = free_of(model, free, prior, beam)
-    runs = runs_of(model, measurement, which, beam, max_stderr, seed, progress)
+    beam = check_measurement_incidence(at, free)
+    which = make_medium_state_vector(model, free, prior, beam)
+    runs = make_simulation_model(model, measurement, which, beam, max_stderr, seed, progress)
     if not measurement.noise_known:
-        found, measurement = least_squares.by_runs(runs, measurement, seed)
+        found, measurement = least_squares.retrieve_by_simulation(runs, measurement, seed)
     else:
-        found = _by_runs(runs, measurement, seed)
-    return result_of(which, measurement, found)
+        found = _solve_by_simulation(runs, measurement, seed)
+    return make_result(which, measurement, found)
 
 
-def _by_runs(model: OfRuns, measurement: Measurement, seed: int) -> Found:
+def _solve_by_simulation(model: SimulationForwardModel, measurement: Measurement, seed: int) -> Solution:
     """Return what a measurement of known noise tells by runs."""
     settled = model.find_minima()
-    around = Around(model.state_vector, settled.linearize(measurement.covariance))
-    found = _found(around, measurement, seed)
+    around = LinearizedModel(model.state_vector, settled.linearize(measurement.covariance))
+    found = _solve(around, measurement, seed)
     noise = found.variance_inflation * (measurement.covariance + settled.noise_covariance)
-    off = bent(model.evaluate_last_stage, around, found.estimates[0].state, found.posterior.covariance, noise)
-    return found._replace(nonlinearity=off, alternatives=settled.find_alternatives(RIVAL))
+    off = estimate_nonlinearity(model.evaluate_last_stage, around, found.estimates[0].state, found.posterior.covariance, noise)
+    return found._replace(nonlinearity=off, alternatives=settled.find_alternatives(ALTERNATIVE_CHI2))
 
 
-def _found(model: OfTable | Around, measurement: Measurement, seed: int) -> Found:
+def _solve(model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int) -> Solution:
     """Return the most probable places, and draws around them."""
     free, nodes = model.state_vector, model.evaluate_first_guesses()
-    ends = optima(model, measurement, *nodes)
+    ends = find_distinct_map_estimates(model, measurement, *nodes)
     # A prior that contradicts the measurement is no fault of the model.
-    alone = _without_priors(model, measurement, ends[0])
+    alone = _solve_without_priors(model, measurement, ends[0])
     fair = ends[0] if ends[0].chi2 <= alone.chi2 else alone
-    excess = excess_of(fair, free)
+    excess = compute_variance_inflation(fair, free)
     if excess > 1.0:
-        ends = optima(model, measurement, *nodes, excess)
-    spread = told(alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()).covariance
-    tension = tension_of(free, alone.state, np.diag(spread))
-    if ends[0].chi2 - fair.chi2 / excess < FAR_FROM_PRIOR**2:
+        ends = find_distinct_map_estimates(model, measurement, *nodes, excess)
+    spread = summarize_posterior(alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()).covariance
+    tension = compute_prior_tension(free, alone.state, np.diag(spread))
+    if ends[0].chi2 - fair.chi2 / excess < MAX_PRIOR_TENSION**2:
         # As well followed with the priors as without: they do not contradict it.
         tension = np.zeros_like(tension)
-    draws = draws_of(model, measurement, ends, seed)
+    draws = draw_posterior(model, measurement, ends, seed)
     off = np.sqrt(np.diag(model.compute_error_covariance(ends[0].state)))
-    return Found(ends, told(ends[0], free), draws, excess, tension, off)
+    return Solution(ends, summarize_posterior(ends[0], free), draws, excess, tension, off)
 
 
-def _without_priors(model: OfTable | Around, measurement: Measurement, estimate: Optimum) -> Optimum:
+def _solve_without_priors(model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate) -> MAPEstimate:
     """Return the optimum that the measurement has by itself, near that with priors."""
     free = model.state_vector
     if not np.isfinite(free.prior_sd).any():
         return estimate
     model.state_vector = free.drop_priors()
-    alone = optimum(model, measurement, estimate.state)
+    alone = find_map_estimate(model, measurement, estimate.state)
     model.state_vector = free
     return alone

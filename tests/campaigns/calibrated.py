@@ -17,39 +17,39 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.analysis.errors import error_parts
+from splits.core.uncertainty import compute_error_parts
 
-Told = tuple[np.ndarray, np.ndarray]
+ValuesAndErrors = tuple[np.ndarray, np.ndarray]
 """Values and the errors that are stated of them, of one shape."""
-Reader = Callable[[xr.Dataset], Told]
+Reader = Callable[[xr.Dataset], ValuesAndErrors]
 
-ONE = {"threads": 1}
+ONE_THREAD = {"threads": 1}
 SNOW = splits.Snow(depth_m=0.01)
 SOOTY = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 5000.0})
 WET = splits.Snow(depth_m=0.01, saturation=0.3)
 SAND = splits.Sand(depth_m=0.005)
-PACK = splits.Stack([splits.Snow(density_kg_m3=150, depth_m=0.004), SNOW], ground=0.3)
-HAZE = splits.Layer(
+SNOWPACK = splits.Stack([splits.Snow(density_kg_m3=150, depth_m=0.004), SNOW], ground=0.3)
+SCATTERING_LAYER = splits.ParticleLayer(
     optical_thickness=2.0, asymmetry=0.5, single_scattering_albedo=0.9, bottom_albedo=None,
     refractive_index=1.3,
 )  # fmt: skip
-DEEPER = splits.Snow(depth_m=0.02)
-SKYLIGHT = splits.Layer(
+DEEP_SNOW = splits.Snow(depth_m=0.02)
+POLARIZED_LAYER = splits.ParticleLayer(
     optical_thickness=1.0, single_scattering_albedo=0.95, phase_function="rayleigh",
     refractive_index=1.3, bottom_albedo=None, polarized=True,
 )  # fmt: skip
-WAVES = splits.Layer(
+ROUGH_LAYER = splits.ParticleLayer(
     refractive_index=1.33,
     depth_m=100.0,
     surface={"rms_height_m": 1.0, "wave_number_per_m": 0.1, "correlation": "gaussian", "waves": 64},
 )
 SKY = splits.sky("midlatitude_winter")
-FAR_APART = [600.0, 1300.0]
-VIEWS = {"polar_deg": [0.0, 20.0, 40.0, 60.0, 75.0], "azimuth_deg": [0.0, 60.0, 120.0, 180.0]}
-FEW = {"polar_deg": [0.0, 40.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0]}
+DISTANT_WAVELENGTHS_NM = [600.0, 1300.0]
+VIEW_DIRECTIONS = {"polar_deg": [0.0, 20.0, 40.0, 60.0, 75.0], "azimuth_deg": [0.0, 60.0, 120.0, 180.0]}
+FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0]}
 
 
-class Case(NamedTuple):
+class CalibrationCase(NamedTuple):
     """An instrument over a medium, many times.
 
     Attributes
@@ -74,10 +74,10 @@ class Case(NamedTuple):
     reference_run: Callable[[], xr.Dataset] | None = None
 
 
-def stated(*names: str, **at: object) -> Reader:
+def read_stated(*names: str, **at: object) -> Reader:
     """Return what reads variables and their ``…_stderr``, at labels if there are any."""
 
-    def read(dataset: xr.Dataset) -> Told:
+    def read(dataset: xr.Dataset) -> ValuesAndErrors:
         found = dataset.sel(at) if at else dataset
         values, errors = (
             np.concatenate([found[name + end].values.ravel() for name in names])
@@ -88,21 +88,21 @@ def stated(*names: str, **at: object) -> Reader:
     return read
 
 
-def each(*names: str, **at: object) -> dict[str, Reader]:
+def make_readers(*names: str, **at: object) -> dict[str, Reader]:
     """Return readers of variables by their names."""
-    return {name.replace("_", " "): stated(name, **at) for name in names}
+    return {name.replace("_", " "): read_stated(name, **at) for name in names}
 
 
-def combined(*names: str) -> Reader:
+def read_combined(*names: str) -> Reader:
     """Return what reads means and differences over wavelengths, by groups of rays."""
 
-    def read(dataset: xr.Dataset) -> Told:
+    def read(dataset: xr.Dataset) -> ValuesAndErrors:
         values, errors = [], []
         for name in names:
             count = dataset.sizes["wavelength"]
             for weights in (np.full(count, 1.0 / count), np.resize([1.0, -1.0], count)):
                 weight = xr.DataArray(weights, dims="wavelength")
-                scatter, missed = error_parts(dataset, name, weight)
+                scatter, missed = compute_error_parts(dataset, name, weight)
                 values.append((dataset[name] * weight).sum("wavelength").values.ravel())
                 errors.append(np.hypot(scatter, missed).values.ravel())
         return np.concatenate(values), np.concatenate(errors)
@@ -110,7 +110,7 @@ def combined(*names: str) -> Reader:
     return read
 
 
-def difference_of_media(dataset: xr.Dataset) -> Told:
+def read_media_difference(dataset: xr.Dataset) -> ValuesAndErrors:
     """Read differences between two media, by groups of rays."""
     first, second = dataset.isel(medium=0), dataset.isel(medium=1)
     groups = first.reflectance_groups.astype(float) - second.reflectance_groups.astype(float)
@@ -120,157 +120,157 @@ def difference_of_media(dataset: xr.Dataset) -> Told:
     )
 
 
-def of_surfaces(dataset: xr.Dataset) -> Told:
+def read_mean_square_height(dataset: xr.Dataset) -> ValuesAndErrors:
     """Read the mean square height of all realisations, whose scatter tells its error."""
     square = dataset.rms_height.values**2
     return np.array([square.mean()]), np.array([square.std(ddof=1) / np.sqrt(square.size)])
 
 
-SPECTRUM = {
-    **each("reflectance", "transmittance", "absorptance"),
-    "sums over wavelengths": combined("reflectance", "transmittance"),
+SPECTRUM_READERS = {
+    **make_readers("reflectance", "transmittance", "absorptance"),
+    "sums over wavelengths": read_combined("reflectance", "transmittance"),
 }
-ANGLES = each("brdf", "btdf", "reflectance", "transmittance")
-POLARIZED = ANGLES | each("brdf_q", "brdf_u", "btdf_q", "btdf_u")
-SPREAD = each("share", "mean_radius", "quantile_radius", "profile", "profile_map")
-INSIDE = each("downward_irradiance", "upward_irradiance", "absorptance")
-GRAIN = each(
+ANGULAR_READERS = make_readers("brdf", "btdf", "reflectance", "transmittance")
+POLARIZED_READERS = ANGULAR_READERS | make_readers("brdf_q", "brdf_u", "btdf_q", "btdf_u")
+SPREAD_READERS = make_readers("share", "mean_radius", "quantile_radius", "profile", "profile_map")
+PROFILE_READERS = make_readers("downward_irradiance", "upward_irradiance", "absorptance")
+GRAIN_READERS = make_readers(
     "single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "displacement_before",
     "displacement_after", "displacement_square", "wet_share",
 )  # fmt: skip
-LONG = 1_000_000
+LONG_RUN_SEED = 1_000_000
 """Seed of long runs."""
 
 
-def spectrum(medium, wavelengths, incidence=0.0, error=0.01, **settings):
+def make_spectrum_run(medium, wavelengths, incidence=0.0, error=0.01, **settings):
     return lambda seed: splits.spectrophotometer(
-        medium, wavelengths, incidence, error, seed, **ONE, **settings
+        medium, wavelengths, incidence, error, seed, **ONE_THREAD, **settings
     )
 
 
-def angles(medium, wavelength, incidence, error=0.05):
+def make_angular_run(medium, wavelength, incidence, error=0.05):
     return lambda seed: splits.goniophotometer(
-        medium, [wavelength], incidence, seed=seed, relative_stderr=error, **VIEWS, **ONE
+        medium, [wavelength], incidence, seed=seed, relative_stderr=error, **VIEW_DIRECTIONS, **ONE_THREAD
     )
 
 
-def expansion(name, *scene):
+def make_expansion_case(name, *scene):
     """Return the case of a BRDF by polynomials."""
-    run, long_run = angles(*scene), angles(*scene, error=0.01)
-    return Case("goniophotometer", name, run, ANGLES, 100, lambda: long_run(LONG))
+    run, long_run = make_angular_run(*scene), make_angular_run(*scene, error=0.01)
+    return CalibrationCase("goniophotometer", name, run, ANGULAR_READERS, 100, lambda: long_run(LONG_RUN_SEED))
 
 
-def cells(medium, wavelength, rays=30_000):
+def make_bins_run(medium, wavelength, rays=30_000):
     return lambda seed: splits.goniophotometer(
-        medium, [wavelength], 40.0, rays, seed, estimator="cells", cells=(3, 6), **ONE
+        medium, [wavelength], 40.0, rays, seed, estimator="cells", cells=(3, 6), **ONE_THREAD
     )
 
 
-def local(medium, rays):
+def make_next_event_run(medium, rays):
     return lambda seed: splits.goniophotometer(
-        medium, [600.0], 40.0, rays, seed, estimator="local", **FEW, **ONE
+        medium, [600.0], 40.0, rays, seed, estimator="local", **FEW_DIRECTIONS, **ONE_THREAD
     )
 
 
-def spread(medium, wavelength, half_width):
-    return lambda seed: splits.bssrdf(
-        medium, [wavelength], 30.0, 20_000, seed, half_width_m=half_width, **ONE
+def make_spread_run(medium, wavelength, half_width):
+    return lambda seed: splits.beam_spread(
+        medium, [wavelength], 30.0, 20_000, seed, half_width_m=half_width, **ONE_THREAD
     )
 
 
-def deep(medium, wavelength, error):
+def make_deep_run(medium, wavelength, error):
     return lambda seed: splits.deep_transmittance(
-        medium, [wavelength], relative_stderr=error, seed=seed, **ONE
+        medium, [wavelength], relative_stderr=error, seed=seed, **ONE_THREAD
     )
 
 
-def inside(medium, wavelengths, incidence=0.0, error=0.02):
-    return lambda seed: splits.profile(
-        medium, wavelengths, [0.002, 0.005], incidence, error, seed, **ONE
+def make_profile_run(medium, wavelengths, incidence=0.0, error=0.02):
+    return lambda seed: splits.irradiance_profile(
+        medium, wavelengths, [0.002, 0.005], incidence, error, seed, **ONE_THREAD
     )
 
 
-def grains(medium, wavelengths):
-    return lambda seed: splits.single_scattering(medium, wavelengths, 8, 4000, seed, **ONE)
+def make_grain_run(medium, wavelengths):
+    return lambda seed: splits.single_scattering(medium, wavelengths, 8, 4000, seed, **ONE_THREAD)
 
 
-def soot(seed):
+def run_soot(seed):
     media = {"clean": SNOW, "sooty": SOOTY}
-    return splits.spectra(media, FAR_APART, 0.0, 0.004, seed, **ONE)
+    return splits.spectra(media, DISTANT_WAVELENGTHS_NM, 0.0, 0.004, seed, **ONE_THREAD)
 
 
-def rings(seed):
-    return splits.lens(WAVES, [2.0, 5.0], 0.5, over="origin", realisations=100, seed=seed, rays=36)
+def run_lens(seed):
+    return splits.lens(ROUGH_LAYER, [2.0, 5.0], 0.5, over="origin", realisations=100, seed=seed, rays=36)
 
 
-def heights(seed):
+def run_surface_map(seed):
     # A square of many wavelengths: mean squares over a smaller one are as skew as χ² of 1.
-    return splits.surface_map(WAVES, 100.0, points=2, realisations=100, seed=seed)
+    return splits.surface_map(ROUGH_LAYER, 100.0, points=2, realisations=100, seed=seed)
 
 
-def under_sky(medium):
+def make_albedo_run(medium):
     # Diffuse light takes the next seed.
-    return lambda seed: splits.albedo(medium, SKY, FAR_APART, 0.005, 2 * seed, **ONE)
+    return lambda seed: splits.albedo(medium, SKY, DISTANT_WAVELENGTHS_NM, 0.005, 2 * seed, **ONE_THREAD)
 
 
-def views_under_sky(error):
-    return lambda seed: splits.hdrf(SNOW, SKY, [600.0], error, 2 * seed, **VIEWS, **ONE)
+def make_hdrf_run(error):
+    return lambda seed: splits.hdrf(SNOW, SKY, [600.0], error, 2 * seed, **VIEW_DIRECTIONS, **ONE_THREAD)
 
 
-def sunlit(seed):
-    return splits.light_inside(
-        SNOW, SKY, [0.003], FAR_APART, 0.02, 2 * seed, total_w_m2=500.0, **ONE
+def run_radiation_profile(seed):
+    return splits.radiation_profile(
+        SNOW, SKY, [0.003], DISTANT_WAVELENGTHS_NM, 0.02, 2 * seed, total_w_m2=500.0, **ONE_THREAD
     )
 
 
-_SOOT = {"jacobian": ["impurities_ng_g.black_carbon"]}
+_SOOT_JACOBIAN = {"jacobian": ["impurities_ng_g.black_carbon"]}
 CASES = [
-    Case("spectrophotometer", "snow", spectrum(SNOW, FAR_APART, error=0.004), SPECTRUM),
-    Case("spectrophotometer", "wet snow, diffuse", spectrum(WET, [600.0], "diffuse"), SPECTRUM),
-    Case("spectrophotometer", "pack on soil", spectrum(PACK, [900.0], 60.0), SPECTRUM),
-    Case("spectrophotometer", "sand", spectrum(SAND, [600.0]), SPECTRUM),
-    Case("spectrophotometer", "layer", spectrum(HAZE, [600.0], 30.0), SPECTRUM),
-    Case(
-        "spectrophotometer, derivatives", "sooty snow", spectrum(SOOTY, [600.0], **_SOOT),
-        each("reflectance_jacobian", "transmittance_jacobian"),
+    CalibrationCase("spectrophotometer", "snow", make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.004), SPECTRUM_READERS),
+    CalibrationCase("spectrophotometer", "wet snow, diffuse", make_spectrum_run(WET, [600.0], "diffuse"), SPECTRUM_READERS),
+    CalibrationCase("spectrophotometer", "pack on soil", make_spectrum_run(SNOWPACK, [900.0], 60.0), SPECTRUM_READERS),
+    CalibrationCase("spectrophotometer", "sand", make_spectrum_run(SAND, [600.0]), SPECTRUM_READERS),
+    CalibrationCase("spectrophotometer", "layer", make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0), SPECTRUM_READERS),
+    CalibrationCase(
+        "spectrophotometer, derivatives", "sooty snow", make_spectrum_run(SOOTY, [600.0], **_SOOT_JACOBIAN),
+        make_readers("reflectance_jacobian", "transmittance_jacobian"),
     ),
-    Case(
+    CalibrationCase(
         "spectrophotometer, analog", "snow",
-        spectrum(SNOW, FAR_APART, error=0.02, estimator="analog"), SPECTRUM,
+        make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.02, estimator="analog"), SPECTRUM_READERS,
     ),
-    Case(
+    CalibrationCase(
         "spectrophotometer, analog", "layer",
-        spectrum(HAZE, [600.0], 30.0, estimator="analog"), SPECTRUM,
+        make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0, estimator="analog"), SPECTRUM_READERS,
     ),
-    Case("spectra", "snow", soot, SPECTRUM | {"difference of media": difference_of_media}),
-    expansion("snow, 60°", SNOW, 600.0, 60.0),
-    expansion("snow, 0°", SNOW, 1300.0, 0.0),
-    expansion("layer, 40°", HAZE, 600.0, 40.0),
-    Case("goniophotometer, cells", "snow", cells(SNOW, 1300.0), ANGLES),
-    Case("goniophotometer, cells", "polarized layer", cells(SKYLIGHT, 600.0), POLARIZED),
-    Case("goniophotometer, local", "layer", local(HAZE, 4000), ANGLES),
-    Case("goniophotometer, local", "polarized layer", local(SKYLIGHT, 4000), POLARIZED),
-    Case("bssrdf", "snow", spread(SNOW, 1300.0, 0.003), SPREAD),
-    Case("bssrdf", "layer", spread(HAZE, 600.0, 1.0), SPREAD),
-    Case("deep_transmittance", "snow, 10 %", deep(DEEPER, 1030.0, 0.1), each("transmittance")),
-    Case("deep_transmittance", "snow, 5 %", deep(DEEPER, 1300.0, 0.05), each("transmittance"), 100),
-    Case(
-        "profile", "snow", inside(SNOW, [500.0], error=0.01),
-        INSIDE | each("actinic_flux", "absorptance_of_material"),
+    CalibrationCase("spectra", "snow", run_soot, SPECTRUM_READERS | {"difference of media": read_media_difference}),
+    make_expansion_case("snow, 60°", SNOW, 600.0, 60.0),
+    make_expansion_case("snow, 0°", SNOW, 1300.0, 0.0),
+    make_expansion_case("layer, 40°", SCATTERING_LAYER, 600.0, 40.0),
+    CalibrationCase("goniophotometer, cells", "snow", make_bins_run(SNOW, 1300.0), ANGULAR_READERS),
+    CalibrationCase("goniophotometer, cells", "polarized layer", make_bins_run(POLARIZED_LAYER, 600.0), POLARIZED_READERS),
+    CalibrationCase("goniophotometer, local", "layer", make_next_event_run(SCATTERING_LAYER, 4000), ANGULAR_READERS),
+    CalibrationCase("goniophotometer, local", "polarized layer", make_next_event_run(POLARIZED_LAYER, 4000), POLARIZED_READERS),
+    CalibrationCase("bssrdf", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
+    CalibrationCase("bssrdf", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS),
+    CalibrationCase("deep_transmittance", "snow, 10 %", make_deep_run(DEEP_SNOW, 1030.0, 0.1), make_readers("transmittance")),
+    CalibrationCase("deep_transmittance", "snow, 5 %", make_deep_run(DEEP_SNOW, 1300.0, 0.05), make_readers("transmittance"), 100),
+    CalibrationCase(
+        "profile", "snow", make_profile_run(SNOW, [500.0], error=0.01),
+        PROFILE_READERS | make_readers("actinic_flux", "absorptance_of_material"),
     ),
-    Case("profile", "pack on soil", inside(PACK, [900.0], 50.0), INSIDE),
-    Case("single_scattering", "wet snow", grains(WET, FAR_APART), GRAIN),
-    Case("single_scattering", "sand", grains(SAND, [600.0]), GRAIN),
-    Case("lens", "waves", rings, each("contraction", "concentration")),
-    Case("surface_map", "waves", heights, {"mean square height": of_surfaces}, 400),
-    Case("albedo", "snow", under_sky(SNOW), each("albedo", "band_albedo")),
-    Case("albedo", "pack on soil", under_sky(PACK), each("albedo", "band_albedo")),
-    Case(
-        "hdrf", "snow", views_under_sky(0.05), each("reflectance_factor"), 100,
-        lambda: views_under_sky(0.01)(LONG),
+    CalibrationCase("profile", "pack on soil", make_profile_run(SNOWPACK, [900.0], 50.0), PROFILE_READERS),
+    CalibrationCase("single_scattering", "wet snow", make_grain_run(WET, DISTANT_WAVELENGTHS_NM), GRAIN_READERS),
+    CalibrationCase("single_scattering", "sand", make_grain_run(SAND, [600.0]), GRAIN_READERS),
+    CalibrationCase("lens", "waves", run_lens, make_readers("contraction", "concentration")),
+    CalibrationCase("surface_map", "waves", run_surface_map, {"mean square height": read_mean_square_height}, 400),
+    CalibrationCase("albedo", "snow", make_albedo_run(SNOW), make_readers("albedo", "band_albedo")),
+    CalibrationCase("albedo", "pack on soil", make_albedo_run(SNOWPACK), make_readers("albedo", "band_albedo")),
+    CalibrationCase(
+        "hdrf", "snow", make_hdrf_run(0.05), make_readers("reflectance_factor"), 100,
+        lambda: make_hdrf_run(0.01)(LONG_RUN_SEED),
     ),
-    Case(
-        "light_inside", "snow", sunlit,
-        each("downward_irradiance", "upward_irradiance", "absorbed_power"), 100,
+    CalibrationCase(
+        "light_inside", "snow", run_radiation_profile,
+        make_readers("downward_irradiance", "upward_irradiance", "absorbed_power"), 100,
     ),
 ]  # fmt: skip

@@ -23,22 +23,22 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from calibrated import CASES, Case, Told
+from calibrated import CASES, CalibrationCase, ValuesAndErrors
 
-from splits.figures.calibration import ALL, calibration_figure
-from splits.figures.style import style
-from splits.files import whole
+from calibration_figure import ALL_LABEL, draw_calibration
+from splits.plotting.style import use_style
+from splits.core.atomic import atomic_write
 
-LEAST = 4.0
+MIN_SIGNAL_SIGMA = 4.0
 """Errors of what few rays see are not known from these rays: quantities that are not, on the whole,
 this many stated errors large are left out."""
 
 
-def off(runs: Sequence[Told], reference: Told | None = None) -> np.ndarray:
+def compute_deviations(runs: Sequence[ValuesAndErrors], reference: ValuesAndErrors | None = None) -> np.ndarray:
     """Return what runs are off in units of their stated errors, shape (runs, quantities)."""
     values, errors = (np.array(part) for part in zip(*runs, strict=True))
     size = np.abs(values.mean(axis=0)), np.sqrt((errors**2).mean(axis=0))
-    known = (size[0] > LEAST * size[1]) & (errors > 0.0).all(axis=0)
+    known = (size[0] > MIN_SIGNAL_SIGMA * size[1]) & (errors > 0.0).all(axis=0)
     values, errors = values[:, known], errors[:, known]
     if reference is not None:
         truth, error = (part[known] for part in reference)
@@ -48,7 +48,7 @@ def off(runs: Sequence[Told], reference: Told | None = None) -> np.ndarray:
     return (values - others) / errors * np.sqrt((n - 1) / n)
 
 
-def squares(case: Case, seeds: Iterable[int], use_reference: bool = True) -> dict[str, np.ndarray]:
+def compute_mean_squares(case: CalibrationCase, seeds: Iterable[int], use_reference: bool = True) -> dict[str, np.ndarray]:
     """Return mean squares of what every seed is off, by group of quantities.
 
     Parameters
@@ -58,7 +58,7 @@ def squares(case: Case, seeds: Iterable[int], use_reference: bool = True) -> dic
     against : bool
         Whether runs are held against the reference of the case, if it has one.
     """
-    told: dict[str, list[Told]] = {name: [] for name in case.readers}
+    told: dict[str, list[ValuesAndErrors]] = {name: [] for name in case.readers}
     for seed in seeds:
         dataset = case.run(seed)
         if dataset.attrs.get("interpolation_error_bound"):
@@ -68,24 +68,24 @@ def squares(case: Case, seeds: Iterable[int], use_reference: bool = True) -> dic
     long_run = case.reference_run() if use_reference and case.reference_run else None
     found = {}
     for name, runs in told.items():
-        z = off(runs, None if long_run is None else case.readers[name](long_run))
+        z = compute_deviations(runs, None if long_run is None else case.readers[name](long_run))
         if z.shape[1]:
             found[name] = (z**2).mean(axis=1)
     return found
 
 
-def ratio(square: np.ndarray) -> tuple[float, float]:
+def compute_rms_ratio(square: np.ndarray) -> tuple[float, float]:
     """Return a root mean square over seeds and its standard error."""
     root = float(np.sqrt(square.mean()))
     return root, float(square.std(ddof=1) / np.sqrt(square.size) / (2.0 * root))
 
 
-def rows_of(case: Case, mean_squares: Mapping[str, np.ndarray]) -> list[dict[str, object]]:
+def make_rows(case: CalibrationCase, mean_squares: Mapping[str, np.ndarray]) -> list[dict[str, object]]:
     """Return the rows of a case: one for each group of quantities, and one for all of them."""
-    groups = dict(mean_squares) | {ALL: np.mean(list(mean_squares.values()), axis=0)}
+    groups = dict(mean_squares) | {ALL_LABEL: np.mean(list(mean_squares.values()), axis=0)}
     rows = []
     for name, square in groups.items():
-        value, error = ratio(square)
+        value, error = compute_rms_ratio(square)
         rows.append(
             {
                 "instrument": case.instrument, "medium": case.medium, "quantity": name,
@@ -95,37 +95,37 @@ def rows_of(case: Case, mean_squares: Mapping[str, np.ndarray]) -> list[dict[str
     return rows
 
 
-def with_instruments(table: pd.DataFrame) -> pd.DataFrame:
+def add_instrument_rows(table: pd.DataFrame) -> pd.DataFrame:
     """Return the table with a row more for each instrument, over its media."""
     rows = []
-    media = table[table.quantity == ALL]
+    media = table[table.quantity == ALL_LABEL]
     for instrument, part in media.groupby("instrument", sort=False):
         value = float(np.sqrt((part.ratio**2).mean()))
         error = float(np.sqrt(((part.ratio * part.ratio_stderr) ** 2).sum())) / len(part) / value
         rows.append(
             {
-                "instrument": instrument, "medium": ALL, "quantity": ALL,
+                "instrument": instrument, "medium": ALL_LABEL, "quantity": ALL_LABEL,
                 "seeds": int(part.seeds.sum()), "ratio": value, "ratio_stderr": error,
             }
         )  # fmt: skip
     return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
 
 
-def calibration(cases: Sequence[Case], seeds: int | None = None, first: int = 1) -> pd.DataFrame:
+def run_calibration(cases: Sequence[CalibrationCase], seeds: int | None = None, first: int = 1) -> pd.DataFrame:
     """Run cases with successive seeds, printing as it goes, and return the table."""
     rows: list[dict[str, object]] = []
     for case in cases:
         begun = time.process_time()
         last = first + (seeds or case.n_seeds) - 1
-        found = squares(case, range(first, last + 1))
-        new = rows_of(case, found)
+        found = compute_mean_squares(case, range(first, last + 1))
+        new = make_rows(case, found)
         spent = time.process_time() - begun
         print(f"{case.instrument}, {case.medium}: seeds {first} to {last}, {spent:.0f} s")
         for row in new:
             told = f"{row['ratio']:.3f} ± {row['ratio_stderr']:.3f}"
             print(f"  {row['quantity']}: {told}", flush=True)
         rows += new
-    return with_instruments(pd.DataFrame(rows))
+    return add_instrument_rows(pd.DataFrame(rows))
 
 
 def main() -> None:
@@ -137,12 +137,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1, help="seed")
     asked = parser.parse_args()
     cases = [case for case in CASES if asked.only in f"{case.instrument}, {case.medium}"]
-    table = calibration(cases, asked.seeds, asked.first)
-    with whole(asked.folder / "calibration.csv") as aside:
+    table = run_calibration(cases, asked.seeds, asked.first)
+    with atomic_write(asked.folder / "calibration.csv") as aside:
         table.to_csv(aside, index=False, float_format="%.4f")
-    with style(), whole(asked.folder / "images" / "calibration.png") as aside:
-        calibration_figure(table).savefig(aside, dpi=200, metadata={"Software": None})
-    print(table[table.medium == ALL].to_string(index=False))
+    with use_style(), atomic_write(asked.folder / "images" / "calibration.png") as aside:
+        draw_calibration(table).savefig(aside, dpi=200, metadata={"Software": None})
+    print(table[table.medium == ALL_LABEL].to_string(index=False))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Contents of experiment files, generated: what a user may mean, and what may be written instead.
 
-`sound` builds contents out of known keys and mostly possible values; `broken` changes some places
-of them.  `text_of` writes contents as YAML, flow style, so that any scalar may stand anywhere.
+`valid_contents` builds contents out of known keys and mostly possible values; `broken` changes some places
+of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand anywhere.
 """
 
 from __future__ import annotations
@@ -11,44 +11,44 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from splits.experiments.grids import label_of
-from splits.experiments.sections import FIGURES, OF_ONE_POINT, USED_BY
+from splits.experiments.config.grid import make_label
+from splits.experiments.config.sections import FIGURE_KINDS, SINGLE_POINT_KINDS, KINDS_OF_SETTING
 
 
-class Raw(str):
+class RawText(str):
     """Text that stands in a file as it is."""
 
     __slots__ = ()
 
 
-def text_of(value: Any) -> str:
+def to_flow_yaml(value: Any) -> str:
     """Return a value as YAML in flow style."""
-    if isinstance(value, Raw):
+    if isinstance(value, RawText):
         return str(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{text_of(k)}: {text_of(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{to_flow_yaml(k)}: {to_flow_yaml(v)}" for k, v in value.items()) + "}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(text_of, value)) + "]"
+        return "[" + ", ".join(map(to_flow_yaml, value)) + "]"
     if isinstance(value, float):
         return repr(value).replace("inf", ".inf").replace("nan", ".nan")
     return json.dumps(value)
 
 
-def file_of(content: Any) -> str:
+def to_file_text(content: Any) -> str:
     """Return the text of a file: one section a line where there are sections."""
     if not isinstance(content, dict) or not content:
-        return text_of(content)
-    return "".join(f"{text_of(key)}: {text_of(value)}\n" for key, value in content.items())
+        return to_flow_yaml(content)
+    return "".join(f"{to_flow_yaml(key)}: {to_flow_yaml(value)}\n" for key, value in content.items())
 
 
-SELDOM = st.sampled_from([False] * 9 + [True])
+RARELY = st.sampled_from([False] * 9 + [True])
 OFTEN = st.sampled_from([True] * 9 + [False])
 
 
 # --- media ------------------------------------------------------------------------------------
 
 
-def within(low: float, high: float) -> st.SearchStrategy:
+def numbers_within(low: float, high: float) -> st.SearchStrategy:
     """Return numbers of a range, its ends and a few digits more often than others."""
     return (
         st.floats(low, high, allow_subnormal=False)
@@ -57,29 +57,29 @@ def within(low: float, high: float) -> st.SearchStrategy:
     )
 
 
-def rising(low: float, high: float, count: int = 2) -> st.SearchStrategy:
-    return st.lists(within(low, high), min_size=count, max_size=count, unique=True).map(sorted)
+def increasing_numbers(low: float, high: float, count: int = 2) -> st.SearchStrategy:
+    return st.lists(numbers_within(low, high), min_size=count, max_size=count, unique=True).map(sorted)
 
 
-def some(**strategies: st.SearchStrategy) -> st.SearchStrategy:
+def optional_keys(**strategies: st.SearchStrategy) -> st.SearchStrategy:
     """Return mappings of some of these keys."""
     return st.fixed_dictionaries({}, optional=strategies)
 
 
-def bell(low: float, high: float) -> st.SearchStrategy:
+def limited_normals(low: float, high: float) -> st.SearchStrategy:
     """Return (min, max, mean, sd) of a limited normal."""
-    return st.tuples(rising(low, high, 3), within(0.001, 0.5)).map(
+    return st.tuples(increasing_numbers(low, high, 3), numbers_within(0.001, 0.5)).map(
         lambda drawn: [drawn[0][0], drawn[0][2], drawn[0][1], drawn[1]]
     )
 
 
 TABLE = {"wavelength_nm": [200, 100_000], "n": [1.3, 1.4], "k": [1e-9, 1e-3]}
 INDEX = (
-    within(1.0, 2.5)
+    numbers_within(1.0, 2.5)
     | st.sampled_from(["1.31+1e-7j", "1.5", "1+1j", "warren_brandt_2008", "nowhere.csv", TABLE])
-    | within(0.1, 10.0).map(lambda factor: {"dataset": "warren_brandt_2008", "k_factor": factor})
+    | numbers_within(0.1, 10.0).map(lambda factor: {"dataset": "warren_brandt_2008", "k_factor": factor})
 )
-READINGS = some(
+INTERPRETATIONS = optional_keys(
     entry=st.sampled_from(["uniform", "projected"]),
     facets=st.sampled_from(["projected", "unweighted", "any"]),
     wrong_side=st.sampled_from(["lobe", "mirrored"]),
@@ -88,88 +88,88 @@ READINGS = some(
     grain_on_last_leg=st.sampled_from(["reject", "keep", "skip"]),
     grain_across_boundary=st.sampled_from(["reject", "keep", "skip"]),
 )
-SHARES = st.lists(within(0.0, 1.0), min_size=2, max_size=2).map(
+FRACTIONS = st.lists(numbers_within(0.0, 1.0), min_size=2, max_size=2).map(
     lambda x: [min(x), max(x) - min(x), 1.0 - max(x)]
 )
-GROUNDS = within(0.0, 1.0) | st.sampled_from(
+GROUNDS = numbers_within(0.0, 1.0) | st.sampled_from(
     ["open", "black", "camborthid", {"wavelength_nm": [400, 2500], "albedo": [0.1, 0.6]}]
 )
 KEYWORDS = {
     "snow": {
-        "grain_size_um": rising(20.0, 900.0),
-        "facetness": bell(0.0, 1.0),
-        "sphericity": bell(0.3, 1.0),
-        "saturation": within(0.0, 1.0),
-        "density_kg_m3": within(50.0, 900.0),
-        "temperature_c": within(-40.0, 0.0),
-        "depth_m": within(0.001, 0.02),
+        "grain_size_um": increasing_numbers(20.0, 900.0),
+        "facetness": limited_normals(0.0, 1.0),
+        "sphericity": limited_normals(0.3, 1.0),
+        "saturation": numbers_within(0.0, 1.0),
+        "density_kg_m3": numbers_within(50.0, 900.0),
+        "temperature_c": numbers_within(-40.0, 0.0),
+        "depth_m": numbers_within(0.001, 0.02),
         "refractive_index": st.dictionaries(st.sampled_from(["ice", "water"]), INDEX, max_size=2),
-        "readings": READINGS,
+        "readings": INTERPRETATIONS,
         "ground": GROUNDS,
     },
     "sand": {
-        "iron_oxide": within(0.0, 0.05),
-        "hematite_ratio": within(0.0, 1.0),
-        "magnetite": within(0.0, 0.3),
-        "partition": SHARES,
-        "texture": within(0.0, 0.05).map(lambda clay: [clay, clay, 1.0 - 2.0 * clay]),
-        "saturation": within(0.0, 1.0),
-        "porosity": within(0.35, 0.6),
-        "roundness": st.tuples(within(0.0, 1.0), within(0.001, 0.5)),
-        "sphericity": bell(0.3, 1.0),
-        "depth_m": within(0.003, 0.01),
+        "iron_oxide": numbers_within(0.0, 0.05),
+        "hematite_ratio": numbers_within(0.0, 1.0),
+        "magnetite": numbers_within(0.0, 0.3),
+        "partition": FRACTIONS,
+        "texture": numbers_within(0.0, 0.05).map(lambda clay: [clay, clay, 1.0 - 2.0 * clay]),
+        "saturation": numbers_within(0.0, 1.0),
+        "porosity": numbers_within(0.35, 0.6),
+        "roundness": st.tuples(numbers_within(0.0, 1.0), numbers_within(0.001, 0.5)),
+        "sphericity": limited_normals(0.3, 1.0),
+        "depth_m": numbers_within(0.003, 0.01),
         "refractive_index": st.dictionaries(
             st.sampled_from(["quartz", "hematite", "goethite", "water"]), INDEX, max_size=2
         ),
-        "readings": READINGS,
+        "readings": INTERPRETATIONS,
         "ground": GROUNDS,
     },
     "layer": {
-        "optical_thickness": within(0.0, 20.0) | st.just(float("inf")),
-        "single_scattering_albedo": within(0.0, 0.99),
-        "asymmetry": within(-0.9, 0.9),
-        "refractive_index": within(1.0, 3.0),
-        "bottom_albedo": within(0.0, 1.0) | st.none(),
+        "optical_thickness": numbers_within(0.0, 20.0) | st.just(float("inf")),
+        "single_scattering_albedo": numbers_within(0.0, 0.99),
+        "asymmetry": numbers_within(-0.9, 0.9),
+        "refractive_index": numbers_within(1.0, 3.0),
+        "bottom_albedo": numbers_within(0.0, 1.0) | st.none(),
         "surface": st.fixed_dictionaries(
             {
-                "rms_height_m": within(1e-3, 0.02),
-                "wave_number_per_m": within(1.0, 50.0),
+                "rms_height_m": numbers_within(1e-3, 0.02),
+                "wave_number_per_m": numbers_within(1.0, 50.0),
                 "correlation": st.just("gaussian"),
             },
             optional={
                 "waves": st.integers(1, 24),
-                "band_limit_per_m": within(50.0, 500.0),
+                "band_limit_per_m": numbers_within(50.0, 500.0),
             },
         ),
         "phase_function": st.sampled_from(["henyey_greenstein", "rayleigh"]),
         "polarized": st.booleans(),
-        "max_polarization": within(0.0, 1.0),
+        "max_polarization": numbers_within(0.0, 1.0),
         "opaque": st.booleans(),
-        "depth_m": within(0.5, 10.0),
+        "depth_m": numbers_within(0.5, 10.0),
     },
 }
 LAYER_OF_STACK = st.one_of(
-    st.fixed_dictionaries({"kind": st.just("snow"), "depth_m": within(1e-4, 0.01)}, optional={
+    st.fixed_dictionaries({"kind": st.just("snow"), "depth_m": numbers_within(1e-4, 0.01)}, optional={
         key: KEYWORDS["snow"][key] for key in ("grain_size_um", "density_kg_m3", "saturation")
     }),
-    st.fixed_dictionaries({"kind": st.just("sand"), "depth_m": within(1e-3, 0.005)}, optional={
+    st.fixed_dictionaries({"kind": st.just("sand"), "depth_m": numbers_within(1e-3, 0.005)}, optional={
         key: KEYWORDS["sand"][key] for key in ("iron_oxide", "partition", "saturation")
     }),
 )  # fmt: skip
-LID = st.fixed_dictionaries(
-    {"kind": st.just("layer"), "optical_thickness": within(0.0, 5.0), "depth_m": within(0.1, 1.0)},
+TOP_LAYER = st.fixed_dictionaries(
+    {"kind": st.just("layer"), "optical_thickness": numbers_within(0.0, 5.0), "depth_m": numbers_within(0.1, 1.0)},
     optional={
         key: KEYWORDS["layer"][key]
         for key in ("single_scattering_albedo", "asymmetry", "refractive_index", "surface")
     },
 )
 """A layer of particles; its surface is refused but on top."""
-GRAINS = st.lists(LAYER_OF_STACK, min_size=1, max_size=3)
+GRAIN_LAYERS = st.lists(LAYER_OF_STACK, min_size=1, max_size=3)
 KEYWORDS["stack"] = {
-    "layers": GRAINS | st.tuples(LID, GRAINS).map(lambda both: [both[0], *both[1]]),
+    "layers": GRAIN_LAYERS | st.tuples(TOP_LAYER, GRAIN_LAYERS).map(lambda both: [both[0], *both[1]]),
     "ground": GROUNDS,
 }
-BASES = {
+BASE_FILES = {
     "stack": [],
     "snow": ["splitsnow_table1"],
     "sand": ["splits_base", "tec_10019201", "tec_13j9823"],
@@ -178,12 +178,12 @@ BASES = {
 
 # --- labels, instruments, figures -------------------------------------------------------------
 
-NAMES = [
+ODD_LABELS = [
     "default", "a b", "Ångström µ", "0.10", "1e3", "yes", "a=b", "λ/2", "100-200", "x" * 60,
     "%d {}", "$x$", "_", "$", r"$\frac$", "a_$b^$", "=1+1", "</script>", "<!-- <script>",
     "*half r_",
 ]  # fmt: skip
-LABELS = st.sampled_from(NAMES) | st.text(
+LABELS = st.sampled_from(ODD_LABELS) | st.text(
     st.characters(codec="utf-8", categories=["L", "N", "P"]), min_size=1, max_size=8
 )
 WAVELENGTHS = st.lists(
@@ -198,47 +198,47 @@ SETTINGS = {
     "goniophotometer": {
         "estimator": st.sampled_from(["expansion", "cells", "local"]),
         "target": st.sampled_from(["brdf", "btdf"]),
-        "polar_deg": rising(0.0, 89.0, 3),
+        "polar_deg": increasing_numbers(0.0, 89.0, 3),
         "azimuth_deg": AZIMUTHS,
         "cells": st.sampled_from([[2, 4], [6, 8]]),
         "rays": st.integers(1, 5000),
     },
-    "bssrdf": {"rays": st.integers(1, 5000), "half_width_m": within(1e-3, 1.0)},
+    "bssrdf": {"rays": st.integers(1, 5000), "half_width_m": numbers_within(1e-3, 1.0)},
     "refractive_index": {},
-    "surface": {"half_width_m": within(0.1, 10.0), "realisations": st.integers(2, 5)},
+    "surface": {"half_width_m": numbers_within(0.1, 10.0), "realisations": st.integers(2, 5)},
     "lens": {
-        "radius_m": within(0.1, 3.0),
-        "screen_depth_m": rising(0.5, 50.0, 3),
-        "half_width_m": within(1.0, 20.0),
+        "radius_m": numbers_within(0.1, 3.0),
+        "screen_depth_m": increasing_numbers(0.5, 50.0, 3),
+        "half_width_m": numbers_within(1.0, 20.0),
         "over": st.sampled_from(["crest", "trough", "origin"]),
         "realisations": st.integers(1, 3),
         "rays": st.integers(3, 100),
     },
 }
-OF_MEDIUM = {
+INSTRUMENTS_OF_MEDIUM = {
     "stack": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "snow": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "sand": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
     "layer": ["spectrophotometer", "goniophotometer", "bssrdf", "surface", "lens"],
 }
-QUANTITY = {
+QUANTITIES = {
     "spectrophotometer": ["reflectance", "transmittance", "absorptance"],
     "goniophotometer": ["brdf", "btdf", "reflectance_factor", "anisotropy_factor"],
 }
-FITS = {"measured": "sand_reflectance_jhu.csv"}
+FIT_SECTION = {"measured": "sand_reflectance_jhu.csv"}
 
 
 @st.composite
 def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
-    medium = draw(some(**KEYWORDS[kind]))
+    medium = draw(optional_keys(**KEYWORDS[kind]))
     if rough and draw(OFTEN):
         medium["surface"] = draw(KEYWORDS["layer"]["surface"])
     if kind == "sand":  # its own is a metre: light that nothing absorbs stays there for minutes
         medium.setdefault("depth_m", draw(KEYWORDS["sand"]["depth_m"]))
     if kind == "stack":
         medium.setdefault("layers", draw(KEYWORDS["stack"]["layers"]))
-    if BASES[kind] and draw(st.booleans()):
-        medium["base"] = draw(st.sampled_from(BASES[kind]))
+    if BASE_FILES[kind] and draw(st.booleans()):
+        medium["base"] = draw(st.sampled_from(BASE_FILES[kind]))
     return {"kind": kind, **medium}
 
 
@@ -256,8 +256,8 @@ def instruments(draw, kind: str, of: str) -> dict[str, Any]:
             instrument["wavelength_nm"] = draw(WAVELENGTHS)
         if kind != "refractive_index" and draw(st.booleans()):
             diffuse = st.just("diffuse") if kind == "spectrophotometer" else st.nothing()
-            instrument["incidence_deg"] = draw(within(0.0, 89.0) | diffuse)
-    if draw(SELDOM):
+            instrument["incidence_deg"] = draw(numbers_within(0.0, 89.0) | diffuse)
+    if draw(RARELY):
         instrument["seed"] = draw(st.integers(0, 2**31))
     estimator = instrument.get("estimator")
     if estimator == "cells":
@@ -273,11 +273,11 @@ def grids(draw, kind: str) -> dict[str, Any]:
     """Return up to two parameters with up to three values, in a list or under labels."""
     values = {
         **KEYWORDS[kind],
-        "incidence_deg": within(0.0, 80.0),
-        "medium": some(**KEYWORDS[kind]),
+        "incidence_deg": numbers_within(0.0, 80.0),
+        "medium": optional_keys(**KEYWORDS[kind]),
     }
     if kind == "stack":
-        values |= {"layers.0.depth_m": within(1e-3, 0.01), "layers.1.saturation": within(0.0, 1.0)}
+        values |= {"layers.0.depth_m": numbers_within(1e-3, 0.01), "layers.1.saturation": numbers_within(0.0, 1.0)}
     grid = {}
     for parameter in draw(st.lists(st.sampled_from(sorted(values)), max_size=2, unique=True)):
         given = draw(st.lists(values[parameter], min_size=1, max_size=3))
@@ -293,21 +293,21 @@ def grids(draw, kind: str) -> dict[str, Any]:
 def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     figure = {}
     if draw(st.booleans()):
-        figure["kind"] = draw(st.sampled_from([name for name in FIGURES[kind] if name != "fit"]))
-    shown = figure.get("kind", FIGURES[kind][0])
-    if kind in QUANTITY and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
-        several = st.lists(st.sampled_from(QUANTITY[kind]), min_size=1, max_size=3, unique=True)
+        figure["kind"] = draw(st.sampled_from([name for name in FIGURE_KINDS[kind] if name != "fit"]))
+    shown = figure.get("kind", FIGURE_KINDS[kind][0])
+    if kind in QUANTITIES and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
+        several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)
         figure["quantity"] = draw(several | several.map(lambda names: names[0]))
     for parameter, given in grid.items():
-        if shown in OF_ONE_POINT or draw(SELDOM):
-            labels = [label_of(parameter, v) for v in given] if isinstance(given, list) else given
+        if shown in SINGLE_POINT_KINDS or draw(RARELY):
+            labels = [make_label(parameter, v) for v in given] if isinstance(given, list) else given
             figure.setdefault("at", {})[parameter] = draw(st.sampled_from(list(labels)))
-    if shown in USED_BY["legend"] and grid and draw(SELDOM):
+    if shown in KINDS_OF_SETTING["legend"] and grid and draw(RARELY):
         figure["legend"] = draw(LABELS)
-    if shown in USED_BY["ylim"] and draw(SELDOM):
-        figure["ylim"] = draw(rising(0.0, 2.0))
-    if shown == "spectra" and draw(SELDOM):
-        figure["wavelength_nm"] = draw(rising(300.0, 2500.0))
+    if shown in KINDS_OF_SETTING["ylim"] and draw(RARELY):
+        figure["ylim"] = draw(increasing_numbers(0.0, 2.0))
+    if shown == "spectra" and draw(RARELY):
+        figure["wavelength_nm"] = draw(increasing_numbers(300.0, 2500.0))
         figure["measured"] = draw(
             st.sampled_from(["aviris_ng_varsa2021.csv", "sand_reflectance_jhu.csv", "none.csv"])
         )
@@ -315,10 +315,10 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
 
 
 @st.composite
-def sound(draw) -> dict[str, Any]:
+def valid_contents(draw) -> dict[str, Any]:
     """Return the contents of an experiment file out of known keys."""
     kind = draw(st.sampled_from(sorted(KEYWORDS)))
-    instrument = draw(st.sampled_from(OF_MEDIUM[kind]))
+    instrument = draw(st.sampled_from(INSTRUMENTS_OF_MEDIUM[kind]))
     content: dict[str, Any] = {
         "medium": draw(mediums(kind, instrument in ("surface", "lens"))),
         "instrument": draw(instruments(instrument, kind)),
@@ -331,15 +331,15 @@ def sound(draw) -> dict[str, Any]:
             content["instrument"].pop(parameter, None)
     content["grid"] = grid
     content["figure"] = draw(figures(instrument, grid))
-    if kind == "sand" and draw(SELDOM):
-        content["fit"] = dict(FITS)
+    if kind == "sand" and draw(RARELY):
+        content["fit"] = dict(FIT_SECTION)
         content["figure"] = {"kind": "fit"}
     for key in ("title", "caption"):
-        if draw(SELDOM):
+        if draw(RARELY):
             content[key] = draw(LABELS)
-    if draw(SELDOM):
+    if draw(RARELY):
         content["name"] = draw(st.sampled_from(["mine", "a_1", "simulate", "Mine", "1", "a b"]))
     for key in ("grid", "figure", "instrument"):
-        if not content[key] or draw(SELDOM):
+        if not content[key] or draw(RARELY):
             del content[key]
     return content

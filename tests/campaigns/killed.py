@@ -12,45 +12,45 @@ from pathlib import Path
 import numba
 
 import splits
-from splits.archive import pack
-from splits.figures import save_figure, surface
-from splits.files import whole
-from splits.transport.compiling import folders as kernels
-from splits.unpacking import unpack
+from splits.experiments.archive import pack_archive
+from splits.plotting import save_figure, draw_surface
+from splits.core.atomic import atomic_write
+from splits.kernels.compiler import cache_folders as kernels
+from splits.io.unarchive import unpack_archive
 
-DATA, TABLE, FIGURE = "data/made.nc", "tables/made.csv", "figures/made"
-ARCHIVE = "archive/made.zip"
-DRAWN = tuple(f"{FIGURE}{suffix}" for suffix in (".png", ".svg", ".pdf"))
-UNPACKED = "unpacked"
-MADE = (DATA, TABLE, *DRAWN, ARCHIVE, UNPACKED)
-WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
+DATA_FILE, TABLE_FILE, FIGURE_STEM = "data/made.nc", "tables/made.csv", "figures/made"
+ARCHIVE_FILE = "archive/made.zip"
+FIGURE_FILES = tuple(f"{FIGURE_STEM}{suffix}" for suffix in (".png", ".svg", ".pdf"))
+UNPACKED_FOLDER = "unpacked"
+ALL_OUTPUTS = (DATA_FILE, TABLE_FILE, *FIGURE_FILES, ARCHIVE_FILE, UNPACKED_FOLDER)
+ROUGH_SURFACE = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload([__name__, "splits.instruments.surface_map"])
 
 
-def work(results: Path, cache: Path) -> None:
+def make_missing_outputs(results: Path, cache: Path) -> None:
     """Make what is missing in a folder of results, with kernels of a private cache."""
     os.environ["XDG_CACHE_HOME"] = str(cache)
     numba.config.CACHE_DIR = ""
-    kernels.folders.cache_clear()
-    data, table, archive = (results / name for name in (DATA, TABLE, ARCHIVE))
+    kernels.list_cache_folders.cache_clear()
+    data, table, archive = (results / name for name in (DATA_FILE, TABLE_FILE, ARCHIVE_FILE))
     if not data.exists():
-        layer = splits.Layer(surface=WAVES, depth_m=10.0)
+        layer = splits.ParticleLayer(surface=ROUGH_SURFACE, depth_m=10.0)
         splits.save(splits.surface_map(layer, 1.0, points=41, realisations=2), data)
     dataset = splits.load(data)
     if not table.exists():
-        with whole(table) as aside:
+        with atomic_write(table) as aside:
             dataset.height.to_dataframe().to_csv(aside)
-    if not all(path.exists() for path in (results / name for name in DRAWN)):
-        save_figure(surface(dataset), results / FIGURE)
+    if not all(path.exists() for path in (results / name for name in FIGURE_FILES)):
+        save_figure(draw_surface(dataset), results / FIGURE_STEM)
     if not archive.exists():
-        pack([results / name for name in (DATA, TABLE, *DRAWN)], {}, archive)
-    if not (results / UNPACKED).exists():
-        unpack(archive, results / UNPACKED)
+        pack_archive([results / name for name in (DATA_FILE, TABLE_FILE, *FIGURE_FILES)], {}, archive)
+    if not (results / UNPACKED_FOLDER).exists():
+        unpack_archive(archive, results / UNPACKED_FOLDER)
 
 
-def started(results: Path, cache: Path) -> multiprocessing.Process:
+def start_worker(results: Path, cache: Path) -> multiprocessing.Process:
     """Return a process that works."""
-    process = PROCESSES.Process(target=work, args=(results, cache))
+    process = PROCESSES.Process(target=make_missing_outputs, args=(results, cache))
     process.start()
     return process

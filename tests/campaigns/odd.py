@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from generated import Raw, file_of, sound
+from generated import RawText, to_file_text, valid_contents
 from hypothesis import strategies as st
 
-DEEP = 300
+NESTING_DEPTH = 300
 """Levels of nesting of which a reader may have had enough."""
 
 NUMBERS = [
@@ -16,13 +16,13 @@ NUMBERS = [
     "1e5", "+1", "1e-300", "4294967296", "18446744073709551616", "9007199254740993", "0.1e1", ".5",
     "1.", "1e999999",
 ]  # fmt: skip
-WORDS = [
+SCALARS = [
     "null", "~", "true", "yes", "off", "''", '" "', "2001-01-01", "2001-01-01 10:00:00", "nan",
     "inf", '"\\0"', '"\\n"', '"a\\nb"', '"\\x1b[31mred"', '"\\u2028"', '"\\ud800"', '"\\u202e"',
     '"\\ufeff"', "=", "<<", "日本語", "é", "𝔘", "'" + "x" * 5000 + "'", "a.csv", "../../etc/passwd",
     "/", "diffuse", "default", "'1.5+xj'", "'1+1e400j'", "'nanj'", "'-1j'", "!!binary aGk=",
 ]  # fmt: skip
-SHAPES = [
+COLLECTIONS = [
     "[]", "{}", "[[]]", "[{}]", "[null]", "{null: null}", "[1, [2, [3]]]", "{a: {b: {c: 1}}}",
     "[.nan, .nan]", "[1, a]", "[2, 1]", "[1, 1]", "[0, 0, 0, 0]", "{1: 2}", "{true: 1}",
     "{[1, 2]: 3}", "{? {a: 1} : 2}", "{1.5: x, 1.50: y}", "[1, 2, 3, 4, 5, 6, 7, 8, 9]",
@@ -32,9 +32,9 @@ SHAPES = [
     "{wavelength_nm: [], n: [], k: []}", "{dataset: nowhere}", "{cosine: [], density: []}",
     "{cosine: [-1, 1], density: [.nan, 1]}", "{cosine: [-1, 1], density: [0, 0]}",
     "{min: 1, max: 2}", "!!set {a, b}", "!!omap [a: 1]", "!!pairs [a: 1, a: 2]",
-    "[" * DEEP + "]" * DEEP, "{a: " * DEEP + "1" + "}" * DEEP, "[" * 40 + "1" + "]" * 40,
+    "[" * NESTING_DEPTH + "]" * NESTING_DEPTH, "{a: " * NESTING_DEPTH + "1" + "}" * NESTING_DEPTH, "[" * 40 + "1" + "]" * 40,
 ]  # fmt: skip
-YAML = [
+YAML_SYNTAX = [
     "!!python/object:os.system {}", "!!python/name:os.system", "!unknown 1", "!!int a",
     "!!float a", "!!timestamp a", "!!bool a", "!!null a", "!!str 1", "!!seq 1", "!!map 1",
     "!!binary ä", "*nowhere", "&a [*a]", "&a {b: *a}", "[&x 1, *x]", "{<<: 1}", "{<<: [1]}",
@@ -42,10 +42,10 @@ YAML = [
     "!!timestamp 2001-99-99", "2001-99-99", "@a", "`a", "%a", "- a", "? a", "{a: 1, a: 2}",
     "a: b: c", "|", ">", "\t", "[", "}", '"', "'", "!!merge <<", "#", "---", "...",
 ]  # fmt: skip
-ALIASES = "x: &x [1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+ALIAS_BOMB = "x: &x [1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
 for one, many in zip("xabcdefg", "abcdefgh", strict=True):
-    ALIASES += f"{many}: &{many} [" + ", ".join([f"*{one}"] * 9) + "]\n"
-ALIASES += "medium: *h\n"
+    ALIAS_BOMB += f"{many}: &{many} [" + ", ".join([f"*{one}"] * 9) + "]\n"
+ALIAS_BOMB += "medium: *h\n"
 FILES = [
     "", " ", "\n\n", "#", "---\n---\n", "a: 1\n---\nb: 2\n", "- 1\n- 2\n", "1", "null", "text",
     "\t", "\x00", "\x07a: 1", "\ufeffmedium: {}\n", "medium: {}\x85grid: {}\n",
@@ -53,7 +53,7 @@ FILES = [
     "&a [*a, *a]", "&a {medium: *a}", "? [a]\n: 1\n", "!!python/object/apply:os.getcwd []",
     "[" * 2000, "{a: " * 2000, "- " * 2000, "a:\n" + " a:\n" * 3,
     "medium: {kind: snow}\nmedium: {kind: sand}\n", "medium: !!set {kind}\n",
-    "<<: {medium: {kind: sand}}\n", ALIASES, "name: [a]\n", "name: null\n", "name: 1\n",
+    "<<: {medium: {kind: sand}}\n", ALIAS_BOMB, "name: [a]\n", "name: null\n", "name: 1\n",
     "title: [a]\n", "title: null\n", "experiments: all\n", "medium: snow\n", "medium: []\n",
     "medium: null\n", "grid: []\n", "grid: null\n", "instrument: null\n", "figure: null\n",
     "fit: null\n", "fit: {}\n", "fit: {measured: ..}\n", "fit: {measured: ''}\n",
@@ -62,46 +62,46 @@ FILES = [
     "fit: {measured: aviris_ng_varsa2021.csv}\nfigure: {kind: fit}\nmedium: {kind: sand}\n",
 ]  # fmt: skip
 
-ODD = st.sampled_from([*NUMBERS, *WORDS, *SHAPES, *YAML]).map(Raw) | st.text(max_size=12)
-KEYS = [
+ODD_VALUES = st.sampled_from([*NUMBERS, *SCALARS, *COLLECTIONS, *YAML_SYNTAX]).map(RawText) | st.text(max_size=12)
+ODD_KEYS = [
     "densty_kg_m3", "Medium", "wavelength", "wavelength_nm ", "kinds", "", " ", "ä", "__class__",
     "self", "base", "kind", "medium", "at", "seed", "x" * 3000, "a\nb", "\x1b[0m", "model_config",
     "name",
 ]  # fmt: skip
-UNKNOWN = st.sampled_from(KEYS) | ODD
+UNKNOWN_KEYS = st.sampled_from(ODD_KEYS) | ODD_VALUES
 
 
-def places(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+def list_paths(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """Return the paths to all that stands in mappings and lists."""
-    if isinstance(content, Raw):
+    if isinstance(content, RawText):
         return []
     inner = content.items() if isinstance(content, dict) else enumerate(content)
     found = []
     for key, value in inner:
         found.append((*path, key))
         if isinstance(value, (dict, list, tuple)):
-            found += places(value, (*path, key))
+            found += list_paths(value, (*path, key))
     return found
 
 
-def changed(content: Any, path: tuple[Any, ...], change: Any) -> Any:
+def change_at(content: Any, path: tuple[Any, ...], change: Any) -> Any:
     """Return contents with `change(container, key)` in place of what holds the end of a path."""
     copied = dict(content) if isinstance(content, dict) else list(content)
     key, *rest = path
     if not rest:
         return change(copied, key)
-    copied[key] = changed(copied[key], tuple(rest), change)
+    copied[key] = change_at(copied[key], tuple(rest), change)
     return copied
 
 
 @st.composite
-def broken(draw) -> Any:
+def invalid_contents(draw) -> Any:
     """Return contents with one to three places changed."""
-    content = draw(sound())
+    content = draw(valid_contents())
     for _ in range(draw(st.integers(1, 3))):
-        known = places(content)
+        known = list_paths(content)
         path = draw(st.sampled_from(known)) if known else ()
-        value, name = draw(ODD), draw(UNKNOWN)
+        value, name = draw(ODD_VALUES), draw(UNKNOWN_KEYS)
         how = draw(st.sampled_from(["value", "value", "value", "add", "rename", "drop", "nest"]))
 
         def change(holder, key, how=how, value=value, name=name):
@@ -117,27 +117,27 @@ def broken(draw) -> Any:
                     holder[name] = old
             return holder
 
-        content = changed(content, path, change) if path else value
+        content = change_at(content, path, change) if path else value
     return content
 
 
 @st.composite
-def torn(draw) -> str:
+def damaged_texts(draw) -> str:
     """Return the text of a file with a piece cut out, doubled or replaced."""
-    text = file_of(draw(sound()))
+    text = to_file_text(draw(valid_contents()))
     start, length = draw(st.integers(0, len(text))), draw(st.integers(0, 20))
     pieces = ["", "\t", "\x00", "\n", ": ", "{", "&a ", "*a", "\ufeff", "é", text[:50]]
     piece = draw(st.sampled_from(pieces))
     return text[:start] + piece + text[start + length :]
 
 
-def files() -> st.SearchStrategy:
+def file_texts() -> st.SearchStrategy:
     """Return the texts of files of every sort."""
     return (
-        broken().map(file_of)
-        | broken().map(file_of)
-        | sound().map(file_of)
-        | torn()
+        invalid_contents().map(to_file_text)
+        | invalid_contents().map(to_file_text)
+        | valid_contents().map(to_file_text)
+        | damaged_texts()
         | st.sampled_from(FILES)
         | st.text(max_size=60)
     )

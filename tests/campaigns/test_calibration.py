@@ -15,43 +15,50 @@ import numpy as np
 import pandas as pd
 import pytest
 from calibrated import CASES
-from calibration import LEAST, calibration, off, rows_of, squares, with_instruments
+from calibration import (
+    MIN_SIGNAL_SIGMA,
+    run_calibration,
+    compute_deviations,
+    make_rows,
+    compute_mean_squares,
+    add_instrument_rows,
+)
 from chi2 import NEEDS_JIT, SIGNIFICANCE
 from scipy import stats
 
 import splits
-from splits import instruments, skies
-from splits.figures.calibration import ALL, ALLOWED, calibration_figure
+from splits import instruments, illumination
+from calibration_figure import ALL_LABEL, SHADED_RATIOS, draw_calibration
 
-WHOLE = os.environ.get("CALIBRATION") == "all"
-FEW = 6
+FULL_CAMPAIGN = os.environ.get("CALIBRATION") == "all"
+FEW_SEEDS = 6
 INSTRUMENTS = {case.instrument: case for case in reversed(CASES)}
 """The first case of each."""
 
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.skipif(WHOLE, reason="all seeds are judged below")
+@pytest.mark.skipif(FULL_CAMPAIGN, reason="all seeds are judged below")
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_few_seeds_are_not_off_by_more_than_they_may_be(instrument):
     """Quantities of a seed share its rays: they count as one."""
-    found = squares(INSTRUMENTS[instrument], range(1, FEW + 1), use_reference=False)
+    found = compute_mean_squares(INSTRUMENTS[instrument], range(1, FEW_SEEDS + 1), use_reference=False)
     assert found
     each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(INSTRUMENTS) / len(found))
-    most = float(stats.chi2.isf(each, FEW - 1) / (FEW - 1))
+    most = float(stats.chi2.isf(each, FEW_SEEDS - 1) / (FEW_SEEDS - 1))
     for name, square in found.items():
         print(f"{instrument}, {name}: {square.mean() ** 0.5:.2f}, allowed {most**0.5:.2f}")
         assert square.mean() <= most, name
 
 
 @NEEDS_JIT
-@pytest.mark.skipif(not WHOLE, reason="minutes: make campaign")
+@pytest.mark.skipif(not FULL_CAMPAIGN, reason="minutes: make campaign")
 def test_all_seeds_scatter_as_stated():
-    table = calibration(CASES)
+    table = run_calibration(CASES)
     assert table.seeds.min() >= 30
-    means = table[table.medium == ALL]
+    means = table[table.medium == ALL_LABEL]
     print(means.to_string(index=False))
-    bad = means[(means.ratio < ALLOWED[0]) | (means.ratio > ALLOWED[1])]
+    bad = means[(means.ratio < SHADED_RATIOS[0]) | (means.ratio > SHADED_RATIOS[1])]
     again = "to repeat: python tests/campaigns/calibration.py FOLDER --only '{}'"
     assert bad.empty, "\n".join(again.format(name) for name in bad.instrument)
 
@@ -60,7 +67,7 @@ def test_no_instrument_is_left_out():
     judged = {case.instrument.partition(",")[0] for case in CASES}
     under_skies = {"albedo", "hdrf", "light_inside"}
     assert judged == (set(instruments.__all__) - {"Progress", "ProgressBar"}) | under_skies
-    assert under_skies <= set(dir(splits)) and under_skies <= set(skies.__all__)
+    assert under_skies <= set(dir(splits)) and under_skies <= set(illumination.__all__)
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 2.0])
@@ -70,15 +77,15 @@ def test_the_ratio_finds_errors_that_are_wrong(stated, known):
     values = 100.0 + chance.standard_normal((400, 3))
     runs = [(value, np.full(3, stated)) for value in values]
     reference = (np.full(3, 100.0), np.zeros(3)) if known else None
-    ratio = np.sqrt((off(runs, reference) ** 2).mean())
+    ratio = np.sqrt((compute_deviations(runs, reference) ** 2).mean())
     # 1200 values know it to 2 %.
     assert abs(ratio * stated - 1.0) < 0.08
 
 
 def test_what_few_rays_see_is_left_out():
-    seen = np.array([0.9, 1.1]) * LEAST
+    seen = np.array([0.9, 1.1]) * MIN_SIGNAL_SIGMA
     runs = [(seen + 0.1 * step, np.ones(2)) for step in (-1.0, 0.0, 1.0)]
-    assert off(runs).shape == (3, 1)
+    assert compute_deviations(runs).shape == (3, 1)
 
 
 def test_means_of_instruments_are_over_their_media():
@@ -86,20 +93,20 @@ def test_means_of_instruments_are_over_their_media():
     rows = [
         row
         for medium, size in (("a", 1.0), ("b", 4.0))
-        for row in rows_of(
+        for row in make_rows(
             case._replace(medium=medium),
             {"x": size * np.array([0.5, 1.5]), "y": size * np.array([1.5, 0.5])},
         )
     ]
-    table = with_instruments(pd.DataFrame(rows))
+    table = add_instrument_rows(pd.DataFrame(rows))
     last = table.iloc[-1]
-    assert (last.instrument, last.medium, last.seeds) == (case.instrument, ALL, 4)
+    assert (last.instrument, last.medium, last.seeds) == (case.instrument, ALL_LABEL, 4)
     assert last.ratio == pytest.approx(2.5**0.5)
     # Both groups together hold no scatter.
     assert last.ratio_stderr == 0.0
     first = table.iloc[0]
     assert first.ratio == 1.0 and first.ratio_stderr == pytest.approx(0.5**0.5 / 2**0.5 / 2.0)
-    figure = calibration_figure(table)
+    figure = draw_calibration(table)
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == [case.instrument]
     assert axes.lines[1].get_xdata().tolist() == [1.0, 1.0, 2.0, 2.0]
@@ -107,8 +114,8 @@ def test_means_of_instruments_are_over_their_media():
 
 def test_the_table_of_the_docs_is_of_every_instrument_and_holds(pytestconfig):
     table = pd.read_csv(pytestconfig.rootpath / "docs" / "calibration.csv")
-    means = table[table.medium == ALL]
+    means = table[table.medium == ALL_LABEL]
     assert list(means.instrument) == list(dict.fromkeys(case.instrument for case in CASES))
     assert table.seeds.min() >= 30
-    assert means.ratio.between(*ALLOWED).all()
+    assert means.ratio.between(*SHADED_RATIOS).all()
     assert (pytestconfig.rootpath / "docs" / "images" / "calibration.png").is_file()

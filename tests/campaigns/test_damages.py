@@ -20,22 +20,22 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.archive import pack
-from splits.checksum import DamagedError
+from splits.experiments.archive import pack_archive
+from splits.io.integrity import DamagedFileError
 from splits.experiments import ConfigError, load_experiment
-from splits.unpacking import ArchiveError, unpack
+from splits.io.unarchive import ArchiveError, unpack_archive
 
-DAMAGES = int(os.environ.get("DAMAGES", "4"))
+N_DAMAGES = int(os.environ.get("DAMAGES", "4"))
 CONFIG = Path(__file__).parents[2] / "config"
-SHIPPED = sorted((CONFIG / "experiments").rglob("*.yaml"))
-WORK = """
+SHIPPED_FILES = sorted((CONFIG / "experiments").rglob("*.yaml"))
+WORK_PROGRAM = """
 import splits
 dataset = splits.spectrophotometer(splits.Layer(), [500], max_stderr=0.3, seed=1, threads=1)
 print(dataset.reflectance.values[0].hex())
 """
 
 
-def flipped(content: bytes, chance: random.Random) -> bytes:
+def flip_bit(content: bytes, chance: random.Random) -> bytes:
     """Return the content with one bit the other way."""
     place = chance.randrange(len(content))
     return (
@@ -43,12 +43,12 @@ def flipped(content: bytes, chance: random.Random) -> bytes:
     )
 
 
-def cut(content: bytes, chance: random.Random) -> bytes:
+def truncate(content: bytes, chance: random.Random) -> bytes:
     """Return the beginning of the content."""
     return content[: chance.randrange(len(content))]
 
 
-def zeroed(content: bytes, chance: random.Random) -> bytes:
+def zero_range(content: bytes, chance: random.Random) -> bytes:
     """Return the content with a stretch of zeros, as a lost sector leaves it."""
     place = chance.randrange(len(content))
     length = min(512, len(content) - place)
@@ -56,24 +56,24 @@ def zeroed(content: bytes, chance: random.Random) -> bytes:
     return content[:place] + other + content[place + length :]
 
 
-def garbled(content: bytes, chance: random.Random) -> bytes:
+def insert_noise(content: bytes, chance: random.Random) -> bytes:
     """Return the content with noise within."""
     place = chance.randrange(len(content))
     return content[:place] + chance.randbytes(16) + content[place:]
 
 
-WAYS = (flipped, cut, zeroed, garbled)
+DAMAGE_FUNCTIONS = (flip_bit, truncate, zero_range, insert_noise)
 
 
-def damaged(content: bytes, number: int) -> bytes:
+def damage_content(content: bytes, number: int) -> bytes:
     """Return a content that is not the same."""
     chance = random.Random(number)
-    found = WAYS[number % len(WAYS)](content, chance)
+    found = DAMAGE_FUNCTIONS[number % len(DAMAGE_FUNCTIONS)](content, chance)
     assert found != content
     return found
 
 
-def contents(folder: Path) -> dict[Path, bytes]:
+def read_contents(folder: Path) -> dict[Path, bytes]:
     """Return what the files of a folder hold."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder): path.read_bytes() for path in files}
@@ -83,16 +83,16 @@ def contents(folder: Path) -> dict[Path, bytes]:
 def dataset(tmp_path_factory):
     path = tmp_path_factory.mktemp("made") / "data" / "made.nc"
     waves = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
-    layer = splits.Layer(surface=waves, depth_m=10.0)
+    layer = splits.ParticleLayer(surface=waves, depth_m=10.0)
     splits.save(splits.surface_map(layer, 1.0, points=41, realisations=2), path)
     return path
 
 
-@pytest.mark.parametrize("number", range(DAMAGES))
+@pytest.mark.parametrize("number", range(N_DAMAGES))
 def test_a_damaged_dataset_is_named(dataset, tmp_path, number):
     path = tmp_path / "made.nc"
-    path.write_bytes(damaged(dataset.read_bytes(), number))
-    with pytest.raises(DamagedError) as caught:
+    path.write_bytes(damage_content(dataset.read_bytes(), number))
+    with pytest.raises(DamagedFileError) as caught:
         splits.load(path)
     line = str(caught.value)
     assert line.startswith(f"{path}: damaged, ") and line.isprintable()
@@ -101,25 +101,25 @@ def test_a_damaged_dataset_is_named(dataset, tmp_path, number):
 @pytest.fixture(scope="module")
 def archive(dataset):
     path = dataset.parents[1] / "archive" / "made.zip"
-    pack([dataset], {"config/config.yaml": b"seed: 1\n"}, path)
+    pack_archive([dataset], {"config/config.yaml": b"seed: 1\n"}, path)
     return path
 
 
-@pytest.mark.parametrize("number", range(DAMAGES))
+@pytest.mark.parametrize("number", range(N_DAMAGES))
 def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, number, counted):
     """A zip file has bytes that nothing reads, such as the time of a member."""
     path, whole, target = (tmp_path / name for name in ("made.zip", "whole", "target"))
-    path.write_bytes(damaged(archive.read_bytes(), number))
-    unpack(archive, whole)
+    path.write_bytes(damage_content(archive.read_bytes(), number))
+    unpack_archive(archive, whole)
     try:
-        unpack(path, target)
+        unpack_archive(path, target)
     except ArchiveError as error:
         line = str(error)
         assert line.startswith(f"{path}: refused, ") and line.isprintable()
         assert not target.exists()
         counted("damaged archives", number, "refused")
     else:
-        assert contents(target) == contents(whole)
+        assert read_contents(target) == read_contents(whole)
         counted("damaged archives", number, "the same")
     assert sorted(tmp_path.iterdir()) == sorted(p for p in (path, whole, target) if p.exists())
 
@@ -128,42 +128,42 @@ def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, 
 def kernels(tmp_path_factory):
     """Return a folder of kept kernels, and what a process prints that uses them."""
     folder = tmp_path_factory.mktemp("kernels")
-    return folder, work(folder).stdout
+    return folder, run_simulation(folder).stdout
 
 
-def work(folder):
+def run_simulation(folder):
     """Run a small simulation with the kernels of a folder."""
     variables = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
     return subprocess.run(
-        [sys.executable, "-c", WORK], env=variables | {"NUMBA_CACHE_DIR": str(folder)},
+        [sys.executable, "-c", WORK_PROGRAM], env=variables | {"NUMBA_CACHE_DIR": str(folder)},
         capture_output=True, text=True, check=True,
     )  # fmt: skip
 
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(DAMAGES))
+@pytest.mark.parametrize("number", range(N_DAMAGES))
 def test_a_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
     folder, printed = kernels
     copy = tmp_path / "kernels"
     shutil.copytree(folder, copy)
     files = sorted(path for path in copy.rglob("*.nbc"))
     path = random.Random(number).choice(files)
-    path.write_bytes(damaged(path.read_bytes(), number))
-    done = work(copy)
+    path.write_bytes(damage_content(path.read_bytes(), number))
+    done = run_simulation(copy)
     assert done.stdout == printed
     # A kernel that others have taken in is not read by itself.
     lines = done.stderr.splitlines()
     assert len(lines) <= 1 and all(str(copy) in line for line in lines)
-    again = work(copy)
+    again = run_simulation(copy)
     assert (again.stdout, again.stderr) == (printed, done.stderr if not lines else "")
 
 
-@pytest.mark.parametrize("number", range(DAMAGES))
+@pytest.mark.parametrize("number", range(N_DAMAGES))
 def test_damaged_configuration_is_read_or_refused_in_one_line(tmp_path, number):
     path = tmp_path / "made.yaml"
-    source = random.Random(number).choice(SHIPPED)
-    path.write_bytes(damaged(source.read_bytes(), number))
+    source = random.Random(number).choice(SHIPPED_FILES)
+    path.write_bytes(damage_content(source.read_bytes(), number))
     try:
         load_experiment(path, CONFIG / "media")
     except ConfigError as error:

@@ -28,32 +28,32 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from splits.experiments import ConfigError
-from splits.experiments.load import load_experiment
-from splits.experiments.model import Experiment
+from splits.experiments.config.load import load_experiment
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
-from splits.figures import draw
+from splits.experiments.config.settings import Accuracy
+from splits.plotting import draw
 
 CAMPAIGN = os.environ.get("CAMPAIGN", "300,10")
-FILES, RUNS, SEED = (*map(int, CAMPAIGN.split(",")), 1)[:3]
-MOST_BATCHES = 50
+N_FILES, N_RUNS, SEED = (*map(int, CAMPAIGN.split(",")), 1)[:3]
+MAX_BATCHES = 50
 """More than luck can ask for: a tenth to a half of the files of a batch are accepted."""
 NOT_ACCEPTED = ("refused", "a fit, not run")
-LONGEST_LINE = 500
-SECONDS = 20.0
+MAX_LINE_CHARS = 500
+TIME_LIMIT_S = 20.0
 """Of CPU time, for reading one file: what takes so long will not end for longer input."""
-TINY = Accuracy(max_stderr=0.3, relative_stderr=0.5, max_rays=2000)
+TINY_ACCURACY = Accuracy(max_stderr=0.3, relative_stderr=0.5, max_rays=2000)
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 
 
-class TooLong(BaseException):
+class TimeLimitExceeded(BaseException):
     """Reading a file takes too long; no `Exception`, so that nothing on the way catches it."""
 
 
 @contextmanager
 def time_limit(seconds: float):
     def stop(*_):
-        raise TooLong
+        raise TimeLimitExceeded
 
     before = signal.signal(signal.SIGVTALRM, stop)
     signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
@@ -64,12 +64,12 @@ def time_limit(seconds: float):
         signal.signal(signal.SIGVTALRM, before)
 
 
-def each(
+def judge_each(
     strategy: st.SearchStrategy, count: int, min_accepted: int, judge: Callable[[str], str]
 ) -> list[tuple]:
     """Return (verdict, text) of generated texts: all of them, not only up to the first failure.
 
-    At least `count` texts, and more until `accepted` of them are accepted, up to `MOST_BATCHES`
+    At least `count` texts, and more until `accepted` of them are accepted, up to `MAX_BATCHES`
     times `count`.
     """
     found: list[tuple] = []
@@ -78,7 +78,7 @@ def each(
         taken = sum(verdict not in NOT_ACCEPTED for verdict, _ in found)
         return len(found) >= count and taken >= min_accepted
 
-    for batch in range(MOST_BATCHES):
+    for batch in range(MAX_BATCHES):
 
         @seed(SEED + batch)
         @settings(
@@ -100,7 +100,7 @@ def each(
     raise AssertionError(f"{told}: generated files are hardly accepted any more")
 
 
-def report(found: list[tuple], accepted_verdicts: tuple[str, ...]) -> str:
+def report_verdicts(found: list[tuple], accepted_verdicts: tuple[str, ...]) -> str:
     """Print how often each verdict was given; return the worst with the shortest text of each."""
     shortest: dict[str, str] = {}
     counts: dict[str, int] = {}
@@ -113,14 +113,14 @@ def report(found: list[tuple], accepted_verdicts: tuple[str, ...]) -> str:
     return "\n".join(f"{counts[v]} × {v}: {shortest[v][:1000]!r}" for v in bad)
 
 
-def written(text: str, folder: Path) -> Path:
+def write_text(text: str, folder: Path) -> Path:
     path = folder / "generated.yaml"
     # Half a surrogate pair is no text: such a file is bytes that are not UTF-8.
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     return path
 
 
-def place_of(error: BaseException) -> str:
+def locate_error(error: BaseException) -> str:
     """Return the kind of an error and the line of the package that it comes from."""
     trace, inner = error.__traceback__, ""
     while trace:
@@ -131,21 +131,21 @@ def place_of(error: BaseException) -> str:
     return f"{type(error).__name__} at {inner}"
 
 
-def reading(folder: Path) -> Callable[[str], str]:
+def make_reading_judge(folder: Path) -> Callable[[str], str]:
     """Return the judge of a text that is read as an experiment file."""
 
     def judge(text: str) -> str:
-        path = written(text, folder)
+        path = write_text(text, folder)
         try:
-            with time_limit(SECONDS):
+            with time_limit(TIME_LIMIT_S):
                 load_experiment(path, MEDIA)
         except ConfigError as error:
             line = str(error).replace(str(folder), "")
             if len(line.splitlines()) != 1 or not line.isprintable():
                 return "not one line"
-            return "refused" if len(line) < LONGEST_LINE else "a long line"
-        except (Exception, TooLong) as error:
-            return place_of(error)
+            return "refused" if len(line) < MAX_LINE_CHARS else "a long line"
+        except (Exception, TimeLimitExceeded) as error:
+            return locate_error(error)
         return "accepted"
 
     return judge
@@ -153,8 +153,8 @@ def reading(folder: Path) -> Callable[[str], str]:
 
 def test_every_file_is_accepted_or_refused_in_one_line(tmp_path):
     begun = time.perf_counter()
-    found = each(odd.files(), FILES, FILES // 20, reading(tmp_path))
-    bad = report(found, ("accepted", "refused"))
+    found = judge_each(odd.file_texts(), N_FILES, N_FILES // 20, make_reading_judge(tmp_path))
+    bad = report_verdicts(found, ("accepted", "refused"))
     print(f"{time.perf_counter() - begun:.0f} s")
     assert not bad, bad
 
@@ -166,19 +166,19 @@ def test_files_are_generated_until_enough_are_accepted(share):
     def judge(number: int) -> str:
         return "accepted" if number % share == 0 else "refused"
 
-    found = each(st.integers(0, 10**6), 10, 10, judge)
+    found = judge_each(st.integers(0, 10**6), 10, 10, judge)
     assert sum(verdict == "accepted" for verdict, _ in found) == 10
 
 
 def test_files_that_are_never_accepted_are_no_luck():
     with pytest.raises(AssertionError, match=r"1 accepted of 10 or more, up to [45]"):
-        each(st.integers(0, 10**6), 10, 1, lambda _: "refused")
+        judge_each(st.integers(0, 10**6), 10, 1, lambda _: "refused")
 
 
 # --- runs -------------------------------------------------------------------------------------
 
 
-def limited(experiment: Experiment) -> Experiment:
+def limit_rays(experiment: ExperimentConfig) -> ExperimentConfig:
     """Return an experiment that takes few rays and not the tenth part of a second a point."""
     instrument = experiment.instrument
     most = {"rays": 1000, "realisations": 3}
@@ -189,7 +189,7 @@ def limited(experiment: Experiment) -> Experiment:
     return experiment.model_copy(update={"instrument": instrument.model_copy(update=less)})
 
 
-def unsound(dataset) -> str:
+def find_invalid_numbers(dataset) -> str:
     """Return what is wrong with the numbers of a dataset, or nothing."""
     for name, variable in dataset.data_vars.items():
         values = variable.values
@@ -202,28 +202,28 @@ def unsound(dataset) -> str:
     return ""
 
 
-def running(folder: Path) -> Callable[[str], str]:
+def make_running_judge(folder: Path) -> Callable[[str], str]:
     """Return the judge of a text that is read, run and drawn."""
 
     def judge(text: str) -> str:
         try:
-            experiment = load_experiment(written(text, folder), MEDIA)
+            experiment = load_experiment(write_text(text, folder), MEDIA)
         except ConfigError:
             return "refused"
         try:
             if experiment.fit:
                 return "a fit, not run"
-            dataset = run(limited(experiment), TINY, threads=1)
+            dataset = run(limit_rays(experiment), TINY_ACCURACY, threads=1)
             with matplotlib.rc_context({"figure.max_open_warning": 0}):
                 figure = draw(dataset, experiment.resolve_figure())
                 figure.canvas.draw()
                 figure.clear()
         except Exception as error:
             if "missing from font" not in str(error):
-                return f"{place_of(error)}: {error}"
+                return f"{locate_error(error)}: {error}"
             # What the machine's fonts lack is drawn as a box, and matplotlib says so.
-            return unsound(dataset) or "sound, a letter in no font"
-        return unsound(dataset) or "sound"
+            return find_invalid_numbers(dataset) or "sound, a letter in no font"
+        return find_invalid_numbers(dataset) or "sound"
 
     return judge
 
@@ -232,9 +232,9 @@ def running(folder: Path) -> Callable[[str], str]:
 def test_what_is_accepted_runs_and_is_sound(tmp_path):
     matplotlib.use("Agg")
     begun = time.perf_counter()
-    texts = generated.sound().map(generated.file_of)
-    found = each(texts, RUNS, RUNS, running(tmp_path))
+    texts = generated.valid_contents().map(generated.to_file_text)
+    found = judge_each(texts, N_RUNS, N_RUNS, make_running_judge(tmp_path))
     fine = (*NOT_ACCEPTED, "sound", "sound, a letter in no font")
-    bad = report(found, fine)
+    bad = report_verdicts(found, fine)
     print(f"{time.perf_counter() - begun:.0f} s")
     assert not bad, bad

@@ -24,24 +24,24 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.dataset import without_volatile
+from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = [NEEDS_JIT, pytest.mark.slow]
 
-KILLS = int(os.environ.get("KILLS", "5"))
-WORKFLOWS = max(1, KILLS // 5)
+N_KILLS = int(os.environ.get("KILLS", "5"))
+N_WORKFLOW_KILLS = max(1, N_KILLS // 5)
 RESULTS = "results/tiny"
 EXPERIMENTS = {
     "one": "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n",
     "two": "medium: {kind: layer, optical_thickness: 2}\ninstrument: {wavelength_nm: [550]}\n",
 }
 ARCHIVE = "archive/splits-results.zip"
-MADE = [
+ALL_OUTPUTS = [
     *(f"data/{name}.nc" for name in EXPERIMENTS),
     *(f"figures/{name}{suffix}" for name in EXPERIMENTS for suffix in (".png", ".svg", ".pdf")),
     ARCHIVE,
 ]
-STAGES = {
+WORKFLOW_STAGES = {
     "simulation": ("data/two.nc", "logs/simulate/two.log"),
     "save": ("data/one.nc", "data/.aside.*"),
     "figure": ("figures/two.png", "figures/.aside.*"),
@@ -49,23 +49,23 @@ STAGES = {
     "any moment": ("data/one.nc", None),
 }
 """For each stage what is missing when a run starts, and what appears when it is there."""
-STEPS = {
-    "any moment": (killed.MADE, None),
-    "compiling": (("cache", *killed.MADE), None),
-    "kernel": (("waves", *killed.MADE), "cache/splits/*/.*"),
-    "save": (killed.MADE, "results/data/.aside.*"),
-    "table": (killed.MADE[1:], "results/tables/.aside.*"),
-    "png": (killed.MADE[2:], "results/figures/.aside.*.png"),
-    "svg": (killed.MADE[2:], "results/figures/.aside.*.svg"),
-    "pdf": (killed.MADE[2:], "results/figures/.aside.*.pdf"),
-    "archive": (killed.MADE[-2:], "results/archive/.aside.*"),
-    "unpack": (killed.MADE[-1:], "results/.aside.*"),
+PROCESS_STEPS = {
+    "any moment": (killed.ALL_OUTPUTS, None),
+    "compiling": (("cache", *killed.ALL_OUTPUTS), None),
+    "kernel": (("waves", *killed.ALL_OUTPUTS), "cache/splits/*/.*"),
+    "save": (killed.ALL_OUTPUTS, "results/data/.aside.*"),
+    "table": (killed.ALL_OUTPUTS[1:], "results/tables/.aside.*"),
+    "png": (killed.ALL_OUTPUTS[2:], "results/figures/.aside.*.png"),
+    "svg": (killed.ALL_OUTPUTS[2:], "results/figures/.aside.*.svg"),
+    "pdf": (killed.ALL_OUTPUTS[2:], "results/figures/.aside.*.pdf"),
+    "archive": (killed.ALL_OUTPUTS[-2:], "results/archive/.aside.*"),
+    "unpack": (killed.ALL_OUTPUTS[-1:], "results/.aside.*"),
 }
 """The same for the steps of one process; "cache" are all kernels, "waves" those of one file."""
-_LONGEST_S = 300.0
+_MAX_WAIT_S = 300.0
 
 
-def check_whole(folder):
+def check_files_complete(folder):
     """Assert that every file that is there under its own name, as are its folders, is whole."""
     for path in folder.rglob("*"):
         if any(part.startswith(".") for part in path.relative_to(folder).parts):
@@ -88,18 +88,18 @@ def check_whole(folder):
                 assert file.testzip() is None
 
 
-def contents(folder):
+def read_contents(folder):
     """Return all files of a folder and what they hold."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def leftovers(folder):
+def list_leftovers(folder):
     return [path for path in folder.rglob(".*") if not path.name.startswith(".snakemake")]
 
 
-def wait(running, folder, pattern, pause_s):
+def wait_for_file(running, folder, pattern, pause_s):
     """Wait until a file appears, if any is waited for, and so long; tell if it did."""
-    end = time.monotonic() + _LONGEST_S
+    end = time.monotonic() + _MAX_WAIT_S
     seen = pattern is None
     while running() and not seen and time.monotonic() < end:
         seen = any(folder.glob(pattern))
@@ -115,7 +115,7 @@ def kill_workflow(project, pattern, pause_s):
         command, env=project.environment, cwd=project.folder,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
-    hit = wait(lambda: process.poll() is None, project.folder / RESULTS, pattern, pause_s)
+    hit = wait_for_file(lambda: process.poll() is None, project.folder / RESULTS, pattern, pause_s)
     # Jobs are in the session of their snakemake.
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
@@ -124,7 +124,7 @@ def kill_workflow(project, pattern, pause_s):
 
 
 @pytest.fixture(scope="module")
-def finished(make_project, tmp_path_factory):
+def finished_project(make_project, tmp_path_factory):
     """Return a project whose archive is there, and how long it took (s)."""
     project = make_project(tmp_path_factory.mktemp("finished"))
     for name, text in EXPERIMENTS.items():
@@ -135,11 +135,11 @@ def finished(make_project, tmp_path_factory):
     return project, time.monotonic() - begun
 
 
-@pytest.mark.parametrize("number", range(WORKFLOWS))
+@pytest.mark.parametrize("number", range(N_WORKFLOW_KILLS))
 def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, number, counted):
     chance = random.Random(number)
-    stage = list(STAGES)[number % len(STAGES)]
-    missing, appears = STAGES[stage]
+    stage = list(WORKFLOW_STAGES)[number % len(WORKFLOW_STAGES)]
+    missing, appears = WORKFLOW_STAGES[stage]
     before, whole_run = finished_project
     project = before.copy(tmp_path / "project")
     results = project.folder / RESULTS
@@ -152,23 +152,23 @@ def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, numbe
     pause = chance.uniform(0.0, longest)
     hit = kill_workflow(project, appears, pause)
     counted("kills of workflows", number, f"{stage} {'hit' if hit else 'too late'}")
-    check_whole(results)
+    check_files_complete(results)
     unlocked = project.snakemake("--unlock")
     assert unlocked.code == 0, unlocked.text
     run = project.snakemake("all", "archive", "--cores", 2)
     assert run.code == 0, run.text
-    assert leftovers(results) == []
-    assert set(MADE) <= set(project.results(RESULTS))
-    check_whole(results)
+    assert list_leftovers(results) == []
+    assert set(ALL_OUTPUTS) <= set(project.results(RESULTS))
+    check_files_complete(results)
     for name in EXPERIMENTS:
         ours, reference = (
             splits.load(one.folder / RESULTS / "data" / f"{name}.nc") for one in (project, before)
         )
-        xr.testing.assert_identical(*map(without_volatile, (ours, reference)))
+        xr.testing.assert_identical(*map(drop_run_specific_attributes, (ours, reference)))
 
 
 @pytest.fixture(scope="module")
-def worked(tmp_path_factory):
+def finished_folder(tmp_path_factory):
     """Return a folder in which all steps are done, and how long they and compiling take (s)."""
     folder = tmp_path_factory.mktemp("worked")
     times = []
@@ -176,23 +176,23 @@ def worked(tmp_path_factory):
         shutil.rmtree(folder / missing, ignore_errors=True)
         shutil.rmtree(folder / "results", ignore_errors=True)
         begun = time.monotonic()
-        done(folder)
+        run_all_steps(folder)
         times.append(time.monotonic() - begun)
     return folder, {"compiling": times[0], "any moment": times[1]}
 
 
-def done(folder):
+def run_all_steps(folder):
     """Do all steps in a process of their own."""
-    process = killed.started(folder / "results", folder / "cache")
-    process.join(_LONGEST_S)
+    process = killed.start_worker(folder / "results", folder / "cache")
+    process.join(_MAX_WAIT_S)
     assert process.exitcode == 0
 
 
-@pytest.mark.parametrize("number", range(KILLS - WORKFLOWS))
+@pytest.mark.parametrize("number", range(N_KILLS - N_WORKFLOW_KILLS))
 def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number, counted):
     chance = random.Random(number)
-    step = list(STEPS)[number % len(STEPS)]
-    missing, appears = STEPS[step]
+    step = list(PROCESS_STEPS)[number % len(PROCESS_STEPS)]
+    missing, appears = PROCESS_STEPS[step]
     before, longest = finished_folder
     folder = tmp_path / "folder"
     shutil.copytree(before, folder)
@@ -202,23 +202,23 @@ def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number,
         elif name == "waves":
             for path in folder.glob("cache/splits/*/waves.*"):
                 path.unlink()
-        elif name == killed.UNPACKED:
+        elif name == killed.UNPACKED_FOLDER:
             shutil.rmtree(folder / "results" / name)
         else:
             (folder / "results" / name).unlink()
-    there = contents(folder)
-    process = killed.started(folder / "results", folder / "cache")
-    hit = wait(process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005)))
+    there = read_contents(folder)
+    process = killed.start_worker(folder / "results", folder / "cache")
+    hit = wait_for_file(process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005)))
     process.kill()
     process.join()
     counted("kills of processes", number, f"{step} {'hit' if hit else 'too late'}")
-    assert contents(folder).items() >= there.items()
-    check_whole(folder)
-    done(folder)
-    assert leftovers(folder) == []
-    check_whole(folder)
-    assert all((folder / "results" / name).exists() for name in killed.MADE)
+    assert read_contents(folder).items() >= there.items()
+    check_files_complete(folder)
+    run_all_steps(folder)
+    assert list_leftovers(folder) == []
+    check_files_complete(folder)
+    assert all((folder / "results" / name).exists() for name in killed.ALL_OUTPUTS)
     kept = [sorted(p.name for p in one.glob("cache/splits/*/*")) for one in (folder, before)]
     assert kept[0] == kept[1]
-    data = [splits.load(one / "results" / killed.DATA) for one in (folder, before)]
-    xr.testing.assert_identical(*map(without_volatile, data))
+    data = [splits.load(one / "results" / killed.DATA_FILE) for one in (folder, before)]
+    xr.testing.assert_identical(*map(drop_run_specific_attributes, data))

@@ -19,32 +19,32 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.lookup import measuring
+from splits.tables import build
 
 pytestmark = [NEEDS_JIT, pytest.mark.slow]
 
-KILLS = max(2, int(os.environ.get("KILLS", "5")) // 4)
-ENSEMBLES = 6
-_LONGEST_S = 300.0
+N_KILLS = max(2, int(os.environ.get("KILLS", "5")) // 4)
+N_PATH_GROUPS = 6
+_MAX_WAIT_S = 300.0
 
 
-def make(folder, told=None):
+def make_table(folder, told=None):
     """Make a table, and tell how many ensembles were measured."""
     measured = []
-    original = measuring.measure
+    original = build.compute_block
 
     def counting(ensemble, *given):
         measured.append(ensemble.number)
         return original(ensemble, *given)
 
-    measuring.measure = counting
-    found = splits.table(
+    build.compute_block = counting
+    found = splits.build_table(
         splits.Snow.natural,
         {"optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 30.0, 60.0],
          "liquid_water_content": [0.0, 0.03]},
         [600.0, 1030.0], max_stderr=0.02, folder=folder,
     )  # fmt: skip
-    measuring.measure = original
+    build.compute_block = original
     if told is not None:
         told.put(len(measured))
     return found
@@ -53,18 +53,18 @@ def make(folder, told=None):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """Return the table made at one go, and how long that takes when kernels are there (s)."""
-    make(tmp_path_factory.mktemp("warm"))
+    make_table(tmp_path_factory.mktemp("warm"))
     begun = time.monotonic()
-    found = make(tmp_path_factory.mktemp("reference"))
+    found = make_table(tmp_path_factory.mktemp("reference"))
     return found, time.monotonic() - begun
 
 
-@pytest.mark.parametrize("number", range(KILLS))
+@pytest.mark.parametrize("number", range(N_KILLS))
 def test_a_killed_table_goes_on(reference, tmp_path, number, counted):
     whole, longest = reference
     chance = random.Random(number)
     folder = tmp_path / "blocks"
-    process = killed.PROCESSES.Process(target=make, args=(folder,))
+    process = killed.PROCESSES.Process(target=make_table, args=(folder,))
     process.start()
     while not folder.exists() and process.is_alive():
         time.sleep(0.001)
@@ -77,10 +77,10 @@ def test_a_killed_table_goes_on(reference, tmp_path, number, counted):
     for block in blocks:
         splits.load(block)
     told = killed.PROCESSES.Queue()
-    again = killed.PROCESSES.Process(target=make, args=(folder, told))
+    again = killed.PROCESSES.Process(target=make_table, args=(folder, told))
     again.start()
-    measured = told.get(timeout=_LONGEST_S)
-    again.join(_LONGEST_S)
-    assert measured == ENSEMBLES - len(blocks)
+    measured = told.get(timeout=_MAX_WAIT_S)
+    again.join(_MAX_WAIT_S)
+    assert measured == N_PATH_GROUPS - len(blocks)
     assert [path for path in folder.rglob(".*")] == []
-    xr.testing.assert_equal(make(folder), whole)
+    xr.testing.assert_equal(make_table(folder), whole)

@@ -10,16 +10,16 @@ import time
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, largest_z, pooled_z
+from chi2 import NEEDS_JIT, judge_z, compute_z_bound, compute_pooled_z
 from oracle import granular as oracle_granular
-from scenes import medium_scene, optics_at, oracle_slab
+from scenes import make_medium_scene, compute_optics, make_oracle_slab
 
 import splits
-from splits.transport import lanes
-from splits.transport.grains import granular
-from splits.transport.grains.scene import UNLIMITED, Optics
-from splits.transport.lanes.choice import features_for
-from splits.transport.sums.tally import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows
+from splits.kernels import vectorized
+from splits.kernels.grains import history
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
+from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
 
 pytestmark = [NEEDS_JIT, pytest.mark.long]
 
@@ -80,11 +80,11 @@ def shares(exits, absorption):
 
 def by_oracle(medium, incidence, optics, seed, rays):
     """Return what comes out of a medium at each wavelength, and its error, by the oracle."""
-    slab = oracle_slab(medium, incidence)
+    slab = make_oracle_slab(medium, incidence)
     found = []
     for number, one in enumerate(optics):
-        exits = exit_rows(rays, one.n.size)
-        work = np.array([number, 0, rays, UNLIMITED])
+        exits = allocate_exits(rays, one.n.size)
+        work = np.array([number, 0, rays, NO_MAX_ORDER])
         _, lost = oracle_granular.batch(seed, work, *slab, one, exits)
         assert not lost
         found.append(shares(exits, one.absorption))
@@ -93,20 +93,20 @@ def by_oracle(medium, incidence, optics, seed, rays):
 
 def by_kernel(kernel, medium, incidence, optics, seed, rays):
     """Return what comes out of a medium at each wavelength, and its error, by the package."""
-    scene = medium_scene(medium, incidence)
-    work = np.array([[number, 0, rays, UNLIMITED] for number in range(len(optics))])
-    exits = [exit_rows(rays, one.n.size) for one in optics]
+    scene = make_medium_scene(medium, incidence)
+    work = np.array([[number, 0, rays, NO_MAX_ORDER] for number in range(len(optics))])
+    exits = [allocate_exits(rays, one.n.size) for one in optics]
     if kernel == "scalar":
         for item, one, rows in zip(work, optics, exits, strict=True):
-            assert not granular.batch(seed, item, scene, one, rows, None, None).lost
+            assert not history.trace_batch(seed, item, scene, one, rows, None, None).lost
     else:
-        features = [features_for(scene, one) for one in optics]
+        features = [select_features(scene, one) for one in optics]
         assert None not in features
         # What one wavelength asks for serves all of them.
         absorbing = any(one.absorbing for one in features) and not features[0].mixed
         shared = features[0]._replace(absorbing=True if absorbing else None)
         together, rows = Optics(*map(np.stack, zip(*optics, strict=True))), np.concatenate(exits)
-        assert not lanes.batch(seed, work, scene, together, rows, shared).lost
+        assert not vectorized.batch(seed, work, scene, together, rows, shared).lost
         exits = np.split(rows, len(optics))
     pairs = zip(exits, optics, strict=True)
     return np.array([shares(rows, one.absorption) for rows, one in pairs])
@@ -115,7 +115,7 @@ def by_kernel(kernel, medium, incidence, optics, seed, rays):
 def test_kernels_agree_with_the_oracle():
     found = {kernel: [] for kernel in KERNELS}
     for number, (name, (medium, incidence, rays)) in enumerate(MEDIA.items()):
-        optics = [optics_at(medium, wavelength) for wavelength in wavelengths_of(medium)]
+        optics = [compute_optics(medium, wavelength) for wavelength in wavelengths_of(medium)]
         begun = [time.perf_counter()]
         truth = by_oracle(medium, incidence, optics, 700 + number, rays)
         begun.append(time.perf_counter())
@@ -135,12 +135,12 @@ def test_kernels_agree_with_the_oracle():
         away, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
         z = away / error
         rms = np.sqrt((z**2).mean())
-        pooled = [pooled_z(away, error), pooled_z(away, error, value)]
+        pooled = [compute_pooled_z(away, error), compute_pooled_z(away, error, value)]
         known = 1.0 / np.sqrt(((value / error) ** 2).sum())
         print(
             f"{kernel}: {z.size} comparisons, rms z {rms:.2f}, pooled {pooled[0]:+.2f}, relative "
             f"{pooled[1]:+.2f}, 1 {pooled[1] * known:+.1e} ± {known:.0e}"
         )
-        assert np.abs(z).max() <= largest_z(z.size)
+        assert np.abs(z).max() <= compute_z_bound(z.size)
         assert 0.85 <= rms <= 1.15
         judge_z(pooled, f"signed means, {kernel}", independent=1)

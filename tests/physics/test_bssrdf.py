@@ -7,23 +7,23 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.instruments.bssrdf import CELLS
-from splits.transport.sums.positions import spread
-from splits.transport.sums.tally import (
+from splits.instruments.beam_spread import N_MAP_PIXELS
+from splits.kernels.tallies.radial import tally_radial
+from splits.kernels.tallies.exits import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,
     EXIT_POSITION,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    exit_rows,
+    allocate_exits,
 )
 
 SNOW = splits.Snow(depth_m=0.02)
 
 
 def test_places_are_sorted_into_rings_and_squares():
-    rows = exit_rows(4, 1)
+    rows = allocate_exits(4, 1)
     rows[:, EXIT_SIDE] = [0, 1, 0, 0]
     rows[:, EXIT_ORDER] = [1, 2, 0, 7]
     rows[:, EXIT_WEIGHT] = 1.0
@@ -31,7 +31,7 @@ def test_places_are_sorted_into_rings_and_squares():
     rows[:, EXIT_POSITION : EXIT_POSITION + 2] = [[0.0, 0.5], [3.0, 4.0], [0.0, 0.0], [200.0, 0.0]]
     rows[:, EXIT_LENGTH] = 0.5
     absorption = np.array([[0.0], [2.0]])
-    radial, moment, place = spread(rows, absorption, 1.0, 2, 6, 10.0, 5)
+    radial, moment, place = tally_radial(rows, absorption, 1.0, 2, 6, 10.0, 5)
     passed = np.array([1.0, np.exp(-1.0)])
     # Bins end at 1, 10^½, 10, 10^3/2, 100: within 1, between 10^½ and 10, and beyond 100.
     assert radial[0] == pytest.approx(np.outer(passed, [1, 0, 0, 0, 0, 1]))
@@ -50,7 +50,7 @@ def test_places_are_sorted_into_rings_and_squares():
 @pytest.mark.parametrize("incidence", [0.0, 60.0])
 def test_profile_and_map_hold_the_reflectance(incidence):
     # Seeds of their own: instruments name their random streams alike.
-    ds = splits.bssrdf(SNOW, [600.0, 1300.0], incidence, 150_000, half_width_m=0.05, seed=1)
+    ds = splits.beam_spread(SNOW, [600.0, 1300.0], incidence, 150_000, half_width_m=0.05, seed=1)
     total = splits.spectrophotometer(SNOW, [600.0, 1300.0], incidence, max_stderr=0.0015, seed=2)
     straight = splits.goniophotometer(SNOW, [600.0, 1300.0], incidence, 50_000, seed=3)
     edges = 10.0 ** (np.log10(ds.radius.values[0]) + (np.arange(73) - 0.5) / 8.0)
@@ -67,7 +67,7 @@ def test_profile_and_map_hold_the_reflectance(incidence):
         error = np.hypot(error, straight[f"{other}_stderr"])
         z.extend(((share - total[name]) / error).values[:seen])
     judge_z(z, "beam spread against reflectance and transmittance", independent=1)
-    cell = (0.1 / CELLS) ** 2
+    cell = (0.1 / N_MAP_PIXELS) ** 2
     held = ds.profile_map.sum(("x", "y")) * cell
     assert (held <= ds.share + 1e-9).all()
     assert (held.sel(side="reflected") > 0.95 * ds.share.sel(side="reflected")).all()
@@ -75,8 +75,8 @@ def test_profile_and_map_hold_the_reflectance(incidence):
 
 @NEEDS_JIT
 def test_a_normal_beam_spreads_evenly_and_an_oblique_one_forward():
-    straight = splits.bssrdf(SNOW, [600.0], 0.0, 100_000, half_width_m=0.01)
-    oblique = splits.bssrdf(SNOW, [600.0], 70.0, 100_000, half_width_m=0.01)
+    straight = splits.beam_spread(SNOW, [600.0], 0.0, 100_000, half_width_m=0.01)
+    oblique = splits.beam_spread(SNOW, [600.0], 70.0, 100_000, half_width_m=0.01)
 
     def lean(ds):
         """Return the difference between the map's halves and its error."""
@@ -102,7 +102,7 @@ def test_radii_scale_with_the_sample():
     dense = splits.Snow(density_kg_m3=0.02, depth_m=100.0, **common)
     thin = splits.Snow(density_kg_m3=0.01, depth_m=200.0, **common)
     near, far = (
-        splits.bssrdf(snow, [600.0], 30.0, 100_000, seed=seed)
+        splits.beam_spread(snow, [600.0], 30.0, 100_000, seed=seed)
         for seed, snow in enumerate((dense, thin))
     )
     z = []
@@ -116,7 +116,7 @@ def test_radii_scale_with_the_sample():
 @pytest.mark.long
 def test_errors_are_those_of_repeated_runs():
     runs = [
-        splits.bssrdf(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(200)
+        splits.beam_spread(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(200)
     ]
     for name in ("mean_radius", "quantile_radius", "share"):
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))
@@ -125,7 +125,7 @@ def test_errors_are_those_of_repeated_runs():
 
 @NEEDS_JIT
 def test_where_no_light_leaves_there_is_no_radius():
-    ds = splits.bssrdf(splits.Snow(), [1450.0], 0.0, 8192)
+    ds = splits.beam_spread(splits.Snow(), [1450.0], 0.0, 8192)
     dark = ds.sel(side="transmitted")
     assert not dark.mean_radius.values.any() and not dark.quantile_radius.values.any()
     assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
@@ -133,14 +133,14 @@ def test_where_no_light_leaves_there_is_no_radius():
 
 @pytest.mark.filterwarnings("error")
 def test_a_map_without_any_light_is_finite():
-    ds = splits.bssrdf(splits.Layer(opaque=True), [550.0], rays=256)
+    ds = splits.beam_spread(splits.ParticleLayer(opaque=True), [550.0], rays=256)
     assert not ds.share.values.any()
     assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
 
 
 @NEEDS_JIT
 def test_bits_do_not_depend_on_threads():
-    runs = [splits.bssrdf(SNOW, [600.0], 30.0, 20_000, threads=n) for n in (1, 2, 4)]
+    runs = [splits.beam_spread(SNOW, [600.0], 30.0, 20_000, threads=n) for n in (1, 2, 4)]
     for run in runs[1:]:
         assert all(np.array_equal(runs[0][name], run[name]) for name in run.data_vars)
 
@@ -157,5 +157,5 @@ def test_bits_do_not_depend_on_threads():
 )
 def test_bad_values_are_refused_by_name(key, value, message):
     with pytest.raises(ValueError, match=message) as error:
-        splits.bssrdf(SNOW, [600.0], **{key: value})
+        splits.beam_spread(SNOW, [600.0], **{key: value})
     assert str(error.value).startswith(f"{key} = ")

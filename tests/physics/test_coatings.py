@@ -7,15 +7,15 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, draw, judge_z
-from events import walked, weight_after
+from chi2 import NEEDS_JIT, draw_samples, judge_z
+from events import trace_grain, play_roulette
 from numba import njit
-from scenes import coated, optics_of, pore_drawn, scene_of
+from scenes import make_coated_grains, make_optics, sample_pore, make_scene
 from scipy import integrate
 
 import splits
-from splits.transport.grains.spheroid import Size
-from splits.transport.numerics.vectors import Vector, dot
+from splits.kernels.grains.spheroid import GrainSize
+from splits.kernels.math.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 
@@ -32,18 +32,18 @@ def _walk(state, psi, facetness, scene, optics, true_absorption, length):
     Roulette is played where the grain is left.
     """
     d = Vector(0.48, -0.64, 0.6)
-    size = Size(RADIUS, 1.0 - psi * psi)
-    walk, _ = walked(state, d, size, facetness, False, scene, optics, length)
-    score = weight_after(state, walk)
+    size = GrainSize(RADIUS, 1.0 - psi * psi)
+    walk, _ = trace_grain(state, d, size, facetness, False, scene, optics, length)
+    score = play_roulette(state, walk)
     if not scene.rules.analog:
         score *= math.exp(-(true_absorption * length).sum())
-    pore = float(pore_drawn(walk.payload.pore_variate, scene))
+    pore = float(sample_pore(walk.payload.pore_variate, scene))
     return dot(d, walk.payload.direction), length[2], length[3:].sum(), score, pore
 
 
 def layered(thickness, materials=None):
     """Return a table of one type with coatings of given relative thickness, from the outside."""
-    return coated(thickness, [*(materials or range(COAT, COAT + len(thickness))), CORE])
+    return make_coated_grains(thickness, [*(materials or range(COAT, COAT + len(thickness))), CORE])
 
 
 def walk(
@@ -53,10 +53,10 @@ def walk(
     """Draw walks; roulette uses the part `heard` of the absorption."""
     index = np.array([1.0, 1.33, *index], dtype=complex)
     absorption = np.array([0.0, 0.0, *absorption], dtype=float)
-    optics = optics_of(index.real, index.imag, heard * absorption)
-    rules = splits.SandReadings(entry=entry).rules(analog)
-    scene = scene_of(grains, saturation=saturation, rules=rules)
-    return draw(
+    optics = make_optics(index.real, index.imag, heard * absorption)
+    rules = splits.SandInterpretation(entry=entry).rules(analog)
+    scene = make_scene(grains, saturation=saturation, rules=rules)
+    return draw_samples(
         _walk, COUNT, psi, facetness, scene, optics, absorption, np.zeros(index.size),
         width=5, ray=ray,
     )  # fmt: skip

@@ -9,7 +9,7 @@ from chi2 import NEEDS_JIT, judge_p
 from scipy.stats import chi2
 
 import splits
-from splits.analysis.colour import colours
+from splits.analysis.colour import make_colour_table
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 SEEDS = range(1, 41)
@@ -33,7 +33,7 @@ def test_colours_scatter_as_stated():
         runs = [
             splits.spectrophotometer(sand, WAVELENGTHS, max_stderr=0.005, seed=s) for s in SEEDS
         ]
-        table = pd.concat([colours(run) for run in runs])
+        table = pd.concat([make_colour_table(run) for run in runs])
         for axis in "Lab":
             square = table[axis].var() / (table[f"{axis}_stderr"] ** 2).mean()
             below = chi2.cdf(freedom * square, freedom)

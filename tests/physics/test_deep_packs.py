@@ -9,12 +9,18 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.checks import Refusal
-from splits.diffusion import Rest, diffuse_reflectance
-from splits.instruments import deep_packs
-from splits.instruments.deep_packs import DOUBT, cut_of
-from splits.instruments.grain_optics import BATCH, RATIOS, Plan, materials_of, pooled_by_type
-from splits.instruments.shared_paths import Family
+from splits.core.validation import InvalidValue
+from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
+from splits.simulation import deep_medium
+from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medium
+from splits.simulation.grain_optics import (
+    GRAIN_RAYS_PER_CHUNK,
+    WEIGHTED_MEANS,
+    GrainOpticsRequest,
+    compute_material_constants,
+    pool_optics_by_type,
+)
+from splits.simulation.path_tally import PathSharingMedia
 
 CLEAR = {"ice": 1.31, "water": 1.33}
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
@@ -33,7 +39,7 @@ PACKS = {
 @pytest.fixture
 def always(monkeypatch):
     """Cut however thin a pack is."""
-    monkeypatch.setattr(deep_packs, "LEAST", 0.0)
+    monkeypatch.setattr(deep_medium, "LEAST", 0.0)
 
 
 @NEEDS_JIT
@@ -42,22 +48,22 @@ def always(monkeypatch):
 def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
     """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
     pack = PACKS[name]
-    cut = cut_of(Family.from_media([pack]), WAVELENGTHS, 0.02, 1, 2)
+    cut = truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, 0.02, 1, 2)
     assert cut is not None
     assert cut.depth_m < 0.7 * pack.depth_m
-    monkeypatch.setattr(deep_packs, "LEAST", math.inf)
+    monkeypatch.setattr(deep_medium, "LEAST", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         part, whole = (
             splits.spectrophotometer(one, WAVELENGTHS, incidence, 0.0015, seed)
             for one in (cut.media[0], pack)
         )
         kept = part.transmittance.values
-        doubts = {"reflectance": DOUBT * kept * cut.escape_probability[0], "transmittance": DOUBT * kept}
+        doubts = {"reflectance": THEORY_UNCERTAINTY * kept * cut.escape_probability[0], "transmittance": THEORY_UNCERTAINTY * kept}
         guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.transmitted_fraction[0]}
         for quantity, doubt in doubts.items():
             noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
             off = np.abs(guessed[quantity] - whole[quantity].values)
-            print(name, incidence, quantity, np.round(off / np.maximum(doubt / DOUBT, 1e-9), 2))
+            print(name, incidence, quantity, np.round(off / np.maximum(doubt / THEORY_UNCERTAINTY, 1e-9), 2))
             assert (off <= doubt + 3.0 * noise).all(), (name, incidence, quantity, off, doubt)
 
 
@@ -73,15 +79,15 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [cut_of(Family.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
-    monkeypatch.setattr(deep_packs, "CLEARLY", math.inf)
-    better = [cut_of(Family.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    decided = [truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    monkeypatch.setattr(deep_medium, "CLEARLY", math.inf)
+    better = [truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
     assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
-    monkeypatch.setattr(deep_packs, "pooled_by_type", lambda *_: looked.append(1))
-    assert cut_of(Family.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
+    monkeypatch.setattr(deep_medium, "pooled_by_type", lambda *_: looked.append(1))
+    assert truncate_deep_medium(PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
     assert not looked
 
 
@@ -116,7 +122,7 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
     cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)
     assert cut.attrs["traced_to_m"] < PACKS["dry"].depth_m
-    monkeypatch.setattr(deep_packs, "LEAST", math.inf)
+    monkeypatch.setattr(deep_medium, "LEAST", math.inf)
     whole = splits.spectrophotometer(PACKS["dry"], seed=5, max_stderr=0.002, **light)
     z = [
         (cut[n] - whole[n]) / np.hypot(cut[f"{n}_stderr"], whole[f"{n}_stderr"])
@@ -131,7 +137,7 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
 def test_rare_dark_grains_are_not_overlooked():
     """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
-    cut = cut_of(Family.from_media([sand]), np.array([600.0]), 0.005, 1, 2)
+    cut = truncate_deep_medium(PathSharingMedia.from_media([sand]), np.array([600.0]), 0.005, 1, 2)
     assert cut is not None
     assert cut.transmitted_fraction[0, 0] < 0.5
 
@@ -156,10 +162,10 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
 def test_types_measured_one_by_one_are_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])
-    each = pooled_by_type(sand, materials_of(sand, light), Plan(1, 50 * BATCH, 1, 2, "equilibrium"))
-    mixed = splits.single_scattering(sand, light, 1, 50 * BATCH, 2, wet_pores="equilibrium")
+    each = pool_optics_by_type(sand, compute_material_constants(sand, light), GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, 1, 2, "equilibrium"))
+    mixed = splits.single_scattering(sand, light, 1, 50 * GRAIN_RAYS_PER_CHUNK, 2, wet_pores="equilibrium")
     z = []
-    for name in ("single_scattering_albedo", "asymmetry_parameter", *RATIOS):
+    for name in ("single_scattering_albedo", "asymmetry_parameter", *WEIGHTED_MEANS):
         # Types by themselves know a mean at least as well as a mixture.
         error = np.sqrt(2.0) * mixed[f"{name}_stderr"]
         z.append(((each[name].values - mixed[name]) / error).values)
@@ -207,16 +213,16 @@ def test_diffusion_below_a_cut_has_its_limits():
     one = np.ones(1)
     diffusion, height = 1e-4, 0.5
     rate = 1e-8
-    black = Rest(rate * diffusion * one, rate * height * one, 0.5 * one)
+    black = DiffusiveSubstrate(rate * diffusion * one, rate * height * one, 0.5 * one)
     expected = 1.0 / (2.0 + height / diffusion)
     assert black.compute_flux_ratio() == pytest.approx(expected, rel=1e-9)
     assert black.compute_transmitted_fraction() == pytest.approx(1.0, rel=1e-9)
-    white = Rest(rate * diffusion * one, rate * height * one, 0.0 * one)
+    white = DiffusiveSubstrate(rate * diffusion * one, rate * height * one, 0.0 * one)
     assert white.compute_reflected_fraction() == pytest.approx(1.0, abs=1e-9)
-    endless = Rest(0.3 * one, math.inf * one, 0.5 * one)
+    endless = DiffusiveSubstrate(0.3 * one, math.inf * one, 0.5 * one)
     assert endless.compute_flux_ratio() == pytest.approx(0.3)
     assert endless.compute_transmitted_fraction() == 0.0
-    thick, thin = (Rest(0.3 * one, h * one, 0.5 * one) for h in (30.0, 1e-12))
+    thick, thin = (DiffusiveSubstrate(0.3 * one, h * one, 0.5 * one) for h in (30.0, 1e-12))
     assert thick.compute_reflected_fraction() == pytest.approx(endless.compute_reflected_fraction())
     assert thin.compute_reflected_fraction() == pytest.approx(0.0, abs=1e-9)
     assert thin.compute_transmitted_fraction() == pytest.approx(1.0)
@@ -226,18 +232,18 @@ def test_diffusion_below_a_cut_has_its_limits():
     "instrument",
     [
         lambda snow: splits.goniophotometer(snow, [500.0]),
-        lambda snow: splits.bssrdf(snow, [500.0]),
+        lambda snow: splits.beam_spread(snow, [500.0]),
         lambda snow: splits.deep_transmittance(snow, [500.0]),
         lambda snow: splits.spectrophotometer(snow, [500.0], estimator="analog"),
     ],
 )
 def test_other_instruments_refuse_packs_without_end(instrument):
-    with pytest.raises(Refusal, match="depth_m = inf: must be finite"):
+    with pytest.raises(InvalidValue, match="depth_m = inf: must be finite"):
         instrument(splits.Snow(depth_m=math.inf))
 
 
 def test_only_the_lowest_layer_has_no_end():
     endless = splits.Snow(depth_m=math.inf)
     assert splits.Stack([splits.Snow(), endless]).depth_m == math.inf
-    with pytest.raises(Refusal, match=r"layers\[0\].depth_m = inf: must be finite"):
+    with pytest.raises(InvalidValue, match=r"layers\[0\].depth_m = inf: must be finite"):
         splits.Stack([endless, splits.Snow()])

@@ -7,11 +7,20 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.checks import Refusal
-from splits.instruments.differences import _rules, _weights, difference
-from splits.instruments.estimators import Estimate
-from splits.instruments.shared_paths import Slopes
-from splits.media.parameters import names_of, unit_of, value_of, with_value
+from splits.core.validation import InvalidValue
+from splits.simulation.finite_differences import (
+    _compute_stencil_weights,
+    _compute_difference_weights,
+    compute_finite_difference,
+)
+from splits.simulation.estimators import SpectralEstimate
+from splits.simulation.path_tally import Derivatives
+from splits.media.parameters import (
+    list_parameters,
+    get_derivative_unit,
+    get_parameter,
+    replace_parameter,
+)
 
 W = [450.0, 850.0, 1250.0]
 THIN = splits.Snow.natural(
@@ -20,7 +29,7 @@ THIN = splits.Snow.natural(
 )  # fmt: skip
 DEEP = splits.Snow.natural(optical_radius_um=150, impurities_ng_g={"black_carbon": 200})
 SAND = splits.Sand(hematite_ratio=0.3, saturation=0.3)
-LAYER = splits.Layer(optical_thickness=2)
+LAYER = splits.ParticleLayer(optical_thickness=2)
 CASES = {
     "ground": (THIN, "ground", 0.1, "paths"),
     "size below ground": (THIN, "optical_radius_um", 20.0, "differences"),
@@ -44,7 +53,7 @@ def central(medium, name, step, error):
     """Return a five-point difference of independent runs, and its error."""
     value, square = 0.0, 0.0
     for seed, (place, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items(), start=100):
-        other = with_value(medium, name, value_of(medium, name) + place * step)
+        other = replace_parameter(medium, name, get_parameter(medium, name) + place * step)
         run = splits.spectrophotometer(other, places(medium), 30, error, seed)
         share = weight / (12.0 * step)
         value = value + share * run.reflectance.values
@@ -80,7 +89,7 @@ def test_derivatives_stand_in_the_order_asked_for():
 
 @pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (-1.5, -0.5, 1.5, 2.5), (0, 1, 3, 4)])
 def test_rules_are_exact_for_cubics(offsets):
-    fine, coarse = _rules(tuple(map(float, offsets)), 0.1)
+    fine, coarse = _compute_stencil_weights(tuple(map(float, offsets)), 0.1)
     x = 0.1 * np.array(offsets)
     for power in range(4):
         exact = 1.0 if power == 1 else 0.0
@@ -90,7 +99,7 @@ def test_rules_are_exact_for_cubics(offsets):
 
 
 def test_weights_of_the_five_point_rule():
-    weights = _weights(np.array([-2.0, -1.0, 1.0, 2.0]))
+    weights = _compute_difference_weights(np.array([-2.0, -1.0, 1.0, 2.0]))
     np.testing.assert_allclose(weights, np.array([1, -8, 8, -1]) / 12.0, atol=1e-12)
 
 
@@ -104,24 +113,24 @@ def test_weights_of_the_five_point_rule():
     ],
 )
 def test_every_parameter_can_be_moved(medium):
-    for name in names_of(medium):
-        before = value_of(medium, name)
+    for name in list_parameters(medium):
+        before = get_parameter(medium, name)
         step = -1e-3 if name in ("max_polarization",) else 1e-3
-        after = with_value(medium, name, before + step)
-        assert value_of(after, name) - before == pytest.approx(step, abs=1e-9)
-        assert isinstance(unit_of(name), str)
+        after = replace_parameter(medium, name, before + step)
+        assert get_parameter(after, name) - before == pytest.approx(step, abs=1e-9)
+        assert isinstance(get_derivative_unit(name), str)
 
 
 def test_shares_leave_the_others_in_their_ratios():
     sand = splits.Sand(partition=(0.5, 0.3, 0.2))
-    moved = with_value(sand, "partition.coated", 0.6)
+    moved = replace_parameter(sand, "partition.coated", 0.6)
     assert moved.partition == pytest.approx((0.25, 0.15, 0.6))
-    with pytest.raises(Refusal, match=r"partition\.pure = 1\.2: must be in \[0, 1\]"):
-        with_value(sand, "partition.pure", 1.2)
-    with pytest.raises(Refusal, match="below 1 to begin with"):
-        with_value(splits.Sand(partition=(0.0, 1.0, 0.0)), "partition.mixed", 0.5)
-    with pytest.raises(Refusal, match="silt"):
-        value_of(sand, "texture.sild")
+    with pytest.raises(InvalidValue, match=r"partition\.pure = 1\.2: must be in \[0, 1\]"):
+        replace_parameter(sand, "partition.pure", 1.2)
+    with pytest.raises(InvalidValue, match="below 1 to begin with"):
+        replace_parameter(splits.Sand(partition=(0.0, 1.0, 0.0)), "partition.mixed", 0.5)
+    with pytest.raises(InvalidValue, match="silt"):
+        get_parameter(sand, "texture.sild")
 
 
 LAWS = {
@@ -139,8 +148,8 @@ def formula(make, noise):
         mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
         groups = np.full((32, 2, 1), noise / np.sqrt(32.0))
         none = np.zeros((2, 0, 1))
-        return Estimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "lanes",
-                        Slopes(none, np.zeros((32, *none.shape)), none))  # fmt: skip
+        return SpectralEstimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "lanes",
+                        Derivatives(none, np.zeros((32, *none.shape)), none))  # fmt: skip
 
     return measure
 
@@ -150,7 +159,7 @@ def formula(make, noise):
 def test_one_sided_differences_say_how_far_they_are_off(law, noise):
     """Where a range begins, without noise in the means: what is left is the rule's own."""
     make, slope = LAWS[law]
-    found = difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").derivatives
+    found = compute_finite_difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").derivatives
     assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3
 
 
@@ -160,11 +169,11 @@ def test_a_root_has_its_slope_wherever_it_has_one(saturation):
         return 0.5 - 0.2 * np.sqrt(2.0 * s)
 
     snow = splits.Snow(saturation=saturation)
-    found = difference(formula(root, 1e-4), snow, 0.0, "saturation").derivatives
+    found = compute_finite_difference(formula(root, 1e-4), snow, 0.0, "saturation").derivatives
     slope = -0.2 / np.sqrt(2.0 * saturation)
     assert found.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
-    with pytest.raises(Refusal, match=r"saturation\) = 0\.0: must be where .* is finite"):
-        difference(formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation")
+    with pytest.raises(InvalidValue, match=r"saturation\) = 0\.0: must be where .* is finite"):
+        compute_finite_difference(formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation")
 
 
 def test_an_albedo_near_one_has_its_slope():
@@ -173,14 +182,14 @@ def test_an_albedo_near_one_has_its_slope():
     def make(albedo):
         return np.exp(-3.0 * np.sqrt(1.0 - albedo + 1e-4))
 
-    layer = splits.Layer(single_scattering_albedo=0.999)
+    layer = splits.ParticleLayer(single_scattering_albedo=0.999)
 
     def measure(medium, incidence):
         known = splits.Snow(saturation=0.5)
         value = make(medium.single_scattering_albedo)
         return formula(lambda _: value, 1e-4)(known, incidence)
 
-    found = difference(measure, layer, 0.0, "single_scattering_albedo").derivatives
+    found = compute_finite_difference(measure, layer, 0.0, "single_scattering_albedo").derivatives
     exact = make(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
     off = abs(found.mean[0, 0, 0] - exact)
     assert off < 2.0 * found.stderr[0, 0, 0] + 1e-2 * exact

@@ -9,9 +9,9 @@ from chi2 import NEEDS_JIT, judge_p
 from scipy.stats import chi2
 
 import splits
-from splits.analysis.colour import colours
-from splits.analysis.errors import error_parts
-from splits.skies.bands import Band
+from splits.analysis.colour import make_colour_table
+from splits.core.uncertainty import compute_error_parts
+from splits.illumination.bands import SpectralBand
 
 SEEDS = range(1, 61)
 FEW = np.array([450, 560, 700, 860, 1030, 1100, 1240, 1300, 1500, 1650, 1800, 2200], dtype=float)
@@ -41,7 +41,7 @@ def combined(run):
     few = np.isin(w, FEW)
     signs = np.zeros(w.size)
     signs[few] = np.where(np.arange(few.sum()) % 2, -1.0, 1.0)
-    sun = splits.sky("midlatitude_winter").compute_weights(w, Band.from_limits(w[0], w[-1]))
+    sun = splits.sky("midlatitude_winter").compute_weights(w, SpectralBand.from_limits(w[0], w[-1]))
     long = 1240.0 if 1240.0 in w else 1000.0
     one, other = w == 860.0, w == long
     a, b = float(r[one][0]), float(r[other][0])
@@ -53,9 +53,9 @@ def combined(run):
     values["ratio"], found["ratio"] = (a - b) / (a + b), ratio
     three = {}
     for name, weight in found.items():
-        parts = error_parts(run, "reflectance", xr.DataArray(weight, dims="wavelength"))
+        parts = compute_error_parts(run, "reflectance", xr.DataArray(weight, dims="wavelength"))
         three[name] = (values[name], *map(float, parts))
-    table = colours(run.sel(wavelength=slice(400.0, 780.0))).iloc[0]
+    table = make_colour_table(run.sel(wavelength=slice(400.0, 780.0))).iloc[0]
     for axis in "Lab":
         three[f"{axis}*"] = tuple(table[axis + end] for end in ("", "_stderr", "_missed"))
     return three

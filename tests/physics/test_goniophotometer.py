@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
-from splits.transport.optics.fresnel import interface
+from splits.kernels.optics.fresnel import fresnel
 
 pytestmark = NEEDS_JIT
 
@@ -76,7 +76,7 @@ def test_an_empty_slab_only_has_specular_and_straight_light(saturation, incidenc
     )
     ds = splits.goniophotometer(empty, [600.0], incidence, 200_000)
     assert not ds.brdf.values.any() and not ds.btdf.values.any()
-    r = interface(1.0, 1.33, 0.0, np.cos(np.radians(incidence)))[0] if saturation else 0.0
+    r = fresnel(1.0, 1.33, 0.0, np.cos(np.radians(incidence)))[0] if saturation else 0.0
     expected = 2.0 * r / (1.0 + r)
     found, error = float(ds.specular_reflectance[0]), float(ds.specular_reflectance_stderr[0])
     if saturation:

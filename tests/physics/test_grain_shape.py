@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.analysis.grain_shape import optical_shape
+from splits.analysis.theory.grain_shape import compute_optical_shape
 
 SPHERES = {"facetness": (0, 0, 0, 0), "sphericity": (1, 1, 1, 0), "saturation": 0.0}
 N, K, SIZE = 1.3032, 4.1e-7, 500e-6
@@ -49,7 +49,7 @@ def test_smooth_spheres_are_those_of_theory():
     b, g = sphere_by_quadrature()
     assert b == pytest.approx(1.25, abs=0.01)
     assert g == pytest.approx(0.79, abs=0.005)
-    shape = optical_shape(snow, rays=131_072)
+    shape = compute_optical_shape(snow, rays=131_072)
     for found, exact in ((shape.absorption_enhancement, b), (shape.asymmetry_parameter, g)):
         assert abs(found.value - exact) < 3.0 * found.stderr, (found, exact)
         assert found.stderr < 0.005
@@ -57,8 +57,8 @@ def test_smooth_spheres_are_those_of_theory():
 
 def test_only_clean_dry_snow_that_absorbs_has_a_shape():
     with pytest.raises(ValueError, match=r"saturation = 0\.05"):
-        optical_shape(splits.Snow())
+        compute_optical_shape(splits.Snow())
     with pytest.raises(ValueError, match="impurities_ng_g"):
-        optical_shape(splits.Snow(saturation=0.0, impurities_ng_g={"black_carbon": 1.0}))
+        compute_optical_shape(splits.Snow(saturation=0.0, impurities_ng_g={"black_carbon": 1.0}))
     with pytest.raises(ValueError, match="where ice absorbs"):
-        optical_shape(splits.Snow(saturation=0.0, refractive_index={"ice": 1.31}))
+        compute_optical_shape(splits.Snow(saturation=0.0, refractive_index={"ice": 1.31}))

@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import judge_z
-from scenes import medium_scene
+from scenes import make_medium_scene
 
 import splits
-from splits.instruments.scenes import constants_of
-from splits.transport import lanes
-from splits.transport.grains import granular
-from splits.transport.grains.scene import Optics, shared_optics
-from splits.transport.lanes.choice import features_for
-from splits.transport.sums.notes import NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
-from splits.transport.sums.tally import (
-    EXIT_LENGTH,
-    EXIT_SIDE,
-    EXIT_WEIGHT,
-    exit_rows,
-)
+from splits.simulation.scene import compute_optical_constants
+from splits.kernels import vectorized
+from splits.kernels.grains import history
+from splits.kernels.grains.scene import Optics, make_bounding_optics
+from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
+from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
 
 WAVELENGTHS = [500.0, 900.0, 1300.0]
 ALBEDOS = (0.1, 0.5, 0.9, 1.0)
@@ -103,20 +98,20 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     snow = splits.Snow(
         depth_m=0.005, saturation=0.3, refractive_index={"ice": 1.31, "water": 1.33}, ground=0.6
     )
-    scene = medium_scene(snow, 30.0)
-    index, absorption = constants_of(snow, np.array([500.0]))
+    scene = make_medium_scene(snow, 30.0)
+    index, absorption = compute_optical_constants(snow, np.array([500.0]))
     # Roulette is told of no absorption, so that no ray plays it, and each balances by itself.
-    optics = shared_optics(index[0], np.zeros_like(absorption))
-    exits = exit_rows(512, index.shape[1])
+    optics = make_bounding_optics(index[0], np.zeros_like(absorption))
+    exits = allocate_exits(512, index.shape[1])
     work = np.array([[7, 0, len(exits), 2**31 - 1]])
     if kernel == "lanes":
         alone = Optics(*(part[np.newaxis] for part in optics))
-        told = lanes.batch(1, work, scene, alone, exits, features_for(scene, optics))
+        told = vectorized.batch(1, work, scene, alone, exits, select_features(scene, optics))
     else:
-        told = granular.batch(1, work[0], scene, optics, exits, None, None)
+        told = history.trace_batch(1, work[0], scene, optics, exits, None, None)
     kept = np.zeros(len(exits))
-    weights = told.crossings[:, NOTE_WEIGHT] * np.exp(-told.crossings[:, NOTE_LENGTH:] @ absorption[0])
-    np.add.at(kept, told.crossings[:, NOTE_RAY].astype(int), (1.0 - 0.6) * weights)
+    weights = told.crossings[:, CROSSING_WEIGHT] * np.exp(-told.crossings[:, CROSSING_LENGTH:] @ absorption[0])
+    np.add.at(kept, told.crossings[:, CROSSING_RAY].astype(int), (1.0 - 0.6) * weights)
     left = exits[:, EXIT_SIDE] == 0.0
     assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(told.crossings) > len(exits) / 4
     back = exits[left, EXIT_WEIGHT] * np.exp(-exits[left, EXIT_LENGTH:] @ absorption[0])

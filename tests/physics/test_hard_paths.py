@@ -6,27 +6,33 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, draw, judge_z, stream
-from events import facet_normal_of, facet_struck, interact, struck, walked
+from chi2 import NEEDS_JIT, draw_samples, judge_z, start_random_stream
+from events import (
+    compute_facet_normal,
+    sample_facet,
+    resolve_interaction,
+    sample_entry,
+    trace_grain,
+)
 from numba import njit
-from scenes import medium_scene, optics_of, scene_of, trace
+from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.transport.grains import facets, granular, spheroid
-from splits.transport.grains.spheroid import Entry, Segment, Size, Spheroid
-from splits.transport.grains.surface import Stand, contrast
-from splits.transport.grains.walk import trial
-from splits.transport.numerics import vectors
-from splits.transport.numerics.vectors import Vector, along, dot, scaled
-from splits.transport.optics.faces import Index
-from splits.transport.optics.fresnel import Passage, interface, refracted
+from splits.kernels.grains import microfacet, history, spheroid
+from splits.kernels.grains.spheroid import EntryPoint, Segment, GrainSize, Spheroid
+from splits.kernels.grains.interaction import InterfaceState, relative_index
+from splits.kernels.grains.grain_path import sample_interaction
+from splits.kernels.math import vectors
+from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
+from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
 
 MANY = 10_000_000
 DRIFT = 1e-9
 EPS = 2.0**-52
 FIRST_LONG_RAY = 189
-RULES = splits.Readings().rules()
+RULES = splits.Interpretation().rules()
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
@@ -37,7 +43,7 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 def _centred(grain):
     """Return the point at which a ray is, relative to the grain's centre (m)."""
     stretch = grain.flattening / (1.0 - grain.flattening)
-    return scaled(grain.semi_minor, along(stretch * dot(grain.q, grain.w), grain.w, grain.q))
+    return scale(grain.semi_minor, add_scaled(stretch * dot(grain.q, grain.w), grain.w, grain.q))
 
 
 @njit
@@ -48,33 +54,33 @@ def _trapped(state, steps, size, facetness, rules):
     that q stands for, in semi-minor axes, and the least and the largest leg in diameters.
     """
     d = Vector(-0.48, 0.64, -0.6)
-    grain = struck(state, d, size, rules.entry_sampling).grain
+    grain = sample_entry(state, d, size, rules.entry_sampling).grain
     minor, flattening, w = grain.semi_minor, grain.flattening, grain.w
     p = _centred(grain)
     # An index of 1e9 inside: every angle that occurs is beyond the critical one.
-    media = contrast(Index(1e9, 0.0), Index(1.0, 0.0))
+    media = relative_index(ComplexIndex(1e9, 0.0), ComplexIndex(1.0, 0.0))
     norm, sphere, surface, shortest, longest, escaped = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
     for _ in range(steps):
-        leg, grain = spheroid.across(grain, d)
-        p = along(leg, d, p)
-        stand = Stand(1.0, -1.0, False, False)
+        leg, grain = spheroid.compute_chord(grain, d)
+        p = add_scaled(leg, d, p)
+        stand = InterfaceState(1.0, -1.0, False, False)
         while True:
-            after = trial(state, d, stand, grain, 0.5 * facetness, media, rules)
+            after = sample_interaction(state, d, stand, grain, 0.5 * facetness, media, rules)
             if after.accepted:
                 break
-            stand = Stand(1.0, -1.0, after.needs_lobe, after.transmitted)
+            stand = InterfaceState(1.0, -1.0, after.needs_lobe, after.transmitted)
         d = after.direction
         norm = max(norm, abs(dot(d, d) - 1.0))
         sphere = max(sphere, abs(dot(grain.q, grain.q) - 1.0))
         axial = dot(p, w)
-        r = along(-axial, w, p)
+        r = add_scaled(-axial, w, p)
         axial *= 1.0 - flattening
         square = (dot(r, r) + axial * axial) / (minor * minor)
         surface = max(surface, abs(square - 1.0))
         leg *= 0.5 * (1.0 - flattening) / minor
         shortest, longest = min(shortest, leg), max(longest, leg)
         escaped += after.transmitted
-    gap = along(-1.0, _centred(grain), p)
+    gap = add_scaled(-1.0, _centred(grain), p)
     apart = math.sqrt(dot(gap, gap)) / minor
     return norm, sphere, surface, apart, shortest, longest, escaped
 
@@ -83,7 +89,7 @@ def _trapped(state, steps, size, facetness, rules):
 @pytest.mark.parametrize(("psi", "facetness"), [(1.0, 0.0), (0.8, 0.3), (0.3, 1.0)])
 def test_ten_million_reflections_in_one_grain_do_not_drift(psi, facetness):
     norm, sphere, surface, apart, shortest, longest, escaped = _trapped(
-        stream(), MANY, Size(1e-4, 1.0 - psi * psi), facetness, RULES
+        start_random_stream(), MANY, GrainSize(1e-4, 1.0 - psi * psi), facetness, RULES
     )
     print(
         f"Ψ {psi}, facetness {facetness}: |d² − 1| {norm:.1e}, |q² − 1| {sphere:.1e}, "
@@ -101,12 +107,12 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
     # A straight line through 10 km of snow: where it ends is known to the last digit.
     depth, mu = 9e3, math.cos(math.radians(30.0))
     snow = splits.Snow(saturation=0.0, depth_m=depth)
-    scene = medium_scene(snow, 30.0)
-    ray, length = trace(stream(), scene, optics_of(np.ones(3)))
+    scene = make_medium_scene(snow, 30.0)
+    ray, length = trace_ray(start_random_stream(), scene, make_optics(np.ones(3)))
     (x, y, z), d, legs = ray.geometry.position, ray.payload.direction, ray.n_segments
     assert legs >= MANY
     assert ray.order == legs - 1
-    assert (ray.status, z) == (granular.TRANSMITTED, -depth)
+    assert (ray.status, z) == (history.TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
     assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < DRIFT
     assert abs(math.hypot(*d) - 1.0) < DRIFT
@@ -122,18 +128,18 @@ def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
 def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
     # Bubbles in a liquid of index 60: once inside, light meets a boundary thousands of times.
     snow = splits.Snow(saturation=1.0, facetness=(0.0,) * 4, sphericity=(1.0, 1.0, 1.0, 0.0))
-    scene, optics = medium_scene(snow), optics_of([1.0, 60.0, 1.31])
+    scene, optics = make_medium_scene(snow), make_optics([1.0, 60.0, 1.31])
     # The first of these rays is long enough today; with other random numbers a later one is.
     for number in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
-        ray, length = trace(stream(number), scene, optics)
+        ray, length = trace_ray(start_random_stream(number), scene, optics)
         if ray.n_segments >= MANY:
             break
     print(f"ray {number} has {ray.n_segments} legs")
     assert ray.n_segments >= MANY
-    assert ray.status in (granular.REFLECTED, granular.TRANSMITTED)
+    assert ray.status in (history.REFLECTED, history.TRANSMITTED)
     place, d = ray.geometry.position, ray.payload.direction
-    assert place.z == (0.0 if ray.status == granular.REFLECTED else -snow.depth_m)
-    assert (d.z > 0.0) == (ray.status == granular.REFLECTED)
+    assert place.z == (0.0 if ray.status == history.REFLECTED else -snow.depth_m)
+    assert (d.z > 0.0) == (ray.status == history.REFLECTED)
     assert abs(math.hypot(*d) - 1.0) < DRIFT
     assert np.isfinite([*place, *length]).all() and length.min() >= 0.0
 
@@ -141,7 +147,7 @@ def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
 # --- along an axis, along a tangent -----------------------------------------------------------
 
 
-AIR_TO_ICE = Index(1.0, 0.0), Index(1.31, 0.0)
+AIR_TO_ICE = ComplexIndex(1.0, 0.0), ComplexIndex(1.31, 0.0)
 
 
 def grain_of(psi):
@@ -158,22 +164,22 @@ def test_rays_along_the_axes_of_a_grain(axis, psi):
     for d in AXES:
         semi = a if abs(d @ axis) == 1.0 else c
         grain = Spheroid(Vector(*-d), Vector(*axis), flattening, c)
-        chord, there = spheroid.across(grain, Vector(*d))
+        chord, there = spheroid.compute_chord(grain, Vector(*d))
         assert chord == pytest.approx(2.0 * semi, rel=2e-12)
         assert there.q == pytest.approx(d, abs=2e-14)
-        assert spheroid.normal_at(grain) == pytest.approx(-d, abs=1e-15)
+        assert spheroid.compute_outward_normal(grain) == pytest.approx(-d, abs=1e-15)
         # Struck at this pole: it reaches over the boundary when it is a hair too near.
         height = a if abs(axis[2]) == 1.0 else c
-        entered = Entry(grain, Vector(*-d), float(-d @ axis), a)
+        entered = EntryPoint(grain, Vector(*-d), float(-d @ axis), a)
         up = -semi * d[2]
         for hair, over in ((-1e-15, False), (1e-15, True)):
             at_top = up - height * (1.0 - hair)
-            assert spheroid.crosses(entered, at_top, -1.0, 0.0) == over
+            assert spheroid.overlaps_boundary(entered, at_top, -1.0, 0.0) == over
         # Four semi-axes below, heights have fewer digits left.
         depth = 4.0 * a
         for hair, over in ((-1e-12, False), (1e-12, True)):
             at_bottom = up + height * (1.0 - hair) - depth
-            assert spheroid.crosses(entered, at_bottom, -depth, 0.0) == over
+            assert spheroid.overlaps_boundary(entered, at_bottom, -depth, 0.0) == over
         # Seen from afar, straight at the centre and past it by a hair more than the semi-axis.
         side = np.roll(d, 1)
         half = a if abs(side @ axis) == 1.0 else c
@@ -183,7 +189,7 @@ def test_rays_along_the_axes_of_a_grain(axis, psi):
                 p = pole * (a if abs(pole @ axis) == 1.0 else c)
                 end = o + 20.0 * a * d - p
                 grain = Spheroid(Vector(*pole), Vector(*axis), flattening, c)
-                cut = spheroid.cuts(grain, Segment(Vector(*end), Vector(*d), 20.0 * a))
+                cut = spheroid.overlaps_segment(grain, Segment(Vector(*end), Vector(*d), 20.0 * a))
                 assert cut == hit, (d, away, pole)
 
 
@@ -194,13 +200,13 @@ def test_rays_tangent_to_a_grain(axis, psi):
     for n in AXES:
         d = np.roll(n, 1)
         grain = Spheroid(Vector(*n), Vector(*axis), flattening, c)
-        assert spheroid.across(grain, Vector(*d)) == (0.0, grain)
-        assert spheroid.normal_at(grain) == pytest.approx(n, abs=1e-15)
+        assert spheroid.compute_chord(grain, Vector(*d)) == (0.0, grain)
+        assert spheroid.compute_outward_normal(grain) == pytest.approx(n, abs=1e-15)
         for facetness in (0.0, 0.5, 1.0):
             for ray in range(20):
                 for d_on in (d, (d - 1e-17 * n), (d + 1e-17 * n)):
-                    passed, out = interact(
-                        stream(ray), Vector(*d_on), Vector(*n), facetness, *AIR_TO_ICE, RULES
+                    passed, out = resolve_interaction(
+                        start_random_stream(ray), Vector(*d_on), Vector(*n), facetness, *AIR_TO_ICE, RULES
                     )
                     assert np.isfinite(out).all()
                     assert abs(math.hypot(*out) - 1.0) < 1e-11
@@ -212,15 +218,15 @@ def test_rays_tangent_to_a_grain(axis, psi):
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("facetness", [0.0, 1e-9, 0.5, 1.0])
-@pytest.mark.parametrize("rule", [facets.PROJECTED, facets.UNWEIGHTED, facets.ANY])
+@pytest.mark.parametrize("rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS])
 def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
-    rules = splits.Readings().rules()._replace(facets=rule)
+    rules = splits.Interpretation().rules()._replace(facets=rule)
     n, d = Vector(*axis), Vector(*-axis)
     for ray in range(50):
-        facet = facet_struck(stream(ray), d, n, facetness, rule)
+        facet = sample_facet(start_random_stream(ray), d, n, facetness, rule)
         assert 0.0 < facet.cos_facet <= 1.0
         assert facet.cos_facet == pytest.approx(abs(facet.tilt.cos), rel=1e-9)
-        passed, out = interact(stream(ray), d, n, facetness, *AIR_TO_ICE, rules)
+        passed, out = resolve_interaction(start_random_stream(ray), d, n, facetness, *AIR_TO_ICE, rules)
         assert abs(math.hypot(*out) - 1.0) < 1e-14
         assert (np.dot(out, axis) < 0.0) == passed
 
@@ -233,8 +239,8 @@ def tilted(sine):
 
 def worst_norm(sine):
     n, d = tilted(sine)
-    drawn = (facet_struck(stream(ray), d, n, 1.0, facets.PROJECTED) for ray in range(300))
-    return max(abs(math.hypot(*facet_normal_of(d, facet)) - 1.0) for facet in drawn)
+    drawn = (sample_facet(start_random_stream(ray), d, n, 1.0, microfacet.PROJECTED_FACETS) for ray in range(300))
+    return max(abs(math.hypot(*compute_facet_normal(d, facet)) - 1.0) for facet in drawn)
 
 
 @pytest.mark.parametrize("sine", [1e-9, 1e-6, 1e-3])
@@ -252,7 +258,7 @@ def test_facet_normals_have_unit_length_a_hair_off_the_normal():
 def test_directions_have_unit_length_near_the_normal(sine):
     n, d = tilted(sine)
     for ray in range(300):
-        passed, out = interact(stream(ray), d, n, 1.0, *AIR_TO_ICE, RULES)
+        passed, out = resolve_interaction(start_random_stream(ray), d, n, 1.0, *AIR_TO_ICE, RULES)
         assert abs(math.hypot(*out) - 1.0) < 1e-14
         assert (np.dot(out, n) < 0.0) == passed
 
@@ -260,7 +266,7 @@ def test_directions_have_unit_length_near_the_normal(sine):
 @pytest.mark.parametrize("indices", [(1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 3.0)], ids=str)
 def test_an_interface_towards_grazing_incidence(indices):
     for cos_i in (1e-12, 1e-100, 1e-150):
-        reflectance, ratio, cos_t = interface(*indices, cos_i)
+        reflectance, ratio, cos_t = fresnel(*indices, cos_i)
         assert reflectance == pytest.approx(1.0, abs=1e-10)
         assert 0.0 <= cos_t <= 1.0 and ratio >= 0.0
 
@@ -268,28 +274,28 @@ def test_an_interface_towards_grazing_incidence(indices):
 @pytest.mark.xfail(strict=True, reason="transport: 2e-16 below 1; docs/theory/hard-cases.md")
 @pytest.mark.parametrize("cos_i", [0.0, 5e-324, 1e-200])
 def test_an_interface_at_exactly_grazing_incidence(cos_i):
-    assert interface(1.0, 1.31, 0.0, cos_i)[0] == 1.0
+    assert fresnel(1.0, 1.31, 0.0, cos_i)[0] == 1.0
 
 
 @pytest.mark.parametrize("cos_i", [0.0, 5e-324, 1e-200])
 @pytest.mark.parametrize("indices", [(1.0, 1.31, 0.0), (1.0, 1.0, 1e-3), (1.0, 1.31, 3.0)], ids=str)
 def test_an_interface_at_grazing_incidence_but_for_the_last_digit(indices, cos_i):
-    reflectance, ratio, cos_t = interface(*indices, cos_i)
+    reflectance, ratio, cos_t = fresnel(*indices, cos_i)
     assert reflectance == pytest.approx(1.0, abs=4e-16) and reflectance <= 1.0
     assert 0.0 < ratio <= 1.0 and 0.0 < cos_t < 1.0
 
 
 def test_an_interface_whose_contrast_underflows():
-    assert interface(1.0, 1.0, 1e-170, 1e-12)[0] == pytest.approx(0.0, abs=1e-100)
+    assert fresnel(1.0, 1.0, 1e-170, 1e-12)[0] == pytest.approx(0.0, abs=1e-100)
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 def test_frames_mirrors_and_refraction_along_the_axes(axis):
     n, d = Vector(*axis), Vector(*-axis)
-    basis = np.array([*vectors.tangents(n), n])
+    basis = np.array([*vectors.make_tangents(n), n])
     assert basis @ basis.T == pytest.approx(np.eye(3), abs=0.0)
-    assert vectors.mirrored(d, n) == n
-    assert refracted(d, n, 1.0, Passage(0.0, 1.0 / 1.31, 1.0)) == pytest.approx(d, abs=1e-15)
+    assert vectors.reflect(d, n) == n
+    assert refract(d, n, 1.0, FresnelResult(0.0, 1.0 / 1.31, 1.0)) == pytest.approx(d, abs=1e-15)
 
 
 # --- total reflection outside -----------------------------------------------------------------
@@ -298,7 +304,7 @@ def test_frames_mirrors_and_refraction_along_the_axes(axis):
 @njit
 def _bubble(state, scene, optics, length):
     d = Vector(0.0, 0.0, -1.0)
-    walk, _ = walked(state, d, Size(1e-4, 0.0), 0.0, True, scene, optics, length)
+    walk, _ = trace_grain(state, d, GrainSize(1e-4, 0.0), 0.0, True, scene, optics, length)
     return -walk.payload.direction.z, length[2]
 
 
@@ -306,12 +312,12 @@ def _bubble(state, scene, optics, length):
 @pytest.mark.parametrize("pore", [1.33, 2.0])
 def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
     # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
-    rules = splits.Readings(entry="projected").rules()
-    scene = scene_of(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
-    out = draw(_bubble, 300_000, scene, optics_of([1.0, pore, 1.0]), np.zeros(3), width=2)
+    rules = splits.Interpretation(entry="projected").rules()
+    scene = make_scene(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
+    out = draw_samples(_bubble, 300_000, scene, make_optics([1.0, pore, 1.0]), np.zeros(3), width=2)
 
     def orders(i):
-        r, _, cos_t = interface(pore, 1.0, 0.0, math.cos(i))
+        r, _, cos_t = fresnel(pore, 1.0, 0.0, math.cos(i))
         t = math.acos(cos_t)
         through, inside = 0.0, 0.0
         if r < 1.0:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from splits.transport.numerics.vectors import Vector
-from splits.transport.optics.fresnel import Passage, between, interface, refracted
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.fresnel import FresnelResult, fresnel_between, fresnel, refract
 
 COSINES = np.concatenate([np.linspace(0.01, 1.0, 41), [1e-6, 1e-3, 0.999999]])
 INDICES = [
@@ -39,7 +39,7 @@ def polarised(n1, n2, k2, cos_i):
 def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
     for cos_i in COSINES:
         s, p, q = polarised(*indices, cos_i)
-        reflectance, ratio, cos_t = interface(*indices, cos_i)
+        reflectance, ratio, cos_t = fresnel(*indices, cos_i)
         assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
         if s > 1.0 - 1e-15:
             assert (ratio, cos_t) == (0.0, 0.0)
@@ -52,7 +52,7 @@ def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
 
 @pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_is_a_probability(indices):
-    values = [interface(*indices, c)[0] for c in COSINES]
+    values = [fresnel(*indices, c)[0] for c in COSINES]
     assert min(values) >= 0.0 and max(values) <= 1.0
 
 
@@ -62,49 +62,49 @@ def test_brewster_angle(n2):
     s, p, _ = polarised(1.0, n2, 0.0, cos_b)
     assert p < 1e-30
     # Nothing but s polarisation is left, in closed form ((n² − 1)/(n² + 1))².
-    assert interface(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
+    assert fresnel(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
     assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
 
 
 @pytest.mark.parametrize(("n2", "k2"), [(1.31, 0.0), (1.2, 0.4), (0.3, 3.0)])
 def test_normal_incidence(n2, k2):
     expected = ((n2 - 1) ** 2 + k2**2) / ((n2 + 1) ** 2 + k2**2)
-    reflectance, _, cos_t = interface(1.0, n2, k2, 1.0)
+    reflectance, _, cos_t = fresnel(1.0, n2, k2, 1.0)
     assert reflectance == pytest.approx(expected, rel=1e-13)
     assert cos_t == pytest.approx(1.0, rel=1e-15)
 
 
 def test_grazing_incidence_reflects_everything():
     for indices in INDICES[:-1]:
-        assert interface(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
+        assert fresnel(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_total_internal_reflection():
     n1 = 1.31
     critical = math.sqrt(1.0 - 1.0 / n1**2)
     for cos_i in np.linspace(1e-6, critical * (1.0 - 1e-9), 20):
-        assert interface(n1, 1.0, 0.0, cos_i) == (1.0, 0.0, 0.0)
-    assert interface(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
+        assert fresnel(n1, 1.0, 0.0, cos_i) == (1.0, 0.0, 0.0)
+    assert fresnel(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
 
 
 def test_an_absorbing_far_side_frustrates_total_reflection():
-    assert interface(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
+    assert fresnel(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
 
 
 @pytest.mark.parametrize("n", [1.0, 1.31, 2.4])
 def test_equal_media_do_not_show(n):
     d = Vector(0.48, -0.64, -0.6)
     for cos_i in COSINES:
-        assert interface(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
-    straight = refracted(d, Vector(0.0, 0.0, 1.0), 0.6, Passage(0.0, 1.0, 0.6))
+        assert fresnel(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
+    straight = refract(d, Vector(0.0, 0.0, 1.0), 0.6, FresnelResult(0.0, 1.0, 0.6))
     assert straight == pytest.approx(d, abs=1e-15)
 
 
 @pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.31), (1.31, 1.33), (1.0, 2.4)])
 def test_reversal(n1, n2):
     for cos_i in COSINES[COSINES > 0.005]:
-        forward, ratio, cos_t = interface(n1, n2, 0.0, cos_i)
-        back, back_ratio, cos_back = interface(n2, n1, 0.0, cos_t)
+        forward, ratio, cos_t = fresnel(n1, n2, 0.0, cos_i)
+        back, back_ratio, cos_back = fresnel(n2, n1, 0.0, cos_t)
         # 1 − R, not R: near the grazing angle R has few digits left of either.
         assert 1.0 - back == pytest.approx(1.0 - forward, rel=1e-8)
         assert cos_back == pytest.approx(cos_i, rel=1e-9)
@@ -121,10 +121,10 @@ def test_refracted_direction_obeys_snell(indices):
         d /= np.linalg.norm(d)
         d = -d if d @ n > 0.0 else d
         cos_i = float(-d @ n)
-        passage = interface(*indices, cos_i)
+        passage = fresnel(*indices, cos_i)
         if passage.reflectance == 1.0:
             continue
-        t = np.array(refracted(Vector(*d), Vector(*n), cos_i, passage))
+        t = np.array(refract(Vector(*d), Vector(*n), cos_i, passage))
         _, _, q = polarised(*indices, cos_i)
         real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
         assert abs(t @ t - 1.0) < 1e-12
@@ -140,12 +140,12 @@ def test_refracted_direction_obeys_snell(indices):
 def test_no_surface_outshines_a_black_body(n1, far):
     # Etendue: what diffuse light inside sends out cannot exceed n2²/n1² of it.
     cosines = (np.arange(4000) + 0.5) / 4000
-    passed = [1.0 - interface(n1, *far, c)[0] for c in cosines]
+    passed = [1.0 - fresnel(n1, *far, c)[0] for c in cosines]
     transmittance = 2.0 * cosines @ passed / len(cosines)
     assert transmittance <= min(1.0, (far[0] / n1) ** 2) + 1e-3
 
 
 def test_interfaces_between_equal_media_do_not_exist():
     for k in (0.0, 1e-3, 0.3):
-        assert between(1.56, k, 1.56, k, 0.3) == (0.0, 1.0, 0.3)
-    assert between(1.31, 1e-3, 1.0, 0.0, 0.9) == interface(1.31, 1.0, 0.0, 0.9)
+        assert fresnel_between(1.56, k, 1.56, k, 0.3) == (0.0, 1.0, 0.3)
+    assert fresnel_between(1.31, 1e-3, 1.0, 0.0, 0.9) == fresnel(1.31, 1.0, 0.0, 0.9)

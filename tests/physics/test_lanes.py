@@ -7,21 +7,21 @@ import time
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, pooled_z
-from scenes import alone, medium_scene, passing
+from chi2 import NEEDS_JIT, judge_z, compute_pooled_z
+from scenes import to_single_item, make_medium_scene, get_vectorized_scene
 
 import splits
-from splits.instruments.ensemble import Ensemble, Manner
-from splits.instruments.fixed import EVERY_RAY
-from splits.instruments.runner import BATCH, Runner
-from splits.materials.refractive_index import absorption_coefficient
-from splits.transport import lanes
-from splits.transport.compiling.features import Features
-from splits.transport.grains.scene import UNLIMITED, Optics
-from splits.transport.lanes import rows
-from splits.transport.lanes.rows import LANES
-from splits.transport.lanes.surface import surface
-from splits.transport.sums.tally import EXIT_DIRECTION, EXIT_POSITION, exit_rows
+from splits.simulation.tally import PathTally, TransportTraits
+from splits.simulation.fixed_budget import SINGLE_STRATUM
+from splits.simulation.runner import RAYS_PER_CHUNK, Runner
+from splits.materials.lookup import absorption_coefficient
+from splits.kernels import vectorized
+from splits.kernels.compiler.features import Features
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.lane_state import N_LANES
+from splits.kernels.vectorized.interaction import run_surface_pass
+from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
 
 pytestmark = NEEDS_JIT
 
@@ -47,7 +47,7 @@ def ensembles(medium, wavelengths, attenuation):
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     one = np.ones(1, dtype=bool)
     return [
-        Ensemble(number, m, alpha[np.newaxis], one, Manner(attenuation), strata=EVERY_RAY)
+        PathTally(number, m, alpha[np.newaxis], one, TransportTraits(attenuation), strata=SINGLE_STRATUM)
         for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
     ]
 
@@ -86,7 +86,7 @@ def test_lanes_agree_with_the_scalar_kernel():
         away, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
         judge_z(away / error, f"{quantity}, lanes against scalar")
         # One per wavelength, each with rays of its own: a bias of one sign, alike or in proportion.
-        pooled += [pooled_z(away, error), pooled_z(away, error, value)]
+        pooled += [compute_pooled_z(away, error), compute_pooled_z(away, error, value)]
         known = 1.0 / np.sqrt(((value / error) ** 2).sum())
         print(f"{quantity}: lanes over scalar 1 {pooled[-1] * known:+.1e} ± {known:.0e}")
     # Reflectance and transmittance of a run are correlated, and so are both means of one of them.
@@ -101,20 +101,20 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
     scene = runner.tracer.scene
 
     def exits(items, optics):
-        rows = exit_rows(sum(rays for *_, rays, _ in items), 3)
-        legs, lost, _ = lanes.batch(3, np.array(items), scene, optics, rows, features)
+        rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
+        legs, lost, _ = vectorized.batch(3, np.array(items), scene, optics, rows, features)
         assert not lost and legs.min() > 0
         return rows, legs
 
     items = [
-        (0, 0, 101, UNLIMITED),
-        (4, 50, 1, UNLIMITED),
-        (4, 7, 300, UNLIMITED),
-        (0, 200, 33, UNLIMITED),
+        (0, 0, 101, NO_MAX_ORDER),
+        (4, 50, 1, NO_MAX_ORDER),
+        (4, 7, 300, NO_MAX_ORDER),
+        (0, 200, 33, NO_MAX_ORDER),
     ]
     optics = [each[0], each[1], each[1], each[0]]
     together, legs = exits(items, Optics(*map(np.stack, zip(*optics, strict=True))))
-    apart = [exits([item], alone(one)) for item, one in zip(items, optics, strict=True)]
+    apart = [exits([item], to_single_item(one)) for item, one in zip(items, optics, strict=True)]
     assert np.array_equal(together, np.concatenate([rows for rows, _ in apart]), equal_nan=True)
     assert legs.tolist() == [int(count[0]) for _, count in apart]
 
@@ -127,13 +127,13 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     features = runner.tracer.get_features(ensemble.strata[0])
 
     def exits(first, rays):
-        rows = exit_rows(rays, 3)
-        work = np.array([[0, first, rays, UNLIMITED]])
-        _, lost, _ = lanes.batch(3, work, runner.tracer.scene, alone(optics), rows, features)
+        rows = allocate_exits(rays, 3)
+        work = np.array([[0, first, rays, NO_MAX_ORDER]])
+        _, lost, _ = vectorized.batch(3, work, runner.tracer.scene, to_single_item(optics), rows, features)
         assert not lost
         return rows
 
-    count = 5 * LANES + 7
+    count = 5 * N_LANES + 7
     together = exits(0, count)
     apart = np.concatenate([exits(ray, 1) for ray in range(count)])
     assert np.array_equal(together, apart, equal_nan=True)
@@ -149,7 +149,7 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
         work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
         runner.share_kernel(work)
-        runner.trace([(e, e.strata[0], batches * BATCH) for e in work], 1.0, 0.0)
+        runner.trace([(e, e.strata[0], batches * RAYS_PER_CHUNK) for e in work], 1.0, 0.0)
         return np.stack([e.moments for e in work])
 
     def merged(jobs):
@@ -161,7 +161,7 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
             runner.share_kernel(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
-                    ((tally,), _), *_ = runner.trace_job([(e, e.strata[0], batch * BATCH, 1)])
+                    ((tally,), _), *_ = runner.trace_job([(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)])
                     parts[number, batch] = tally
         work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
@@ -181,9 +181,9 @@ def test_light_is_neither_lost_nor_made():
     (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
-    rows = exit_rows(3000, 3)
-    work = np.array([[0, 0, 3000, UNLIMITED]])
-    _, lost, _ = lanes.batch(5, work, runner.tracer.scene, alone(optics), rows, features)
+    rows = allocate_exits(3000, 3)
+    work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
+    _, lost, _ = vectorized.batch(5, work, runner.tracer.scene, to_single_item(optics), rows, features)
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
     directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]
@@ -196,38 +196,38 @@ def test_light_is_neither_lost_nor_made():
 def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
     # Just within total reflection, where every ray stays: its angle may only lead out.
     passes, cosine = 20_000, 0.64
-    state = np.zeros(rows.STATE, dtype=np.float32)
-    words = np.zeros(rows.WORDS, dtype=np.uint32)
-    table = state.reshape(-1, LANES)
+    state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
+    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
+    table = state.reshape(-1, N_LANES)
     random = np.random.default_rng(1)
-    q = random.normal(size=(3, LANES))
+    q = random.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)
-    t = np.cross(q.T, random.normal(size=(LANES, 3))).T
+    t = np.cross(q.T, random.normal(size=(N_LANES, 3))).T
     t /= np.linalg.norm(t, axis=0)
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
     def put(**values):
         for name, value in values.items():
-            table[getattr(rows, name) // LANES] = value
+            table[getattr(lane_state, name) // N_LANES] = value
 
     put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
-    put(SHELL=1.0, STATUS=rows.TRIAL, M_IN_DRY=1.31, C_IN_DRY=0.31)
+    put(SHELL=1.0, STATUS=lane_state.AT_SURFACE, M_IN_DRY=1.31, C_IN_DRY=0.31)
     put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
-    scene = passing(medium_scene(splits.Snow(saturation=0.0)))
+    scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():
-        q, d = (table[np.array(which) // LANES].astype(float) for which in (AT, ALONG))
+        q, d = (table[np.array(which) // N_LANES].astype(float) for which in (AT, ALONG))
         return (q * d).sum(axis=0) / np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)
 
     before = cosines()
     for _ in range(passes):
-        surface(state, words, LANES, Features(*[None] * len(Features._fields)), scene)
-    assert (table[rows.SHELL // LANES] == 1.0).all()
+        run_surface_pass(state, words, N_LANES, Features(*[None] * len(Features._fields)), scene)
+    assert (table[lane_state.SHELL // N_LANES] == 1.0).all()
     creep = (cosines() - before) / passes
-    error = creep.std(ddof=1) / np.sqrt(LANES)
+    error = creep.std(ddof=1) / np.sqrt(N_LANES)
     print(f"creep of the cosine per reflection {creep.mean():.1e} ± {error:.0e}")
     assert -3.0 * error < creep.mean() < 1e-7
 
 
-AT = (rows.QX, rows.QY, rows.QZ)
-ALONG = (rows.DX, rows.DY, rows.DZ)
+AT = (lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
+ALONG = (lane_state.DIR_X, lane_state.DIR_Y, lane_state.DIR_Z)

@@ -17,9 +17,9 @@ REFERENCE = Path(__file__).with_name("reference")
 compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="millions of rays")
 
 
-def layer_of(row: pd.Series) -> splits.Layer:
+def layer_of(row: pd.Series) -> splits.ParticleLayer:
     """Return the layer of a row of plane_parallel.csv."""
-    return splits.Layer(
+    return splits.ParticleLayer(
         optical_thickness=row.tau,
         single_scattering_albedo=row.ssa,
         asymmetry=row.g,
@@ -64,7 +64,7 @@ def test_reflectance_and_transmittance_are_exact(error):
 @pytest.mark.long
 @compiled
 def test_van_de_hulst_s_slab():
-    slab = splits.Layer(
+    slab = splits.ParticleLayer(
         optical_thickness=2.0,
         single_scattering_albedo=0.9,
         asymmetry=0.75,
@@ -97,7 +97,7 @@ def test_rayleigh_layers_polarize_exactly():
     z = []
     for number, (key, rows) in enumerate(table.groupby(["tau", "ssa", "lambert_bottom", "mu0"])):
         tau, ssa, bottom, mu0 = key
-        layer = splits.Layer(
+        layer = splits.ParticleLayer(
             optical_thickness=tau,
             single_scattering_albedo=ssa,
             refractive_index=1.0,

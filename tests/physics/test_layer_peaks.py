@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chi2 import NEEDS_JIT, SIGNIFICANCE, judge_z, largest_z
+from chi2 import NEEDS_JIT, SIGNIFICANCE, judge_z, compute_z_bound
 from scipy import stats
 
 import splits
-from splits.transport.optics import peak
-from splits.transport.optics.phase import phase_density
+from splits.kernels.optics import forward_peak
+from splits.kernels.optics.phase_function import evaluate_phase_function
 
 NM = [700.0]
 SEEDS = 24
@@ -31,7 +31,7 @@ def cloud() -> dict[str, list[float]]:
     return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
 
 
-def moments_of(layer: splits.Layer, count: int = 1000) -> np.ndarray:
+def moments_of(layer: splits.ParticleLayer, count: int = 1000) -> np.ndarray:
     """Return Legendre moments of the phase function, which is linear between its nodes."""
     if isinstance(layer.phase_function, str):
         return layer.asymmetry ** np.arange(count)
@@ -47,7 +47,7 @@ def moments_of(layer: splits.Layer, count: int = 1000) -> np.ndarray:
     return np.array(moments) / moments[0]
 
 
-def exact(layer: splits.Layer) -> dict[str, np.ndarray]:
+def exact(layer: splits.ParticleLayer) -> dict[str, np.ndarray]:
     """Return BRDF and BTDF under light from the zenith by discrete ordinates."""
     ordinates = pytest.importorskip("PythonicDISORT")
     moments = moments_of(layer)
@@ -64,16 +64,16 @@ def exact(layer: splits.Layer) -> dict[str, np.ndarray]:
     }
 
 
-def layer_of(phase: dict | float, thickness: float) -> splits.Layer:
+def layer_of(phase: dict | float, thickness: float) -> splits.ParticleLayer:
     """Return a cloud that absorbs nothing, of a table or an asymmetry."""
     kind = {"phase_function": phase} if isinstance(phase, dict) else {"asymmetry": phase}
-    return splits.Layer(
+    return splits.ParticleLayer(
         optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
         bottom_albedo=None, **kind,
     )  # fmt: skip
 
 
-def judge_seeds(layer: splits.Layer, rays: int) -> None:
+def judge_seeds(layer: splits.ParticleLayer, rays: int) -> None:
     """Fail if seeds are not around the exact answer as their errors say, or medians are off."""
     runs = [
         splits.goniophotometer(
@@ -96,7 +96,7 @@ def judge_seeds(layer: splits.Layer, rays: int) -> None:
     each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / right.size)
     low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], SEEDS) / SEEDS)
     assert low <= rms.min() and rms.max() <= high, report
-    assert np.abs(z).max() <= largest_z(z.size), report
+    assert np.abs(z).max() <= compute_z_bound(z.size), report
     below = (value < right).sum(axis=0)
     assert min(stats.binomtest(int(n), SEEDS).pvalue for n in below) >= each, report
 
@@ -129,11 +129,11 @@ def test_errors_under_clouds_are_those_stated(phase, thickness, rays):
     ],
 )
 def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(settings, monkeypatch):
-    layer = splits.Layer(**{"optical_thickness": 1.0, **settings})
+    layer = splits.ParticleLayer(**{"optical_thickness": 1.0, **settings})
     runs = []
     for seed, limits in enumerate(((math.inf, 1.0), (0.0, 0.1))):
-        monkeypatch.setattr(peak, "PEAKED", limits[0])
-        monkeypatch.setattr(peak, "LIMIT", limits[1])
+        monkeypatch.setattr(forward_peak, "PEAKED", limits[0])
+        monkeypatch.setattr(forward_peak, "LIMIT", limits[1])
         runs.append(
             splits.goniophotometer(
                 layer, NM, 40.0, 100_000, seed, estimator="local", polar_deg=[0.0, 45.0, 82.0],
@@ -150,22 +150,22 @@ def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(set
 def test_peaks_take_what_is_above_a_limit_and_nothing_else():
     cosine = np.linspace(-1.0, 1.0, 4001)
     functions = [
-        splits.Layer(phase_function=cloud()),
-        *(splits.Layer(asymmetry=g) for g in (0.95, -0.95)),
+        splits.ParticleLayer(phase_function=cloud()),
+        *(splits.ParticleLayer(asymmetry=g) for g in (0.95, -0.95)),
     ]
     for layer in functions:
-        narrow = peak.separate_peak(layer.kernel_phase_function)
-        total = np.array([phase_density(layer.kernel_phase_function, x) for x in cosine])
-        above = narrow.fraction * np.array([phase_density(narrow.phase, x) for x in cosine])
-        np.testing.assert_allclose(above, np.maximum(total - peak.LIMIT, 0.0), rtol=0.02, atol=0.02)
+        narrow = forward_peak.separate_peak(layer.kernel_phase_function)
+        total = np.array([evaluate_phase_function(layer.kernel_phase_function, x) for x in cosine])
+        above = narrow.fraction * np.array([evaluate_phase_function(narrow.phase, x) for x in cosine])
+        np.testing.assert_allclose(above, np.maximum(total - forward_peak.PEAK_BASE_PER_SR, 0.0), rtol=0.02, atol=0.02)
         assert 0.4 < narrow.fraction < 0.7
-    for layer in (splits.Layer(asymmetry=0.9), splits.Layer(phase_function="rayleigh")):
-        assert peak.separate_peak(layer.kernel_phase_function) is None
+    for layer in (splits.ParticleLayer(asymmetry=0.9), splits.ParticleLayer(phase_function="rayleigh")):
+        assert forward_peak.separate_peak(layer.kernel_phase_function) is None
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-9])
 def test_peaks_that_hold_nearly_all_light_are_refused(rest):
     narrow = {"cosine": [-1.0, 0.99999, 1.0], "density": [rest, rest, 1.0]}
-    layer = splits.Layer(phase_function=narrow)
+    layer = splits.ParticleLayer(phase_function=narrow)
     with pytest.raises(ValueError, match=r"estimator = 'local'.*more than 99%"):
         splits.goniophotometer(layer, NM, estimator="local", polar_deg=[0.0], azimuth_deg=[0.0])

@@ -9,12 +9,12 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.analysis.directions import principal_plane
-from splits.analysis.grain_shape import optical_shape
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import packed
+from splits.analysis.directions import select_principal_plane
+from splits.analysis.theory.grain_shape import compute_optical_shape
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.materials import ice_density
-from splits.media.natural_snow import SHAPE
+from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
 B, G = (1.68, 0.02), (0.65, 0.03)
 """Mean and standard deviation of 33 samples at 900 nm (Robledano et al. 2023)."""
@@ -38,10 +38,10 @@ def snow(area=20.0, **settings):
 @pytest.mark.slow
 @pytest.mark.parametrize("area", [5.0, 20.0, 60.0])
 def test_grains_have_the_shape_of_natural_snow(area):
-    shape = optical_shape(snow(area), rays=131_072)
+    shape = compute_optical_shape(snow(area), rays=131_072)
     for found, measured, kept, error in (
-        (shape.absorption_enhancement, B, SHAPE.absorption_enhancement, SHAPE.absorption_enhancement_stderr),
-        (shape.asymmetry_parameter, G, SHAPE.asymmetry_parameter, SHAPE.asymmetry_parameter_stderr),
+        (shape.absorption_enhancement, B, NATURAL_GRAIN_SHAPE.absorption_enhancement, NATURAL_GRAIN_SHAPE.absorption_enhancement_stderr),
+        (shape.asymmetry_parameter, G, NATURAL_GRAIN_SHAPE.asymmetry_parameter, NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr),
     ):
         assert abs(found.value - measured[0]) < measured[1] + 3.0 * found.stderr
         # A coarse grain absorbs a little of what it is met by, which is beyond "little".
@@ -57,8 +57,8 @@ def test_deep_snow_follows_the_law_of_small_absorption(area):
     deep = snow(area)
     k = deep.refractive_index["ice"](wavelengths).imag
     gamma = 4.0 * np.pi * k / (wavelengths * 1e-9)
-    diffracted = 0.5 * (1.0 + SHAPE.asymmetry_parameter)
-    absorbed = 2.0 * SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
+    diffracted = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
+    absorbed = 2.0 * NATURAL_GRAIN_SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
     expected = np.exp(-4.0 * np.sqrt(absorbed / (3.0 * (1.0 - diffracted))))
     found = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015)
     away = found.reflectance.values - expected
@@ -73,7 +73,7 @@ def test_snow_is_brighter_forwards(wavelength):
         snow(depth_m=0.05), [wavelength], 60.0, relative_stderr=0.015, azimuth_deg=[0.0, 180.0],
         polar_deg=[0.0, 45.0, 60.0, 75.0],
     )  # fmt: skip
-    plane = principal_plane(found).isel(wavelength=0)
+    plane = select_principal_plane(found).isel(wavelength=0)
     for angle in (45.0, 60.0, 75.0):
         ahead, back = plane.sel(angle=angle), plane.sel(angle=-angle)
         gap = float(ahead.brdf - back.brdf)
@@ -103,9 +103,9 @@ def test_dense_snow_obeys_discrete_ordinates():
         ((550.0, 1.0, None), (550.0, 0.02, 0.5), (100.0, 0.05, None))
     ):
         layer = snow(density_kg_m3=density, depth_m=depth, ground=ground)
-        optics = packed(splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3))
+        optics = correct_dense_packing(splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3))
         for incidence in (75.0, "diffuse"):
-            expected = discrete_ordinates(optics, incidence, ground=ground)
+            expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             found = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)
             for name in ("reflectance", "transmittance"):
                 error = np.hypot(expected[f"{name}_stderr"], found[f"{name}_stderr"])
@@ -174,7 +174,7 @@ def test_light_inside_white_snow_is_as_much_as_its_mean_path_says(density):
     """The mean actinic flux of a white slab under diffuse light is its mean path over its depth."""
     white = {"ice": 1.31, "water": 1.33}
     layer = snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
-    halves = splits.profile(layer, [1000.0], [0.01], "diffuse", 0.01).isel(wavelength=0)
+    halves = splits.irradiance_profile(layer, [1000.0], [0.01], "diffuse", 0.01).isel(wavelength=0)
     flux, stderr = halves.actinic_flux.mean().item(), halves.actinic_flux_stderr.mean().item()
     optics = splits.single_scattering(
         snow(density_kg_m3=density, depth_m=0.02, refractive_index={"ice": faint(1.31, 0.03)}),

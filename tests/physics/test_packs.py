@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.analysis.ordinates import discrete_ordinates
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 
 pytest.importorskip("PythonicDISORT")
 pytestmark = [NEEDS_JIT, pytest.mark.long]
@@ -46,7 +46,7 @@ def test_packs_obey_radiative_transfer():
             for i, one in enumerate(media)
         ]
         for incidence in (20.0, 60.0):
-            expected = discrete_ordinates(optics, incidence, ground=ground)
+            expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             found = splits.spectrophotometer(
                 pack, WAVELENGTHS, incidence, 0.001, 100 + 10 * number + round(incidence)
             )

@@ -17,7 +17,7 @@ LAYERS = {
               "single_scattering_albedo": 0.6},
     "dark": {"optical_thickness": 3.0, "single_scattering_albedo": 0.0, "refractive_index": 1.33},
 }  # fmt: skip
-LID = splits.Layer(optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01)
+LID = splits.ParticleLayer(optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01)
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
@@ -46,7 +46,7 @@ def cut(settings, pieces):
     thickness = settings["optical_thickness"]
     return splits.Stack(
         [
-            splits.Layer(
+            splits.ParticleLayer(
                 **{**settings, "optical_thickness": share * thickness}, bottom_albedo=None,
                 depth_m=share,
             )
@@ -58,7 +58,7 @@ def cut(settings, pieces):
 @pytest.mark.parametrize("name", LAYERS)
 def test_a_layer_in_a_stack_is_that_layer(name):
     """Whole, and cut."""
-    layer = splits.Layer(**LAYERS[name], bottom_albedo=None)
+    layer = splits.ParticleLayer(**LAYERS[name], bottom_albedo=None)
     z = []
     for number, incidence in enumerate((0.0, 60.0, "diffuse")):
         own = measured(layer, incidence, 10 * number)
@@ -70,7 +70,7 @@ def test_a_layer_in_a_stack_is_that_layer(name):
 
 def test_a_cut_layer_has_the_brdf_of_the_whole():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
-    layer = splits.Layer(**LAYERS["forward"], bottom_albedo=None)
+    layer = splits.ParticleLayer(**LAYERS["forward"], bottom_albedo=None)
     whole = splits.goniophotometer(layer, 550.0, 40.0, **view)
     z = []
     for pieces in (2, 3, 7):
@@ -102,7 +102,7 @@ def test_nothing_is_lost_where_nothing_absorbs():
     clear = splits.Snow(
         depth_m=0.003, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    white = splits.Layer(
+    white = splits.ParticleLayer(
         optical_thickness=4.0, single_scattering_albedo=1.0, refractive_index=1.4,
         bottom_albedo=None, depth_m=0.01,
     )  # fmt: skip
@@ -131,7 +131,7 @@ def test_particles_in_a_matrix_like_the_pores_obey_beer():
     for incidence in (0.0, 60.0):
         without_face, with_face = (
             measured(
-                splits.Stack([splits.Layer(**haze, refractive_index=n), thin]), incidence, seed
+                splits.Stack([splits.ParticleLayer(**haze, refractive_index=n), thin]), incidence, seed
             )
             for seed, n in ((21, 1.0), (22, 1.0 + 1e-9))
         )
@@ -142,7 +142,7 @@ def test_particles_in_a_matrix_like_the_pores_obey_beer():
 @pytest.mark.parametrize("thickness", [0.0, 1e-6])
 def test_light_gets_out_of_a_clear_plate_on_wet_snow(thickness):
     """Steep light comes in from wet pores; dry ones, and the air, would keep it for ever."""
-    plate = splits.Layer(
+    plate = splits.ParticleLayer(
         optical_thickness=thickness, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
     )
     clear = {"refractive_index": {"ice": 1.31, "water": 1.33}}
@@ -155,7 +155,7 @@ def test_light_gets_out_of_a_clear_plate_on_wet_snow(thickness):
 
 def test_a_matrix_has_faces_whatever_the_pores_reading():
     """Dry snow has no face of its own, so that the reading says nothing about it."""
-    plate = splits.Layer(
+    plate = splits.ParticleLayer(
         optical_thickness=0.1, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
     )
     z = []
@@ -176,12 +176,12 @@ def test_a_matrix_has_faces_whatever_the_pores_reading():
 )  # fmt: skip
 def test_what_a_layer_of_a_stack_cannot_have_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
-        splits.Stack([splits.Layer(**settings)])
+        splits.Stack([splits.ParticleLayer(**settings)])
 
 
 def test_only_the_top_of_a_stack_is_rough():
     waves = {"rms_height_m": 1e-3, "wave_number_per_m": 1.0, "waves": 4, "correlation": "gaussian"}
-    rough = splits.Layer(bottom_albedo=None, surface=waves)
+    rough = splits.ParticleLayer(bottom_albedo=None, surface=waves)
     assert splits.Stack([rough, LID]).depth_m == 1.01
     with pytest.raises(ValueError, match=r"layers\[1\].surface = .*: must be left out"):
         splits.Stack([LID, rough])

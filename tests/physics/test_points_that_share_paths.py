@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, largest_z
+from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
 from splits.experiments.run import run
-from splits.experiments.run_points import measured_points
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
+from splits.experiments.run_points import simulate_points
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
 
 pytestmark = NEEDS_JIT
 ERROR = 0.01
@@ -20,7 +20,7 @@ SOOT = [0.0, 200.0]
 
 
 def experiment(**changes):
-    return Simulation.model_validate(
+    return SimulationConfig.model_validate(
         {
             "name": "deep",
             "medium": {"kind": "natural_snow", "density_kg_m3": 300},
@@ -74,13 +74,13 @@ def test_each_point_is_what_it_is_alone(together):
     z = np.array(z)
     # Points of one ensemble are off together.
     print(f"{z.size} values against runs of their own: rms z {np.sqrt((z**2).mean()):.2f}")
-    assert np.abs(z).max() < largest_z(z.size)
+    assert np.abs(z).max() < compute_z_bound(z.size)
 
 
 def test_a_point_by_itself_is_measured_as_the_instrument_does(together):
     snow = {"kind": "natural_snow", "density_kg_m3": 300, "specific_surface_area_m2_kg": 20}
     alone = experiment(medium=snow, grid={"depth_m": [0.02, 0.05]})
-    found = measured_points(alone, ACCURACY, 5, 2, lambda line: None)
+    found = simulate_points(alone, ACCURACY, 5, 2, lambda line: None)
     one = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
     ds = splits.spectrophotometer(one, WAVELENGTHS, 0.0, ERROR, seed=5)
     np.testing.assert_array_equal(found.datasets[1].reflectance, ds.reflectance)
@@ -88,7 +88,7 @@ def test_a_point_by_itself_is_measured_as_the_instrument_does(together):
 
 
 def test_datasets_look_alike_however_they_were_measured(together):
-    shared = measured_points(experiment(), ACCURACY, 5, 2, lambda line: None).datasets[0]
+    shared = simulate_points(experiment(), ACCURACY, 5, 2, lambda line: None).datasets[0]
     alone = splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=5, density_kg_m3=300), WAVELENGTHS,
         max_stderr=ERROR,

@@ -57,7 +57,7 @@ def test_each_medium_absorbs_what_its_share_lets_it(incidence):
 def test_among_grains_that_nobody_sees_each_medium_absorbs_by_its_share():
     alike = dict.fromkeys(("ice", "water", "brine", "oil", "air"), 1.0 + 4e-7j)
     snow = splits.Snow(depth_m=0.05, **MUDDY | {"refractive_index": alike})
-    ds = splits.profile(snow, 500.0, [0.02], 0.0, 0.003)
+    ds = splits.irradiance_profile(snow, 500.0, [0.02], 0.0, 0.003)
     decayed = np.exp(-4.0 * np.pi * 4e-7 / 500e-9 * 0.05)
     # Roulette is played from a weight of 0.6 on: none has happened.
     assert abs(float(ds.downward_irradiance[0, -1]) - decayed) < 1e-5
@@ -73,7 +73,7 @@ def test_among_grains_that_nobody_sees_each_medium_absorbs_by_its_share():
 @pytest.mark.parametrize("medium", [splits.Snow, splits.Sand])
 def test_what_comes_in_goes_somewhere(medium):
     sample = medium(depth_m=0.005, ground=0.5, **MUDDY)
-    ds = splits.profile(sample, [500.0, 900.0], [0.001, 0.003], 40.0, 0.01)
+    ds = splits.irradiance_profile(sample, [500.0, 900.0], [0.001, 0.003], 40.0, 0.01)
     net = ds.downward_irradiance - ds.upward_irradiance
     absorbed = ds.absorptance.sum("interval")
     whole = ds.upward_irradiance.isel(depth=0) + net.isel(depth=-1) + absorbed
@@ -169,7 +169,7 @@ def test_rays_are_in_ice_and_water_for_as_much_of_their_way_as_these_fill(wet):
         specific_surface_area_m2_kg=20, density_kg_m3=400, depth_m=0.08, liquid_water_content=wet,
         refractive_index=alike,
     )  # fmt: skip
-    ds = splits.profile(snow, 500.0, [0.02, 0.06], 0.0, 0.0015)
+    ds = splits.irradiance_profile(snow, 500.0, [0.02, 0.06], 0.0, 0.0015)
     taken = ds.absorptance_of_material.isel(interval=1).squeeze()
     error = ds.absorptance_of_material_stderr.isel(interval=1).squeeze()
     expected = {"ice": snow.ice_fraction, "water": wet, "air": snow.porosity - wet}

@@ -35,7 +35,7 @@ def net(ds):
     [(WET, WAVELENGTHS, [0.001, 0.005, 0.01]), (PACK, NARROW, [0.002, 0.004, 0.0095, 0.0115])],
 )
 def test_what_comes_in_goes_somewhere(medium, wavelengths, depths, kernel, most):
-    ds = splits.profile(medium, wavelengths, depths, 40.0, most, kernel=kernel)
+    ds = splits.irradiance_profile(medium, wavelengths, depths, 40.0, most, kernel=kernel)
     whole = splits.spectrophotometer(medium, wavelengths, 40.0, 0.003, seed=2)
     reflected, kept = ds.upward_irradiance.isel(depth=0), net(ds).isel(depth=-1)
     absorbed = ds.absorptance.sum("interval")
@@ -60,7 +60,7 @@ def test_an_absorber_without_grains_obeys_beer(incidence):
     water = {"water": complex(1.0, k), "ice": 1.31}
     pores = splits.Snow(density_kg_m3=1e-8, saturation=1.0, refractive_index=water, depth_m=0.1)
     depths = np.array([0.01, 0.03, 0.07])
-    ds = splits.profile(pores, 500.0, depths, incidence, 0.003)
+    ds = splits.irradiance_profile(pores, 500.0, depths, incidence, 0.003)
     x = 4.0 * np.pi * k / 500e-9 * np.array([0.0, *depths, 0.1])
     if incidence == "diffuse":
         # Of irradiance and of path, where radiance is the same in all directions above.
@@ -89,7 +89,7 @@ def test_both_kernels_see_the_same_inside(error):
     z = []
     for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (PACK, NARROW, 7)):
         one, other = (
-            splits.profile(medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i,
+            splits.irradiance_profile(medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i,
                            kernel=kernel)
             for i, kernel in enumerate(("lanes", "scalar"))
         )  # fmt: skip
@@ -112,7 +112,7 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
     depth = thickness * splits.Snow(**common, depth_m=1e4).mean_grain_distance_m
     snow = splits.Snow(**common, depth_m=depth)
     at = np.linspace(0.05, 0.95, 10)
-    ds = splits.profile(snow, WAVELENGTHS, at * depth, 60.0, 0.0025)
+    ds = splits.irradiance_profile(snow, WAVELENGTHS, at * depth, 60.0, 0.0025)
     runs = []
     for seed in range(1, 7):
         optics = splits.single_scattering(snow, WAVELENGTHS, rays=100_000, seed=seed)
@@ -138,7 +138,7 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
 
 def test_what_no_ray_has_reached_is_not_certain():
     deep = splits.Snow(depth_m=0.05)
-    ds = splits.profile(deep, 1500.0, [0.04, 0.045], max_stderr=0.05)
+    ds = splits.irradiance_profile(deep, 1500.0, [0.04, 0.045], max_stderr=0.05)
     assert not ds.downward_irradiance[0, 2:].values.any()
     assert (ds.downward_irradiance_stderr[0, 1:] > 1e-6).all()
     assert (ds.absorptance_stderr > 1e-6).all()
@@ -165,7 +165,7 @@ def test_errors_hold_where_weights_fall_in_large_steps(name, kernel):
     depth = 0.25 * medium.depth_m
     fine = np.linspace(0.0, depth, 101)[1:]
     rough, close = (
-        splits.profile(medium, [wavelength], at, 0.0, 0.01, seed, kernel=kernel)
+        splits.irradiance_profile(medium, [wavelength], at, 0.0, 0.01, seed, kernel=kernel)
         for seed, at in ((5, [depth]), (6, fine))
     )
     top = close.isel(interval=slice(100))
@@ -184,7 +184,7 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
     """Far from both boundaries, where radiance keeps its shape."""
     snow = {"grain_size_um": (100, 200), "saturation": 0.0}
     depths = [0.01, 0.02]
-    ds = splits.profile(splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002)
+    ds = splits.irradiance_profile(splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002)
     inside = ds.downward_irradiance.sel(depth=depths)[0]
     relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / inside).values
     rate = -np.log(inside.values[1] / inside.values[0]) / np.diff(depths)[0]
@@ -210,4 +210,4 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
 )
 def test_depths_lie_inside(depths, message):
     with pytest.raises(ValueError, match=message):
-        splits.profile(WET, WAVELENGTHS, depths)
+        splits.irradiance_profile(WET, WAVELENGTHS, depths)

@@ -10,19 +10,19 @@ from chi2 import NEEDS_JIT, judge_z
 from test_layer_exact import REFERENCE, layer_of
 
 import splits
-from splits.diffusion import scattering_mean_step
+from splits.simulation.diffusion import effective_mean_free_path
 
 pd = pytest.importorskip("pandas")
 ROUGH = {"rms_height_m": 0.01, "wave_number_per_m": 10.0, "correlation": "gaussian"}
-HAZE = splits.Layer(2.0, 0.95, 0.6, 1.33, None, depth_m=0.01)
+HAZE = splits.ParticleLayer(2.0, 0.95, 0.6, 1.33, None, depth_m=0.01)
 STACK = splits.Stack([HAZE, splits.Snow(depth_m=0.01)], ground=0.4)
 LAYERS = {
-    "over a bottom": splits.Layer(),
-    "over a black bottom": splits.Layer(bottom_albedo=0.0),
-    "open below": splits.Layer(4.0, 0.9, 0.5, 1.0, None),
-    "black particles": splits.Layer(1.0, 0.0, 0.0, 1.2),
-    "without end": splits.Layer(math.inf, 0.95),
-    "rough": splits.Layer(2.0, 0.9, surface=ROUGH),
+    "over a bottom": splits.ParticleLayer(),
+    "over a black bottom": splits.ParticleLayer(bottom_albedo=0.0),
+    "open below": splits.ParticleLayer(4.0, 0.9, 0.5, 1.0, None),
+    "black particles": splits.ParticleLayer(1.0, 0.0, 0.0, 1.2),
+    "without end": splits.ParticleLayer(math.inf, 0.95),
+    "rough": splits.ParticleLayer(2.0, 0.9, surface=ROUGH),
 }
 ENDLESS = {"specific_surface_area_m2_kg": 20, "density_kg_m3": 300}
 
@@ -35,7 +35,7 @@ def net(ds):
 @pytest.mark.parametrize("name", LAYERS)
 def test_layers_alone_balance_and_reflect_as_they_do(name):
     layer = LAYERS[name]
-    ds = splits.profile(layer, [500.0], [0.1, 0.4, 0.8], 30.0, 0.01)
+    ds = splits.irradiance_profile(layer, [500.0], [0.1, 0.4, 0.8], 30.0, 0.01)
     whole = splits.spectrophotometer(layer, [500.0], 30.0, 0.004, seed=2)
     reflected, absorbed = ds.upward_irradiance[0, 0], ds.absorptance[0].sum()
     through = net(ds)[0, -1] if ds.sizes["interval"] == 4 and name != "without end" else 0.0
@@ -55,7 +55,7 @@ def test_layers_alone_let_through_what_is_exact(error):
     z = []
     for number, (_, row) in enumerate(table.iterrows()):
         incidence = float(np.degrees(np.arccos(row.mu0)))
-        ds = splits.profile(layer_of(row), [550.0], [0.5], incidence, error, number)
+        ds = splits.irradiance_profile(layer_of(row), [550.0], [0.5], incidence, error, number)
         down = float(row["T"])
         for name, place, exact in (("upward", 0, row.R), ("downward", -1, down)):
             value, stderr = (
@@ -74,10 +74,10 @@ def test_layers_of_particles_have_the_fluxes_of_discrete_ordinates(error):
     layers = [(1.5, 0.95, 0.6), (3.0, 0.8, 0.2)]
     ground = 0.3
     stack = splits.Stack(
-        [splits.Layer(tau, ssa, g, 1.0, None, depth_m=tau) for tau, ssa, g in layers], ground
+        [splits.ParticleLayer(tau, ssa, g, 1.0, None, depth_m=tau) for tau, ssa, g in layers], ground
     )
     at = np.array([0.3, 1.0, 1.5, 2.0, 3.0, 4.2])
-    ds = splits.profile(stack, [500.0], at, 60.0, error)
+    ds = splits.irradiance_profile(stack, [500.0], at, 60.0, error)
     legendre = np.array([[g**n for n in range(streams + 1)] for *_, g in layers])
     _, up, down, *_ = pydisort(
         np.cumsum([tau for tau, *_ in layers]), np.array([ssa for _, ssa, _ in layers]), streams,
@@ -98,7 +98,7 @@ def test_layers_of_particles_have_the_fluxes_of_discrete_ordinates(error):
 @NEEDS_JIT
 def test_a_layer_of_particles_cut_by_planes_is_the_same():
     """Each material absorbs in its own layer, and the whole is what the spectrum says."""
-    ds = splits.profile(STACK, [500.0, 900.0], [0.004, 0.01, 0.015], 20.0, 0.01)
+    ds = splits.irradiance_profile(STACK, [500.0, 900.0], [0.004, 0.01, 0.015], 20.0, 0.01)
     whole = splits.spectrophotometer(STACK, [500.0, 900.0], 20.0, 0.005, seed=3)
     absorbed = ds.absorptance.sum("interval")
     z = [
@@ -120,7 +120,7 @@ def test_a_layer_of_particles_cut_by_planes_is_the_same():
 def test_a_pack_without_end_is_a_very_deep_one(error):
     wavelengths, depths = [500.0, 900.0, 1100.0], [0.005, 0.02, 0.04]
     endless, deep = (
-        splits.profile(splits.Snow.natural(**ENDLESS, depth_m=depth), wavelengths, depths,
+        splits.irradiance_profile(splits.Snow.natural(**ENDLESS, depth_m=depth), wavelengths, depths,
                        "diffuse", error, seed)
         for seed, depth in ((1, math.inf), (2, 0.5))
     )  # fmt: skip
@@ -153,7 +153,7 @@ def test_a_pack_without_end_is_a_very_deep_one(error):
 )
 def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
     runs = [
-        splits.profile(medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1)
+        splits.irradiance_profile(medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1)
         for seed in range(seeds)
     ]
     z = []
@@ -171,7 +171,7 @@ def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
 @NEEDS_JIT
 @pytest.mark.parametrize("albedo", [0.9, 1.0])
 def test_an_interval_without_end_is_saved(albedo, tmp_path):
-    ds = splits.profile(splits.Layer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0])
+    ds = splits.irradiance_profile(splits.ParticleLayer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0])
     splits.save(ds, tmp_path / "inside.nc")
     assert splits.load(tmp_path / "inside.nc").equals(ds)
     # Where nothing absorbs, light is the same everywhere far from the top.
@@ -186,12 +186,12 @@ def test_light_deep_in_a_pack_without_end_decays_as_asymptotic_theory_has_it():
     optics = splits.single_scattering(
         splits.Snow.natural(**ENDLESS, depth_m=1.0), [900.0], rays=60_000
     )
-    step = scattering_mean_step(optics)[0]
+    step = effective_mean_free_path(optics)[0]
     loss = 1.0 - optics.single_scattering_albedo.values[0]
     diffusion = step / (3.0 * (1.0 - optics.asymmetry_parameter.values[0] + loss))
     rate = math.sqrt(loss / step / diffusion)
     depths = np.array([1.0, 2.0]) / rate
-    ds = splits.profile(snow, [900.0], depths, "diffuse", 0.008)
+    ds = splits.irradiance_profile(snow, [900.0], depths, "diffuse", 0.008)
     down, up = ds.downward_irradiance[0, 1:].values, ds.upward_irradiance[0, 1:].values
     relative = np.hypot(*(ds.downward_irradiance_stderr[0, 1:].values / down))
     # Diffusion holds to first order in κD: to a few per cent here.
@@ -203,8 +203,8 @@ def test_light_deep_in_a_pack_without_end_decays_as_asymptotic_theory_has_it():
 @pytest.mark.parametrize(
     ("medium", "depths", "message"),
     [
-        (splits.Layer(polarized=True), [0.5], r"polarized = True: must be false"),
-        (splits.Layer(opaque=True), [0.5], r"opaque = True: must be false"),
+        (splits.ParticleLayer(polarized=True), [0.5], r"polarized = True: must be false"),
+        (splits.ParticleLayer(opaque=True), [0.5], r"opaque = True: must be false"),
         (LAYERS["rough"], [0.01], r"depth_m = 0.01: must be at least 0.08 m"),
         (splits.Snow(depth_m=math.inf, pores={"oil": 0.1}, refractive_index={"oil": 1.4}), [0.1],
          r"finite where pores hold other media"),
@@ -212,4 +212,4 @@ def test_light_deep_in_a_pack_without_end_decays_as_asymptotic_theory_has_it():
 )  # fmt: skip
 def test_profiles_that_cannot_be_had_say_so(medium, depths, message):
     with pytest.raises(ValueError, match=message):
-        splits.profile(medium, 500.0, depths)
+        splits.irradiance_profile(medium, 500.0, depths)

@@ -7,12 +7,12 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.checks import Refusal
-from splits.instruments.progress import Progress
-from splits.retrieval.line import Around, Seen, bent
+from splits.core.validation import InvalidValue
+from splits.core.progress import Progress
+from splits.retrieval.linearization import LinearizedModel, Linearization, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import free_of
-from splits.retrieval.runs import Way, wavelengths_of
+from splits.retrieval.media import make_medium_state_vector
+from splits.retrieval.simulation_model import ProgressTracker, select_simulation_wavelengths
 
 W = np.arange(500.0, 1400.0, 100.0)
 SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
@@ -49,7 +49,7 @@ def test_snow_is_found_within_its_errors():
 @NEEDS_JIT
 def test_runs_and_a_table_say_the_same():
     spectrum, noise = measured(snow(200.0), 5)
-    table = splits.table(snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003)
+    table = splits.build_table(snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003)
     of_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
     # By default half the noise of the measurement is added by runs; here a fifth is.
     of_runs = splits.retrieve(
@@ -76,7 +76,7 @@ def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
     """On a clock that every rough run moves by a second."""
     clock, told = [0.0], []
     monkeypatch.setattr("splits.retrieval.runs.time.perf_counter", lambda: clock[0])
-    way = Way(told.append, 0.005, 2)
+    way = ProgressTracker(told.append, 0.005, 2)
     for _ in range(4):
         show = way.track_run(0.01, 1)
         for half in (0.5, 1.0):
@@ -105,9 +105,9 @@ def test_layers_of_a_stack_can_be_free():
 
 
 def test_a_straight_line_is_read_as_one():
-    free = free_of(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
-    seen = Seen(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
-    line = Around(free, seen)
+    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    seen = Linearization(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
+    line = LinearizedModel(free, seen)
     place = np.array([0.4, 0.5])
     value, slopes = line.evaluate_with_jacobian(place)
     np.testing.assert_allclose(value, 1.0 + seen.jacobian @ [0.1, -0.1])
@@ -118,16 +118,16 @@ def test_a_straight_line_is_read_as_one():
 
 def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
     """By the square of a standard deviation along any way, over the noise."""
-    free = free_of(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
     place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
-    line = Around(free, Seen(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3))))
+    line = LinearizedModel(free, Linearization(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3))))
 
     def curved(x):
         return (x - place).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - place[0]) ** 2
 
     covariance = np.diag(spread**2), np.diag(noise**2)
-    assert bent(curved, line, place, *covariance) == pytest.approx(3.0 * spread[0] ** 2 / noise[2])
-    assert bent(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance) < 1e-12
+    assert estimate_nonlinearity(curved, line, place, *covariance) == pytest.approx(3.0 * spread[0] ** 2 / noise[2])
+    assert estimate_nonlinearity(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance) < 1e-12
 
 
 WRONG = {
@@ -154,11 +154,11 @@ def test_bad_input_is_refused(name):
     other, message = WRONG[name]
     given = {"measured": (W, np.full(W.size, 0.5)), "model": snow(100.0),
              "free": {SIZE: (50, 200)}, "noise": 0.01}  # fmt: skip
-    with pytest.raises(Refusal, match=message):
+    with pytest.raises(InvalidValue, match=message):
         splits.retrieve(**(given | other))
 
 
 def test_wavelengths_of_bands_cover_them():
     bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
-    w = wavelengths_of(Measurement.from_input([0.5, 0.5], 0.01, bands))
+    w = select_simulation_wavelengths(Measurement.from_input([0.5, 0.5], 0.01, bands))
     assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

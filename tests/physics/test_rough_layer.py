@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import judge_p, judge_z, p_of_counts
+from chi2 import judge_p, judge_z, compute_p_of_counts
 
 import splits
 from splits.instruments.lens import lens
@@ -27,7 +27,7 @@ def gaussian(slope: float, length_m: float = 0.05, waves: int = 16) -> dict:
 @pytest.mark.parametrize("polarized", [False, True])
 @pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
 def test_a_rough_surface_loses_nothing(incidence, polarized):
-    layer = splits.Layer(
+    layer = splits.ParticleLayer(
         optical_thickness=2.0, single_scattering_albedo=1.0, bottom_albedo=1.0,
         surface=gaussian(2.0), polarized=polarized,
     )  # fmt: skip
@@ -38,7 +38,7 @@ def test_a_rough_surface_loses_nothing(incidence, polarized):
 def test_a_rough_surface_without_contrast_is_not_there():
     plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "bottom_albedo": 0.0}
     rough, smooth = (
-        splits.spectrophotometer(splits.Layer(**plain, surface=s), NM, 50.0, 0.002, seed)
+        splits.spectrophotometer(splits.ParticleLayer(**plain, surface=s), NM, 50.0, 0.002, seed)
         for seed, s in ((1, gaussian(0.3, length_m=1e-3)), (2, None))
     )
     gap = float(rough.reflectance[0] - smooth.reflectance[0])
@@ -51,7 +51,7 @@ def test_a_rough_surface_without_contrast_is_not_there():
 def test_a_flattening_surface_becomes_the_flat_one(incidence):
     plain = {"optical_thickness": 3.0, "single_scattering_albedo": 0.9}
     rough, smooth = (
-        splits.spectrophotometer(splits.Layer(**plain, surface=s), NM, incidence, 0.002, seed)
+        splits.spectrophotometer(splits.ParticleLayer(**plain, surface=s), NM, incidence, 0.002, seed)
         for seed, s in ((1, gaussian(1e-4)), (2, None))
     )
     z = []
@@ -63,7 +63,7 @@ def test_a_flattening_surface_becomes_the_flat_one(incidence):
 
 
 def test_a_rough_surface_is_reciprocal():
-    layer = splits.Layer(
+    layer = splits.ParticleLayer(
         refractive_index=1.52, optical_thickness=5.0, single_scattering_albedo=0.95,
         bottom_albedo=0.0, surface=gaussian(0.7),
     )  # fmt: skip
@@ -91,7 +91,7 @@ def test_small_slopes_spread_reflection_as_their_distribution():
     # A face of index 3 reflects a quarter of all rays at any small angle: these 17 000 see an rms
     # slope that is 3 % off (in 200 rings that adds 60 to a χ² of 200 ± 20).
     rms, rays, rings = 0.1, 68_000, 200
-    layer = splits.Layer(
+    layer = splits.ParticleLayer(
         refractive_index=3.0,
         optical_thickness=10.0, single_scattering_albedo=0.0, bottom_albedo=0.0,
         # Of 64 waves slopes are not normal enough: λ² of each is exponential.
@@ -103,13 +103,13 @@ def test_small_slopes_spread_reflection_as_their_distribution():
     power = ds.brdf.isel(wavelength=0).mean("azimuth").values * cosine * 2.0 * math.pi / rings
     edges = np.append(cosine + 0.5 / rings, 0.0)
     flatter = -np.expm1(-(1.0 - edges) / (1.0 + edges) / rms**2)
-    judge_p({"rings": p_of_counts(rays * power, np.diff(flatter) / flatter[-1])})
+    judge_p({"rings": compute_p_of_counts(rays * power, np.diff(flatter) / flatter[-1])})
 
 
 def test_the_exact_lens():
     # z = A (cos kx + cos ky): light through a small ring over a crest meets at n/((n − 1) A k²).
     waves = [(1.0, 0.1, 0.0, 0.0), (1.0, 0.0, 0.1, 0.0)]
-    water = splits.Layer(refractive_index=1.34)
+    water = splits.ParticleLayer(refractive_index=1.34)
     ds = lens(water, np.arange(380.0, 410.0, 2.0), 0.2, half_width_m=5.0, waves=waves)
     # The ring is smallest between screens; its square bends as a parabola there.
     size = ds.contraction.values
@@ -120,7 +120,7 @@ def test_the_exact_lens():
 
 
 def test_waves_of_either_sign_are_the_same_surface():
-    water = splits.Layer(refractive_index=1.5)
+    water = splits.ParticleLayer(refractive_index=1.5)
     one, other = (
         lens(water, [5.0, 20.0, 60.0], 1.0, half_width_m=4.0, waves=[wave])
         for wave in ((3.0, 0.5, 0.0, 0.0), (-3.0, 0.5, 0.0, math.pi))
@@ -130,16 +130,16 @@ def test_waves_of_either_sign_are_the_same_surface():
 
 
 def test_a_beam_through_a_rough_surface_is_aimed_at_the_origin():
-    layer = splits.Layer(
+    layer = splits.ParticleLayer(
         optical_thickness=math.inf, single_scattering_albedo=0.9, refractive_index=1.3,
         depth_m=1e-3, surface=gaussian(0.2, length_m=0.1),
     )  # fmt: skip
-    smooth = splits.Layer(
+    smooth = splits.ParticleLayer(
         optical_thickness=math.inf, single_scattering_albedo=0.9, refractive_index=1.3,
         depth_m=1e-3,
     )  # fmt: skip
     rough, plain = (
-        splits.bssrdf(m, NM, 60.0, rays=20_000, half_width_m=0.05) for m in (layer, smooth)
+        splits.beam_spread(m, NM, 60.0, rays=20_000, half_width_m=0.05) for m in (layer, smooth)
     )
     middle = []
     for ds in (rough, plain):
@@ -150,7 +150,7 @@ def test_a_beam_through_a_rough_surface_is_aimed_at_the_origin():
 
 
 def test_an_infinite_white_layer_has_room_for_its_surface():
-    layer = splits.Layer(
+    layer = splits.ParticleLayer(
         optical_thickness=math.inf, single_scattering_albedo=1.0, asymmetry=0.0, depth_m=0.02,
         surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0, "correlation": "gaussian"},
     )  # fmt: skip

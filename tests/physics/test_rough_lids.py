@@ -9,9 +9,9 @@ import pytest
 from chi2 import judge_z
 
 import splits
-from splits.checks import Refusal
-from splits.transport.grains.roof import TALLEST
-from splits.transport.rough.waves import EXTREME
+from splits.core.validation import InvalidValue
+from splits.kernels.grains.rough_top import MAX_HEIGHT_SIGMA
+from splits.kernels.rough_surface.realization import BOUND_SIGMA
 
 WAVES = {"rms_height_m": 0.02, "wave_number_per_m": 20.0, "correlation": "gaussian", "waves": 24}
 SETTINGS = {
@@ -30,7 +30,7 @@ def lid(share=1.0, surface=None, **settings):
     """Return a part of the layer, of that share of its depth."""
     settings = {**SETTINGS, **settings}
     thickness = settings.pop("optical_thickness") * share
-    return splits.Layer(
+    return splits.ParticleLayer(
         **settings, optical_thickness=thickness, bottom_albedo=None, depth_m=DEPTH * share,
         surface=surface,
     )  # fmt: skip
@@ -117,7 +117,7 @@ def test_a_rough_lid_of_nothing_changes_nothing():
 def test_grains_below_a_rough_lid_do_not_reach_above_its_mean_height():
     """A lid thinner than grains: those that cross z = 0 are refused, however rough it is."""
     waves = {**WAVES, "rms_height_m": 1e-6}
-    thin = splits.Layer(
+    thin = splits.ParticleLayer(
         refractive_index=1.0, optical_thickness=0.01, bottom_albedo=None, depth_m=2e-5,
         surface=waves,
     )  # fmt: skip
@@ -158,7 +158,7 @@ def test_light_goes_to_and_fro_between_a_rough_stack_and_the_ground():
 
 def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
     one, other = (
-        splits.bssrdf(medium, [550.0], 30.0, rays=100_000, seed=seed)
+        splits.beam_spread(medium, [550.0], 30.0, rays=100_000, seed=seed)
         for seed, medium in ((30, lid(surface=WAVES)), (31, splits.Stack([lid(surface=WAVES)])))
     )
     error = np.hypot(one.quantile_radius_stderr, other.quantile_radius_stderr)
@@ -169,7 +169,7 @@ def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
 @pytest.mark.parametrize(
     "instrument",
     [
-        lambda stack: splits.profile(stack, [550.0], [0.1]),
+        lambda stack: splits.irradiance_profile(stack, [550.0], [0.1]),
         lambda stack: splits.deep_transmittance(stack, [550.0]),
         lambda stack: splits.single_scattering(stack, [550.0]),
         lambda stack: splits.surface_map(stack, half_width_m=0.1),
@@ -177,13 +177,13 @@ def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
     ],
 )
 def test_other_instruments_refuse_such_a_stack(instrument):
-    with pytest.raises(Refusal, match="must be"):
+    with pytest.raises(InvalidValue, match="must be"):
         instrument(splits.Stack([lid(surface=WAVES), SNOW]))
 
 
 def test_no_realisation_is_higher_than_the_scene():
     """53 bits: the least uniform number is 2⁻⁵³."""
-    assert EXTREME * np.sqrt(53.0 * np.log(2.0)) <= TALLEST
+    assert BOUND_SIGMA * np.sqrt(53.0 * np.log(2.0)) <= MAX_HEIGHT_SIGMA
 
 
 def test_coin_tosses_and_weights_agree():

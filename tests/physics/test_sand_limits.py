@@ -10,7 +10,7 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.media import grain_statistics
-from splits.media.composition import OXIDES
+from splits.media.sand_composition import IRON_OXIDES
 
 pytestmark = NEEDS_JIT
 
@@ -56,7 +56,7 @@ class UniformSizes:
     attenuation = grain_statistics.size_attenuation(*limits)
 
     def struck_inverse_sizes(self):
-        return grain_statistics.struck_inverse_sizes(*self.limits, "attenuation")
+        return grain_statistics.tabulate_struck_inverse_sizes(*self.limits, "attenuation")
 
 
 class IcySand(splits.Sand):
@@ -181,7 +181,7 @@ def judge_darker(bright, dark):
     assert z.min() > -2.0 and z.sum() / np.sqrt(z.size) > 10.0, z
 
 
-@pytest.mark.parametrize("ratio", [0.0, 1.0], ids=reversed(OXIDES))
+@pytest.mark.parametrize("ratio", [0.0, 1.0], ids=reversed(IRON_OXIDES))
 def test_more_iron_oxide_darkens(ratio):
     """SPLITS section 5.2 and Fig 8."""
     little, more = (

@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 
 WAVELENGTHS = np.array([400.0, 450.0, 550.0, 700.0, 850.0, 1000.0])
 SOOT = "impurities_ng_g.black_carbon"
@@ -196,7 +196,7 @@ WRONG = {
     "other depth": ({"a": BASE, "b": snow(0.0, depth_m=0.1)}, r"media\['b'\]"),
     "a ground": ({"a": BASE, "b": snow(0.0, depth_m=0.05, ground=0.5)}, r"media\['b'\]"),
     "another kind": ({"a": BASE, "b": splits.Sand(depth_m=0.05)}, r"media\['b'\] = 'sand'"),
-    "a layer": ({"a": splits.Layer(optical_thickness=1)}, "medium of grains"),
+    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "medium of grains"),
     "none": ({}, "at least one"),
     "a list": ([BASE], "a mapping of names"),
 }
@@ -205,7 +205,7 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_media_that_do_not_share_paths_are_refused(name):
     media, message = WRONG[name]
-    with pytest.raises(Refusal, match=message):
+    with pytest.raises(InvalidValue, match=message):
         splits.spectra(media, [500.0], max_stderr=0.1)
 
 
@@ -221,7 +221,7 @@ UNKNOWN = {
     "no layer": (STACK, [SOOT], r"layers.0 to layers.1"),
     "far layer": (STACK, [f"layers.2.{SOOT}"], r"layers.0 to layers.1"),
     "sand": (splits.Sand(), [SOOT], "takes impurities"),
-    "a layer": (splits.Layer(optical_thickness=1), [SOOT], "takes impurities"),
+    "a layer": (splits.ParticleLayer(optical_thickness=1), [SOOT], "takes impurities"),
     "twice": (BASE, [SOOT, SOOT], "named once"),
     "text": (BASE, SOOT, "a list of parameters"),
     "algae by mass": (BASE, ["impurities_ng_g.snow_algae"], "snow_algae"),
@@ -231,13 +231,13 @@ UNKNOWN = {
 @pytest.mark.parametrize("name", UNKNOWN)
 def test_derivatives_that_do_not_exist_are_refused(name):
     medium, jacobian, message = UNKNOWN[name]
-    with pytest.raises(Refusal, match=message):
+    with pytest.raises(InvalidValue, match=message):
         light = "diffuse" if "incidence_deg" in jacobian else 0.0
         splits.spectrophotometer(medium, [500.0], light, max_stderr=0.1, jacobian=jacobian)
 
 
 def test_derivatives_need_shared_paths():
-    with pytest.raises(Refusal, match="left out for this estimator"):
+    with pytest.raises(InvalidValue, match="left out for this estimator"):
         splits.spectrophotometer(BASE, [500.0], estimator="analog", jacobian=[SOOT])
 
 
@@ -247,5 +247,5 @@ def test_deep_packs_that_absorb_nothing_have_no_derivative():
     clear = splits.Snow.natural(
         specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    with pytest.raises(Refusal, match="where nothing absorbs"):
+    with pytest.raises(InvalidValue, match="where nothing absorbs"):
         splits.spectrophotometer(clear, [500.0], max_stderr=0.01, jacobian=[SOOT])

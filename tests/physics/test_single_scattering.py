@@ -10,9 +10,9 @@ from chi2 import NEEDS_JIT, judge_scatter, judge_z
 from scipy import stats
 
 import splits
-from splits.analysis.radiative_transfer import shape_factors
-from splits.instruments.arguments import check_wavelengths
-from splits.instruments.single_scattering import BATCH, single_scattering
+from splits.analysis.theory.asymptotic import compute_shape_factors
+from splits.simulation.arguments import check_wavelengths
+from splits.instruments.single_scattering import GRAIN_RAYS_PER_CHUNK, single_scattering
 from splits.materials import ice_density
 
 pytestmark = NEEDS_JIT
@@ -71,7 +71,7 @@ def test_smooth_spheres_have_their_known_shape_factors():
     # B = n² (1 − (1 − 1/n²)^(3/2)): path within a sphere over its mean chord, weak absorption.
     snow = dry(1.31 + 1e-8j, **SPHERES, readings=PROJECTED)
     ds = single_scattering(snow, 1000.0, rays=400_000, seed=2)
-    enhancement, asymmetry = shape_factors(ds, snow.specific_surface_area_m2_kg, 1e-8)
+    enhancement, asymmetry = compute_shape_factors(ds, snow.specific_surface_area_m2_kg, 1e-8)
     density = ice_density(snow.temperature_c)
     expected = 1.31**2 * (1.0 - (1.0 - 1.31**-2) ** 1.5) * 917.0 / density
     # The error of 1 − ω, to which the enhancement is in proportion.
@@ -93,10 +93,10 @@ def test_first_moment_is_the_asymmetry_and_zeroth_is_one():
 @pytest.mark.parametrize("medium", [splits.Snow(), splits.Sand()])
 def test_same_numbers_on_one_and_two_threads(medium):
     runs = [
-        single_scattering(medium, [500.0, 900.0], rays=5 * BATCH, seed=4, threads=n) for n in (1, 2)
+        single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=4, threads=n) for n in (1, 2)
     ]
     assert runs[0].equals(runs[1])
-    other = single_scattering(medium, [500.0, 900.0], rays=5 * BATCH, seed=5)
+    other = single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=5)
     assert not runs[0].equals(other)
 
 
@@ -105,7 +105,7 @@ def test_standard_errors_are_the_scatter_of_seeds():
     names += ("displacement_after", "displacement_square", "wet_share")
     wet = splits.Snow(saturation=0.3, refractive_index={"ice": 1.31 + 1e-4j, "water": 1.33})
     runs = [
-        single_scattering(wet, 1000.0, moments=4, rays=2 * BATCH, seed=seed)
+        single_scattering(wet, 1000.0, moments=4, rays=2 * GRAIN_RAYS_PER_CHUNK, seed=seed)
         for seed in range(40, 120)
     ]
     for name in names:

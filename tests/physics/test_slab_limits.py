@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, stream
-from scenes import optics_of, scene_of, trace
+from chi2 import NEEDS_JIT, judge_z, start_random_stream
+from scenes import make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.transport.grains import granular
-from splits.transport.grains.scene import NO_GROUND, UNLIMITED
-from splits.transport.optics.fresnel import interface
-from splits.transport.sums.tally import exit_rows, tally
+from splits.kernels.grains import history
+from splits.kernels.grains.scene import NO_GROUND, NO_MAX_ORDER
+from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.tallies.exits import allocate_exits, tally_weights
 
 pytestmark = NEEDS_JIT
 
@@ -35,7 +35,7 @@ ANGLES = (0.0, 60.0, "diffuse")
 
 def plate(mu):
     """Return R and T of a plane plate of index N + iK with incoherent multiple reflections."""
-    r, _, cos_t = interface(1.0, N, 0.0, mu)
+    r, _, cos_t = fresnel(1.0, N, 0.0, mu)
     passed = np.exp(-4.0 * math.pi * K / (WAVELENGTHS * 1e-9) * DEPTH / cos_t)
     series = (1.0 - r) ** 2 * passed / (1.0 - (r * passed) ** 2)
     return np.concatenate([r + series * r * passed, series])
@@ -74,17 +74,17 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     readings = {"entry": entry, "grain_across_boundary": "keep"}
     snow = splits.Snow(saturation=0.0, readings=readings)
     absorption = np.array([0.0, 0.0, 1e15])
-    optics = optics_of(np.ones(3), absorption=absorption)
+    optics = make_optics(np.ones(3), absorption=absorption)
     seed, rays = (51, 52)[entry == "uniform"], 100_000
     z = []
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
-            exits = exit_rows(rays, 3)
-            scene = scene_of(snow.make_grain_population(), depth, 0.0, snow.interpretation.to_sampling_rules(analog), mu)
-            work = np.array([ensemble, 0, rays, UNLIMITED])
-            told = granular.batch(seed + 10 * analog, work, scene, optics, exits, None, None)
+            exits = allocate_exits(rays, 3)
+            scene = make_scene(snow.make_grain_population(), depth, 0.0, snow.interpretation.to_sampling_rules(analog), mu)
+            work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
+            told = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
             assert not told.lost
-            moments, least, _ = tally(
+            moments, least, _ = tally_weights(
                 exits, told.crossings, absorption[np.newaxis], not analog, NO_GROUND
             )
             assert least[0] == 0.0
@@ -122,11 +122,11 @@ def test_hardly_any_grains_let_everything_through(incidence):
 @pytest.mark.parametrize("mu", [1.0, 0.5, 0.1])
 def test_a_ray_that_meets_no_grain_goes_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
-    scene = scene_of(snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu)
-    ray, length = trace(stream(), scene, optics_of([1.0, 1.0, 1.31]))
+    scene = make_scene(snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu)
+    ray, length = trace_ray(start_random_stream(), scene, make_optics([1.0, 1.0, 1.31]))
     place, d = ray.geometry.position, ray.payload.direction
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (granular.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (history.TRANSMITTED, 1.0, 0.0, 0.0)
     assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
     assert (ray.n_segments, ray.order) == (1, 0)
     assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)

@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, draw, judge_z
-from events import walked
+from chi2 import NEEDS_JIT, draw_samples, judge_z
+from events import trace_grain
 from numba import njit
-from scenes import optics_of, scene_of
+from scenes import make_optics, make_scene
 from scipy import integrate
-from spheroids import gradient, quadratic, real_point
+from spheroids import compute_normal, evaluate_quadratic, to_real_space
 
 import splits
-from splits.transport.grains.spheroid import Size
-from splits.transport.numerics.vectors import Vector, dot
+from splits.kernels.grains.spheroid import GrainSize
+from splits.kernels.math.vectors import Vector, dot
 
 pytestmark = NEEDS_JIT
 
@@ -29,8 +29,8 @@ DIRECTION = Vector(0.48, -0.64, 0.6)
 @njit
 def _scatter(state, psi, facetness, scene, optics, length):
     """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
-    size = Size(RADIUS, 1.0 - psi * psi)
-    walk, entry = walked(state, DIRECTION, size, facetness, False, scene, optics, length)
+    size = GrainSize(RADIUS, 1.0 - psi * psi)
+    walk, entry = trace_grain(state, DIRECTION, size, facetness, False, scene, optics, length)
     q, w, g, e = entry.grain.q, entry.grain.w, walk.displacement, walk.payload.direction
     return (
         dot(DIRECTION, e), length[2], 1.0 if walk.alive else 0.0,
@@ -39,17 +39,17 @@ def _scatter(state, psi, facetness, scene, optics, length):
 
 
 def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0):
-    rules = splits.Readings(entry=entry).rules(analog)
-    scene = scene_of(splits.Snow().make_grain_population(), rules=rules)
-    optics = optics_of([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
-    out = draw(_scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray)
+    rules = splits.Interpretation(entry=entry).rules(analog)
+    scene = make_scene(splits.Snow().make_grain_population(), rules=rules)
+    optics = make_optics([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
+    out = draw_samples(_scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray)
     alive = out[:, 2] == 1.0
     # Rays leave at a point of the surface, outwards.
     q, w, way, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))
     minor, flattening = RADIUS * psi * psi, 1.0 - psi * psi
-    exit_point = real_point(q, w, minor, flattening) + way
-    assert np.abs(quadratic(exit_point, w, minor, flattening) - 1.0).max() < 1e-9
-    normal = gradient(exit_point, w, minor, flattening)
+    exit_point = to_real_space(q, w, minor, flattening) + way
+    assert np.abs(evaluate_quadratic(exit_point, w, minor, flattening) - 1.0).max() < 1e-9
+    normal = compute_normal(exit_point, w, minor, flattening)
     assert (direction * normal).sum(axis=1).min() > 0.0
     assert np.abs((direction**2).sum(axis=1) - 1.0).max() < 1e-9
     return out[:, 0], out[:, 1], alive

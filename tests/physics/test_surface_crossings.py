@@ -6,18 +6,28 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, SEED, draw, judge_p, judge_z, p_of_values
-from chi2 import scaled as sample_size
-from events import unit_sphere
+from chi2 import NEEDS_JIT, SEED, draw_samples, judge_p, judge_z, compute_p_of_values
+from chi2 import scale_sample_size as sample_size
+from events import sample_unit_sphere
 from numba import njit
 from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.numerics import rng
-from splits.transport.numerics.vectors import Vector, along, scaled
-from splits.transport.particles.crossings import CROSSINGS, LEAKS, LEGS, LOSSES, crossings
-from splits.transport.rough.march import GONE, first_crossing
-from splits.transport.rough.waves import draw_waves, relief_at, room_for
+from splits.kernels.math import rng
+from splits.kernels.math.vectors import Vector, add_scaled, scale
+from splits.kernels.rough_surface.leak_census import (
+    INTERSECTIONS,
+    LEAKS,
+    SEGMENTS,
+    LOST_RAYS,
+    count_leaks,
+)
+from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
+from splits.kernels.rough_surface.realization import (
+    sample_realization,
+    compute_height_and_slope,
+    allocate_realization,
+)
 
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}
@@ -47,19 +57,19 @@ def test_no_ray_gets_through_unseen_or_lost(name):
     surface, index, angle, rays = CASES[name]
     fields = RoughSurface.from_input(surface).make_height_fields()
     mu = math.cos(math.radians(angle))
-    counts, hits = crossings(SEED, 0, rays, fields, index, mu)
-    print(f"{name}: {counts[CROSSINGS]} crossings, {counts[LEGS]} legs")
-    assert counts[LEAKS] == counts[LOSSES] == 0
-    assert counts[CROSSINGS] >= 50_000
-    assert hits.sum() == rays and hits @ np.arange(hits.size) == counts[CROSSINGS]
+    counts, hits = count_leaks(SEED, 0, rays, fields, index, mu)
+    print(f"{name}: {counts[INTERSECTIONS]} crossings, {counts[SEGMENTS]} legs")
+    assert counts[LEAKS] == counts[LOST_RAYS] == 0
+    assert counts[INTERSECTIONS] >= 50_000
+    assert hits.sum() == rays and hits @ np.arange(hits.size) == counts[INTERSECTIONS]
     # Nothing goes up through the surface that did not come down through it.
     assert hits[0] == 0 or angle > 85.0
 
 
 def test_rays_do_not_depend_on_how_they_are_shared_out():
     fields = RoughSurface(SEA).make_height_fields()
-    whole = crossings(SEED, 0, 40, fields, 1.34, 0.5)
-    parts = [crossings(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
+    whole = count_leaks(SEED, 0, 40, fields, 1.34, 0.5)
+    parts = [count_leaks(SEED, first, 20, fields, 1.34, 0.5) for first in (0, 20)]
     for i in range(2):
         np.testing.assert_array_equal(whole[i], parts[0][i] + parts[1][i])
 
@@ -70,15 +80,15 @@ def test_rays_do_not_depend_on_how_they_are_shared_out():
 @njit
 def _there_and_back(state, fields, room, side):
     """Return the way to a crossing, and the way from there back past where it came from."""
-    surface = draw_waves(state, fields, room)
-    dx, dy, dz = unit_sphere(state)
+    surface = sample_realization(state, fields, room)
+    dx, dy, dz = sample_unit_sphere(state)
     d = Vector(dx, dy, -side * abs(dz))
     place = Vector(0.0, 0.0, side * surface.max_height * (1.0 - 2.0 * rng.uniform(state)))
-    if side * (place.z - relief_at(surface.waves, 0.0, 0.0).height) <= 0.0:
+    if side * (place.z - compute_height_and_slope(surface.waves, 0.0, 0.0).height) <= 0.0:
         return 0.0, 0.0, 0.0
-    s, slope, _ = first_crossing(surface, place, d, side)
+    s, slope, _ = find_first_intersection(surface, place, d, side)
     # A point in sight sees where it is seen from: nothing is met before that.
-    t = first_crossing(surface, along(s, d, place), scaled(-1.0, d), side).distance
+    t = find_first_intersection(surface, add_scaled(s, d, place), scale(-1.0, d), side).distance
     into = side * (d.z - slope.x * d.x - slope.y * d.y)
     return s, t, into
 
@@ -87,12 +97,12 @@ def _there_and_back(state, fields, room, side):
 @pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
 def test_points_in_sight_see_where_they_are_seen_from(name, side):
     fields = RoughSurface(CASES[name][0]).make_height_fields()
-    out = draw(_there_and_back, sample_size(50_000), fields, room_for(fields), side, width=3)
+    out = draw_samples(_there_and_back, sample_size(50_000), fields, allocate_realization(fields), side, width=3)
     s, t, into = out[out[:, 0] != 0.0].T
     assert s.size > 0.3 * len(out) and s.min() > 0.0
     assert into.max() < 0.0
-    np.testing.assert_array_less(s * (1.0 - 1e-9), np.where(t == GONE, math.inf, t))
-    assert (t == GONE).mean() > 0.1
+    np.testing.assert_array_less(s * (1.0 - 1e-9), np.where(t == NO_HIT, math.inf, t))
+    assert (t == NO_HIT).mean() > 0.1
 
 
 # --- what is met ------------------------------------------------------------------------------
@@ -101,9 +111,9 @@ def test_points_in_sight_see_where_they_are_seen_from(name, side):
 @njit
 def _met(state, fields, room, mu):
     """Return height and slopes where a ray from above first meets a surface."""
-    surface = draw_waves(state, fields, room)
+    surface = sample_realization(state, fields, room)
     d = Vector(math.sqrt(1.0 - mu * mu), 0.0, -mu)
-    s, slope, _ = first_crossing(surface, Vector(0.0, 0.0, surface.max_height), d, 1.0)
+    s, slope, _ = find_first_intersection(surface, Vector(0.0, 0.0, surface.max_height), d, 1.0)
     return surface.max_height - s * mu, slope.x, slope.y
 
 
@@ -113,28 +123,28 @@ def _in_sight(state, fields, room, mu):
 
     The latter in units of the mean plane's share, 0 if it is in shadow.
     """
-    surface = draw_waves(state, fields, room)
-    height, slope = relief_at(surface.waves, 0.0, 0.0)
+    surface = sample_realization(state, fields, room)
+    height, slope = compute_height_and_slope(surface.waves, 0.0, 0.0)
     d = Vector(-math.sqrt(1.0 - mu * mu), 0.0, mu)
     facing = 1.0 - slope.x * d.x / mu
     if facing <= 0.0:
         return height, 0.0
-    s = first_crossing(surface, Vector(0.0, 0.0, height), d, 1.0).distance
-    return height, facing if s == GONE else 0.0
+    s = find_first_intersection(surface, Vector(0.0, 0.0, height), d, 1.0).distance
+    return height, facing if s == NO_HIT else 0.0
 
 
 def drawn(sampler, surface, mu, count, **of):
     fields = RoughSurface(surface).make_height_fields()
-    return draw(sampler, sample_size(count), fields, room_for(fields), mu, **of)
+    return draw_samples(sampler, sample_size(count), fields, allocate_realization(fields), mu, **of)
 
 
 @NEEDS_JIT
 def test_rays_straight_down_meet_heights_and_slopes_as_they_are():
     # Many waves, so that slopes are normal too: σ√(⟨λ²⟩/2) each way.
     height, *slopes = drawn(_met, STEEP | {"waves": 400}, 1.0, 10_000, width=3).T
-    p = {"height": p_of_values(height, stats.norm.cdf)}
+    p = {"height": compute_p_of_values(height, stats.norm.cdf)}
     for axis, slope in zip("xy", slopes, strict=True):
-        p[axis] = p_of_values(slope / math.sqrt(2.0), stats.norm.cdf)
+        p[axis] = compute_p_of_values(slope / math.sqrt(2.0), stats.norm.cdf)
     judge_p(p)
 
 

@@ -10,14 +10,14 @@ import xarray as xr
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.checks import Refusal
-from splits.instruments.families import likeness
-from splits.instruments.shared_paths import Family
-from splits.instruments.spectral_run import Run
-from splits.lookup import measuring
-from splits.lookup.axes import Axes
-from splits.lookup.block import Order
-from splits.lookup.plan import Plan
+from splits.core.validation import InvalidValue
+from splits.simulation.path_reuse import compute_path_signature
+from splits.simulation.path_tally import PathSharingMedia
+from splits.instruments.spectral_run import SpectralRequest
+from splits.tables import build
+from splits.tables.axes import ParameterGrid
+from splits.tables.block import TableRequest
+from splits.tables.plan import TablePlan
 
 WAVELENGTHS = np.array([450.0, 800.0, 1030.0, 1300.0])
 SOOT = [0.0, 50.0, 500.0]
@@ -35,7 +35,7 @@ def pack(optical_radius_um=100.0, soot=0.0, water=0.0, **more):
 
 
 def plan_of(make, grid):
-    return Plan.from_grid(make, Axes.from_mapping(grid), WAVELENGTHS)
+    return TablePlan.from_grid(make, ParameterGrid.from_mapping(grid), WAVELENGTHS)
 
 
 def test_axes_that_share_paths_are_found():
@@ -85,7 +85,7 @@ def test_depths_that_go_with_sizes_share_paths():
         )
 
     assert plan_of(scaled, {"by": [1.0, 1.7, 3.0]}).path_sharing_axes == ("by",)
-    assert likeness(scaled(1.0))[0] != likeness(splits.Snow(depth_m=0.1, saturation=0.0))[0]
+    assert compute_path_signature(scaled(1.0))[0] != compute_path_signature(splits.Snow(depth_m=0.1, saturation=0.0))[0]
 
 
 def test_stacks_and_rough_tops():
@@ -99,7 +99,7 @@ def test_stacks_and_rough_tops():
     )
 
     def lidded(by):
-        lid = splits.Layer(
+        lid = splits.ParticleLayer(
             optical_thickness=1.0, depth_m=0.01 * by, surface=surface, refractive_index=1.31,
             bottom_albedo=None,
         )  # fmt: skip
@@ -113,7 +113,7 @@ def test_stacks_and_rough_tops():
             {"rms_height_m": 1e-3, "wave_number_per_m": wave_number, "waves": 4,
              "correlation": "gaussian"}
         )  # fmt: skip
-        return packs(lid=splits.Layer(
+        return packs(lid=splits.ParticleLayer(
             optical_thickness=1.0, depth_m=depth_m, refractive_index=index, bottom_albedo=None,
             surface=top,
         ))  # fmt: skip
@@ -124,11 +124,11 @@ def test_stacks_and_rough_tops():
     ).path_sharing_axes == ()  # fmt: skip
     alone = {
         index: splits.Stack(
-            [splits.Layer(refractive_index=index, bottom_albedo=None, depth_m=0.01)]
+            [splits.ParticleLayer(refractive_index=index, bottom_albedo=None, depth_m=0.01)]
         )
         for index in (1.0, 1.3)
     }
-    assert likeness(alone[1.0])[0] != likeness(alone[1.3])[0]
+    assert compute_path_signature(alone[1.0])[0] != compute_path_signature(alone[1.3])[0]
 
 
 @NEEDS_JIT
@@ -163,13 +163,13 @@ def test_light_takes_the_same_paths_among_larger_grains(by, part, saturation):
 @NEEDS_JIT
 @pytest.mark.parametrize("water", [0.0, 0.04])
 def test_members_of_a_family_are_what_runs_of_their_own_give(water):
-    run = Run.from_arguments(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
+    run = SpectralRequest.from_arguments(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
     radii = np.array([60.0, 130.0, 400.0])
     media = tuple(pack(radius, 20.0, water) for radius in radii)
-    told = run.estimate(Family(media, radii / radii[0])).estimate
+    told = run.estimate(PathSharingMedia(media, radii / radii[0])).estimate
     z = []
     for number, medium in enumerate(media):
-        own = run._replace(seed=100 + number).estimate(Family.from_media([medium])).estimate
+        own = run._replace(seed=100 + number).estimate(PathSharingMedia.from_media([medium])).estimate
         rows = slice(number * WAVELENGTHS.size, (number + 1) * WAVELENGTHS.size)
         error = np.hypot(told.stderr[0, rows], own.stderr[0])
         z.append((told.mean[0, rows] - own.mean[0]) / error)
@@ -182,10 +182,10 @@ def test_every_cell_is_what_a_run_of_its_own_gives():
 
     Cells of one ensemble share rays, so each of the four counts as one.
     """
-    found = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.01)
+    found = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.01)
     assert found.attrs["max_stderr_reached"] <= 0.01
     random = np.random.default_rng(3)
-    points = list(Axes.from_mapping(GRID).iterate_points())
+    points = list(ParameterGrid.from_mapping(GRID).iterate_points())
     z = []
     for number in random.choice(len(points), 10, replace=False):
         point = dict(points[number])
@@ -201,8 +201,8 @@ def test_every_cell_is_what_a_run_of_its_own_gives():
 
 @NEEDS_JIT
 def test_a_table_that_was_broken_off_goes_on(tmp_path, monkeypatch):
-    whole = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole")
-    once = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03)
+    whole = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole")
+    once = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03)
     xr.testing.assert_equal(whole, once)
     kept = sorted((tmp_path / "whole").glob("block_*.nc"))
     assert len(kept) == whole.attrs["ensembles"] == 4
@@ -211,16 +211,16 @@ def test_a_table_that_was_broken_off_goes_on(tmp_path, monkeypatch):
     damaged[len(damaged) // 2] ^= 1
     kept[1].write_bytes(damaged)
     measured = []
-    original = measuring.measure
+    original = build.compute_block
     monkeypatch.setattr(
-        measuring, "measure", lambda e, *a: measured.append(e.number) or original(e, *a)
+        build, "measure", lambda e, *a: measured.append(e.number) or original(e, *a)
     )
-    again = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole")
+    again = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole")
     assert measured == [1, 2]
     xr.testing.assert_equal(again, whole)
     # Other orders find nothing that would serve.
     measured.clear()
-    splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, seed=2, folder=tmp_path / "whole")
+    splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, seed=2, folder=tmp_path / "whole")
     assert measured == [0, 1, 2, 3]
 
 
@@ -239,10 +239,10 @@ def test_blocks_of_other_tables_are_none_of_this_one(other):
         "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
         "water": [0.0],
     }  # fmt: skip
-    run = Run.from_arguments(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
-    order = Order(run, ("reflectance",), False)
+    run = SpectralRequest.from_arguments(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
+    order = TableRequest(run, ("reflectance",), False)
     one, two = (
-        [measuring.digest_of(e, order) for e in plan_of(pack, g).path_groups]
+        [build.compute_block_digest(e, order) for e in plan_of(pack, g).path_groups]
         for g in (grid, grid | other)
     )
     assert one[-1] != two[-1]
@@ -251,25 +251,25 @@ def test_blocks_of_other_tables_are_none_of_this_one(other):
         order._replace(covariance=True), order._replace(quantities=("transmittance",)),
         order._replace(spectral_request=run._replace(seed=2)), order._replace(spectral_request=run._replace(max_stderr=0.02)),
     ):  # fmt: skip
-        assert measuring.digest_of(plan_of(pack, grid).path_groups[0], changed) != one[0]
+        assert build.compute_block_digest(plan_of(pack, grid).path_groups[0], changed) != one[0]
     threads = order._replace(spectral_request=run._replace(threads=7))
-    assert measuring.digest_of(plan_of(pack, grid).path_groups[0], threads) == one[0]
+    assert build.compute_block_digest(plan_of(pack, grid).path_groups[0], threads) == one[0]
 
 
 @NEEDS_JIT
 def test_bits_do_not_depend_on_threads_or_on_what_else_is_in_the_table():
-    one = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, threads=1)
-    two = splits.table(pack, GRID, WAVELENGTHS, max_stderr=0.03, threads=2)
+    one = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, threads=1)
+    two = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, threads=2)
     xr.testing.assert_equal(one, two)
     narrow = {**GRID, "incidence_deg": [60.0], "water": [0.03]}
-    part = splits.table(pack, narrow, WAVELENGTHS, max_stderr=0.03)
+    part = splits.build_table(pack, narrow, WAVELENGTHS, max_stderr=0.03)
     xr.testing.assert_equal(part, one.sel(incidence_deg=[60.0], water=[0.03]))
 
 
 @NEEDS_JIT
 def test_a_table_written_is_opened_and_read(tmp_path):
     grid = {"optical_radius_um": [50.0, 100.0, 200.0, 400.0], "soot": SOOT}
-    made = splits.table(pack, grid, WAVELENGTHS, 40.0, max_stderr=0.02, covariance=True)
+    made = splits.build_table(pack, grid, WAVELENGTHS, 40.0, max_stderr=0.02, covariance=True)
     splits.save(made, tmp_path / "table.nc")
     opened = splits.open_table(tmp_path / "table.nc")
     assert opened.quantities == ["reflectance"]
@@ -283,11 +283,11 @@ def test_a_table_written_is_opened_and_read(tmp_path):
 
 
 def test_points_that_cannot_be_are_named():
-    with pytest.raises(Refusal, match=r"^grid = 'optical_radius_um = 100000.0': must be a medium"):
+    with pytest.raises(InvalidValue, match=r"^grid = 'optical_radius_um = 100000.0': must be a medium"):
         plan_of(pack, {"optical_radius_um": [100.0, 1e5]})
-    with pytest.raises(Refusal, match=r"^grid = 'size = 1.0': must be a medium .*size"):
+    with pytest.raises(InvalidValue, match=r"^grid = 'size = 1.0': must be a medium .*size"):
         plan_of(pack, {"size": [1.0]})
-    with pytest.raises(Refusal, match=r"must be a medium of grains"):
-        plan_of(lambda optical_thickness: splits.Layer(optical_thickness=optical_thickness),
+    with pytest.raises(InvalidValue, match=r"must be a medium of grains"):
+        plan_of(lambda optical_thickness: splits.ParticleLayer(optical_thickness=optical_thickness),
                 {"optical_thickness": [1.0]})  # fmt: skip
     assert math.isinf(pack().depth_m)

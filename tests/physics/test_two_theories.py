@@ -12,8 +12,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import packed
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.instruments.single_scattering import single_scattering
 
 pytest.importorskip("PythonicDISORT")
@@ -48,7 +48,7 @@ def theory(snow, incidence, rays=400_000, change=lambda optics: optics):
     runs = []
     for seed in SEEDS:
         optics = change(single_scattering(snow, WAVELENGTHS, rays=rays, seed=seed))
-        runs.append(discrete_ordinates(optics, incidence))
+        runs.append(solve_discrete_ordinates(optics, incidence))
     values = np.array([[run.reflectance, run.transmittance] for run in runs])
     truncation = np.array([runs[0].reflectance_truncation, runs[0].transmittance_truncation])
     return values.mean(axis=0), values.std(axis=0, ddof=1) / len(SEEDS) ** 0.5, truncation
@@ -97,7 +97,7 @@ def test_packed_grains_obey_it_with_the_way_through_them(entry, incidence):
     snow = sample(10.0, 275.0, entry=entry)
     found, stderr = paths(snow, incidence, 0.0015)
     points, error, _ = theory(snow, incidence, 100_000)
-    grains, _, _ = theory(snow, incidence, 100_000, packed)
+    grains, _, _ = theory(snow, incidence, 100_000, correct_dense_packing)
     # As points, too much is sent back and too little let through: far beyond all errors.
     assert (np.abs(points - found)[:, 0] > 10.0 * np.hypot(error, stderr)[:, 0]).all()
     # Diffusion's answer holds where much light is scattered often.
@@ -109,8 +109,8 @@ def test_errors_of_the_optics_are_those_of_the_theory():
     names = ("reflectance", "transmittance", "absorptance")
     found = []
     for seed in range(20):
-        optics = packed(single_scattering(snow, [500.0, 1800.0], 16, 2048, seed))
-        result = discrete_ordinates(optics, 30.0, 16)
+        optics = correct_dense_packing(single_scattering(snow, [500.0, 1800.0], 16, 2048, seed))
+        result = solve_discrete_ordinates(optics, 30.0, 16)
         values = [[result[f"{n}{end}"].values for n in names] for end in ("", "_stderr")]
         thickness = (optics[f"optical_thickness{end}"].values for end in ("", "_stderr"))
         found.append(np.array([[*v, t] for v, t in zip(values, thickness, strict=True)]))

@@ -8,7 +8,7 @@ import xarray as xr
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.analysis.errors import difference
+from splits.core.uncertainty import compute_difference
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
 MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
@@ -17,7 +17,7 @@ MINE = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse":
 @NEEDS_JIT
 def test_light_inside_a_sample_adds_up():
     """What comes in is sent back, absorbed, or goes out below; and it is as much as was said."""
-    found = splits.light_inside(
+    found = splits.radiation_profile(
         splits.Snow(depth_m=0.03), splits.sky("midlatitude_winter"), [0.01],
         [400.0, 700.0, 1000.0, 2000.0], 0.05, total_w_m2=500.0,
         bands={"photosynthetic": (400, 700)},
@@ -37,7 +37,7 @@ def test_light_inside_has_the_errors_that_seeds_scatter_by(seeds):
     """Many seeds; what they measure shares its rays, so each counts as one comparison."""
     snow, mine = splits.Snow(depth_m=0.02), splits.sky(MINE, 50.0)
     runs = [
-        splits.light_inside(snow, mine, [0.005], [500.0, 750.0, 1000.0], 0.03, seed=2 * seed)
+        splits.radiation_profile(snow, mine, [0.005], [500.0, 750.0, 1000.0], 0.03, seed=2 * seed)
         for seed in range(seeds)
     ]
     for name in ("downward_irradiance", "upward_irradiance", "absorbed_power"):
@@ -64,7 +64,7 @@ COARSE = np.arange(310.0, 2491.0, 90.0)
 
 def inside_pack(error, **given):
     sky = splits.sky("midlatitude_winter")
-    return splits.light_inside(PACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **given)
+    return splits.radiation_profile(PACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **given)
 
 
 @NEEDS_JIT
@@ -108,7 +108,7 @@ def test_the_reflectance_factor_under_diffuse_light_is_the_reciprocal_albedo(err
     media = [
         splits.Snow.natural(**natural),
         splits.Snow.natural(**natural, liquid_water_content=0.1, ground=0.4),
-        splits.Layer(optical_thickness=1.0, refractive_index=1.33),
+        splits.ParticleLayer(optical_thickness=1.0, refractive_index=1.33),
     ]
     z = []
     for number, medium in enumerate(media):
@@ -156,7 +156,7 @@ def test_what_soot_does_to_an_albedo_has_the_error_that_seeds_scatter_by():
     found, stated = [], []
     for seed in range(20):
         ds = splits.albedo(media, mine, W, 0.02, 2 * seed, bands={"visible": (400, 700)})
-        change, error = difference(ds, "band_albedo", "dirty", "clean")
+        change, error = compute_difference(ds, "band_albedo", "dirty", "clean")
         found.append(change.values)
         stated.append(error.values)
         assert (error < ds.band_albedo_stderr.min("medium")).all()
@@ -182,6 +182,6 @@ def test_albedos_of_several_media_are_those_of_each():
     with pytest.raises(ValueError, match=r"media\['b'\]"):
         splits.albedo({"a": soiled(0.0), "b": splits.Sand()}, mine, W)
     with pytest.raises(ValueError, match="one = 'c': must be one of a, b"):
-        difference(both, "albedo", "c", "a")
+        compute_difference(both, "albedo", "c", "a")
     with pytest.raises(ValueError, match="quantity = 'direct_share'"):
-        difference(both, "direct_share", "a", "b")
+        compute_difference(both, "direct_share", "a", "b")

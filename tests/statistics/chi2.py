@@ -16,25 +16,25 @@ import pytest
 from numba import njit
 from scipy import stats
 
-from splits.transport.numerics.rng import start_stream
+from splits.kernels.math.rng import start_stream
 
 SIGNIFICANCE = 0.01
 NEEDS_JIT = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow without compiled kernels")
 SEED = 20_240_611
 
 
-CELLS = np.arange(1, 53) / 53
-TAILS = np.array([1e-4, 5e-4, 2e-3])
-EDGES = np.concatenate([TAILS, CELLS, 1.0 - TAILS[::-1]])
+CELL_PROBABILITIES = np.arange(1, 53) / 53
+TAIL_PROBABILITIES = np.array([1e-4, 5e-4, 2e-3])
+CELL_EDGES = np.concatenate([TAIL_PROBABILITIES, CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
 """Cells of a probability, finer in both tails."""
 
 
-def evenly(u):
+def uniform_cdf(u):
     """Return the cumulative probability of numbers that are uniform."""
     return u
 
 
-def scaled(count: int) -> int:
+def scale_sample_size(count: int) -> int:
     """Return a sample size: `count`, or a fiftieth of it where kernels run as plain Python."""
     return max(count // 50, 1000) if numba.config.DISABLE_JIT else count
 
@@ -53,26 +53,26 @@ def _fill_tuple(sampler, state, args, out):
             out[i, j] = values[j]
 
 
-def stream(ray: int = 0) -> np.ndarray:
+def start_random_stream(ray: int = 0) -> np.ndarray:
     """Return the state at the beginning of a random stream."""
     state = np.zeros(1, dtype=np.uint64)
     start_stream(state, SEED, 0, ray)
     return state
 
 
-def draw(sampler, count: int, *args, width: int = 0, ray: int = 0) -> np.ndarray:
+def draw_samples(sampler, count: int, *args, width: int = 0, ray: int = 0) -> np.ndarray:
     """Return `count` values (or tuples of `width` values) of ``sampler(state, *args)``."""
     sampler = getattr(sampler, "compiled", sampler)
     if width == 0:
         out = np.empty(count)
-        _fill_scalar(sampler, stream(ray), args, out)
+        _fill_scalar(sampler, start_random_stream(ray), args, out)
     else:
         out = np.empty((count, width))
-        _fill_tuple(sampler, stream(ray), args, out)
+        _fill_tuple(sampler, start_random_stream(ray), args, out)
     return out
 
 
-def p_of_counts(counts, probabilities) -> float:
+def compute_p_of_counts(counts, probabilities) -> float:
     """Return the chi-square p-value of counts in cells of known probability.
 
     Cells where fewer than ten counts are expected are pooled; a cell of probability 0 must be
@@ -96,7 +96,7 @@ def p_of_counts(counts, probabilities) -> float:
     return float(stats.chi2.sf(((counts - expected) ** 2 / expected).sum(), counts.size - 1))
 
 
-def p_of_values(values, cdf, edges=53) -> float:
+def compute_p_of_values(values, cdf, edges=53) -> float:
     """Return the chi-square p-value of a sample against a continuous distribution.
 
     `edges` are probabilities between cells, or the number of cells of equal probability.
@@ -107,10 +107,10 @@ def p_of_values(values, cdf, edges=53) -> float:
     edges = np.concatenate([[0.0], edges, [1.0]])
     counts, _ = np.histogram(u, edges)
     assert counts.sum() == u.size
-    return p_of_counts(counts, np.diff(edges))
+    return compute_p_of_counts(counts, np.diff(edges))
 
 
-def tabulated_cdf(density, low: float, high: float, points: int = 20_001):
+def tabulate_cdf(density, low: float, high: float, points: int = 20_001):
     """Return the cumulative of a density on [low, high] by the trapezoidal rule."""
     x = np.linspace(low, high, points)
     y = density(x)
@@ -129,13 +129,13 @@ def judge_p(p_values: dict) -> None:
 
 
 @cache
-def largest_z(count: int) -> float:
+def compute_z_bound(count: int) -> float:
     """Return the |z| that the largest of `count` comparisons exceeds in 1 % of all families."""
     return float(stats.norm.isf(0.5 * (1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / count))))
 
 
 @cache
-def rms_limits(independent: int) -> tuple[float, float]:
+def compute_rms_limits(independent: int) -> tuple[float, float]:
     """Return the limits within which the rms z of independent comparisons is in 99 % of cases."""
     ends = np.array([0.5 * SIGNIFICANCE, 1.0 - 0.5 * SIGNIFICANCE])
     low, high = np.sqrt(stats.chi2.ppf(ends, independent) / independent)
@@ -161,8 +161,8 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
     """
     z = np.asarray(z, dtype=float)
     flat = z.ravel()
-    bound = largest_z(flat.size)
-    low, high = rms_limits(independent or flat.size)
+    bound = compute_z_bound(flat.size)
+    low, high = compute_rms_limits(independent or flat.size)
     low = 0.0 if bound_added else low
     rms = float(np.sqrt((flat**2).mean()))
     worst = np.unravel_index(np.argmax(np.abs(z)), z.shape)
@@ -175,7 +175,7 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
     assert low <= rms <= high, report
 
 
-def pooled_z(differences, errors, values=None) -> float:
+def compute_pooled_z(differences, errors, values=None) -> float:
     """Return the signed mean of many differences, weighted by inverse variance, in its own error.
 
     Parameters

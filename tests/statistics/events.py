@@ -9,52 +9,52 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from chi2 import stream
+from chi2 import start_random_stream
 from numba import njit
-from scenes import carried
+from scenes import make_beam_state
 
-from splits.transport.compiling.features import EVERYTHING
-from splits.transport.grains import facets, granular, scalar, spheroid, surface
-from splits.transport.grains.flight import FIRST_ROULETTE, Meeting
-from splits.transport.grains.scalar import Candidate, Found
-from splits.transport.grains.scene import LOBE, UNLIMITED
-from splits.transport.grains.spheroid import Spheroid
-from splits.transport.grains.surface import Numbers, Stand
-from splits.transport.grains.walk import trial, walk
-from splits.transport.lanes import rows
-from splits.transport.lanes.surface import numbers_at
-from splits.transport.numerics import rng
-from splits.transport.numerics.elementary import Angle
-from splits.transport.numerics.vectors import UP, Vector
-from splits.transport.optics.faces import Crossing
+from splits.kernels.compiler.features import ALL_FEATURES
+from splits.kernels.grains import microfacet, history, state, spheroid, interaction
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision
+from splits.kernels.grains.state import GrainSample, NextEvent
+from splits.kernels.grains.scene import WRONG_SIDE_LOBE, NO_MAX_ORDER
+from splits.kernels.grains.spheroid import Spheroid
+from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
+from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.interaction import draw_interaction_variates
+from splits.kernels.math import rng
+from splits.kernels.math.elementary import Angle
+from splits.kernels.math.vectors import UP, Vector
+from splits.kernels.optics.interface import InterfaceSample
 
 single = np.float32
 
 
 @njit
-def unit_sphere(state):
+def sample_unit_sphere(state):
     """Return a direction uniform on the sphere (Marsaglia 1972)."""
     z = 2.0 * rng.uniform(state) - 1.0
-    turn = rng.unit_circle(state)
+    turn = rng.sample_azimuth(state)
     r = np.sqrt((1.0 - z) * (1.0 + z))
     return Vector(r * turn.cos, r * turn.sin, z)
 
 
 @njit
-def singly(v):
+def to_single_precision(v):
     """Return a vector in single precision."""
     return Vector(single(v.x), single(v.y), single(v.z))
 
 
-def lane_words(ray=0):
+def make_lane_words(ray=0):
     """Return the whole numbers of lanes whose rays have drawn nothing yet."""
-    words = np.zeros(rows.WORDS, dtype=np.uint32)
-    for lane in range(rows.LANES):
-        start = int(stream(ray + lane)[0])
-        words[rows.KEY_HIGH + lane] = start >> 32
-        words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
-        words[rows.COUNT + lane] = 1
-        words[rows.MOST + lane] = UNLIMITED
+    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
+    for lane in range(lane_state.N_LANES):
+        start = int(start_random_stream(ray + lane)[0])
+        words[lane_state.KEY_HIGH + lane] = start >> 32
+        words[lane_state.KEY_LOW + lane] = start & 0xFFFFFFFF
+        words[lane_state.N_DRAWN + lane] = 1
+        words[lane_state.MAX_ORDER + lane] = NO_MAX_ORDER
     return words
 
 
@@ -62,30 +62,30 @@ def lane_words(ray=0):
 
 
 @njit
-def struck(state, d, size, entry_rule):
+def sample_entry(state, d, size, entry_rule):
     """Return where a ray along d strikes a grain."""
-    aim = scalar.aim_of(state, size.flattening)
-    return spheroid.strike(d, size, aim, entry_rule)
+    aim = state.sample_entry_variates(state, size.flattening)
+    return spheroid.sample_entry_point(d, size, aim, entry_rule)
 
 
 @njit
-def walked(state, d, size, facetness, wet, scene, optics, length):
+def trace_grain(state, d, size, facetness, wet, scene, optics, length):
     """Return a ray after a grain of the first type, as the kernel has it, and the point of entry.
 
     Lengths are set.
     """
     length[:] = 0.0
-    entry = struck(state, d, size, scene.rules.entry_sampling)
-    limit = math.inf if scene.rules.analog else FIRST_ROULETTE
-    candidate = Candidate(0, size, 0.5 * facetness)
-    found = Found(candidate, Meeting(0.0, 0.0, entry, False, True, 0.0), 0, False)
-    return walk(state, carried(d, wet, limit), found, scene, optics, length), entry
+    entry = sample_entry(state, d, size, scene.rules.entry_sampling)
+    limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
+    candidate = GrainSample(0, size, 0.5 * facetness)
+    found = NextEvent(candidate, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
+    return trace_through_grain(state, make_beam_state(d, wet, limit), found, scene, optics, length), entry
 
 
 @njit
-def weight_after(state, grain_path):
+def play_roulette(state, grain_path):
     """Return the weight of a ray after a grain and the roulette that follows it, 0 for none."""
-    payment = granular.played(state, grain_path.payload.roulette)
+    payment = history.apply_roulette(state, grain_path.payload.roulette)
     return payment.roulette.weight if grain_path.alive and payment.alive else 0.0
 
 
@@ -93,85 +93,85 @@ def weight_after(state, grain_path):
 
 
 @njit
-def flat(normal):
+def make_flat_surface(normal):
     """Return a grain, and where on it its outward normal is `normal`."""
     return Spheroid(normal, UP, 0.0, 1.0)
 
 
 @njit
-def flat_by_lane(normal):
-    return Spheroid(normal, singly(UP), single(0.0), single(1.0))
+def make_flat_surface_by_lane(normal):
+    return Spheroid(normal, to_single_precision(UP), single(0.0), single(1.0))
 
 
 @njit
-def facet_struck(state, d, normal, facetness, rule):
-    """Return the facet that a ray strikes on a surface, drawn as `walk.trial` does."""
-    smooth = facets.facing(d, flat(normal), 1.0)
+def sample_facet(state, d, normal, facetness, rule):
+    """Return the facet that a ray strikes on a surface, drawn as `walk.sample_interaction` does."""
+    smooth = microfacet.make_smooth_facet(d, make_flat_surface(normal), 1.0)
     while True:
-        azimuth = rng.unit_circle(state)
+        azimuth = rng.sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
-        numbers = Numbers(rng.uniform(state), 0.5, 0.0, rng.half_normal(state), azimuth)
-        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, rule)
+        numbers = InteractionVariates(rng.uniform(state), 0.5, 0.0, rng.sample_half_normal(state), azimuth)
+        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, numbers, False, rule)
         if facet.accepted:
             return facet
 
 
 @njit
-def facet_struck_by_lane(words, d, normal, sigma, rule):
-    """Return the facet that a ray strikes on a surface, drawn as the lanes' `trial` does."""
-    smooth = facets.facing(d, flat_by_lane(normal), single(1.0))
+def sample_facet_by_lane(words, d, normal, sigma, rule):
+    """Return the facet that a ray strikes on a surface, drawn as the lanes' `sample_interaction` does."""
+    smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
-        numbers = numbers_at(words, 0, True, True)
-        facet = facets.rough(d, smooth, sigma, numbers, False, rule)
+        numbers = draw_interaction_variates(words, 0, True, True)
+        facet = microfacet.sample_microfacet(d, smooth, sigma, numbers, False, rule)
         if facet.accepted:
             return facet
 
 
 @njit
-def facet_normal_of(d, facet):
+def compute_facet_normal(d, facet):
     """Return a facet's normal on the side of the ray, as `surface.outcome` takes it."""
-    normal = surface.facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
+    normal = interaction.compute_facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
     sign = -1.0 if facet.back_side else 1.0
     return Vector(sign * normal.x, sign * normal.y, sign * normal.z)
 
 
 @njit
-def tried(state, d, interface_state, normal, facetness, media, rules):
+def attempt_interaction(state, d, interface_state, normal, facetness, media, rules):
     """Return what a trial at a surface leads to."""
-    return trial(state, d, interface_state, flat(normal), 0.5 * facetness, media, rules)
+    return sample_interaction(state, d, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules)
 
 
 @njit
-def tried_by_lane(words, d, interface_state, normal, sigma, media, rules):
-    """Return what a trial at a surface leads to, drawn as the lanes' `trial` does."""
-    numbers = numbers_at(words, 0, True, True)
-    facet = facets.facing(d, flat_by_lane(normal), interface_state.side)
+def attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media, rules):
+    """Return what a trial at a surface leads to, drawn as the lanes' `sample_interaction` does."""
+    numbers = draw_interaction_variates(words, 0, True, True)
+    facet = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
-        facet = facets.rough(d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling)
-    mirrored = rules.wrong_side != LOBE
-    return surface.outcome(d, interface_state, facet, media, numbers.u_fresnel, mirrored, EVERYTHING)
+        facet = microfacet.sample_microfacet(d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling)
+    mirrored = rules.wrong_side != WRONG_SIDE_LOBE
+    return interaction.reflect_or_refract(d, interface_state, facet, media, numbers.u_fresnel, mirrored, ALL_FEATURES)
 
 
 @njit
-def interact(state, d, normal, facetness, near, far, rules):
+def resolve_interaction(state, d, normal, facetness, near, far, rules):
     """Return what becomes of a ray at a surface whose normal is against it."""
-    stand = Stand(0.0, 1.0, False, False)
-    media = surface.contrast(near, far)
+    stand = InterfaceState(0.0, 1.0, False, False)
+    media = interaction.relative_index(near, far)
     while True:
-        after = tried(state, d, stand, normal, facetness, media, rules)
+        after = attempt_interaction(state, d, stand, normal, facetness, media, rules)
         if after.accepted:
-            return Crossing(after.transmitted, after.direction)
-        stand = Stand(0.0, 1.0, after.needs_lobe, after.transmitted)
+            return InterfaceSample(after.transmitted, after.direction)
+        stand = InterfaceState(0.0, 1.0, after.needs_lobe, after.transmitted)
 
 
 @njit
-def interact_by_lane(words, d, normal, sigma, near, far, rules):
+def resolve_interaction_by_lane(words, d, normal, sigma, near, far, rules):
     """Return what becomes of a ray at a surface, by the numbers of a lane."""
     zero, one = single(0.0), single(1.0)
-    stand = Stand(zero, one, False, False)
-    media = surface.contrast(near, far)
+    stand = InterfaceState(zero, one, False, False)
+    media = interaction.relative_index(near, far)
     while True:
-        after = tried_by_lane(words, d, stand, normal, sigma, media, rules)
+        after = attempt_interaction_by_lane(words, d, stand, normal, sigma, media, rules)
         if after.accepted:
-            return Crossing(after.transmitted, after.direction)
-        stand = Stand(zero, one, after.needs_lobe, after.transmitted)
+            return InterfaceSample(after.transmitted, after.direction)
+        stand = InterfaceState(zero, one, after.needs_lobe, after.transmitted)

@@ -9,30 +9,30 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.instruments.scenes import granular_scene, particles_of
-from splits.materials.refractive_index import absorption_coefficient
-from splits.transport.grains import granular, scalar
-from splits.transport.grains.flight import Flier, Purse
-from splits.transport.grains.scalar import Beam
-from splits.transport.grains.scene import (
-    GRAINS,
-    KEPT,
+from splits.simulation.scene import build_scene, make_particle_table
+from splits.materials.lookup import absorption_coefficient
+from splits.kernels.grains import history, state
+from splits.kernels.grains.free_path import RayGeometry, RouletteState
+from splits.kernels.grains.state import RayPayload
+from splits.kernels.grains.scene import (
+    NO_PARTICLES,
+    OVERLAP_KEEP,
     NO_GROUND,
-    UNLIMITED,
-    Grains,
+    NO_MAX_ORDER,
+    GrainPopulation,
     Layers,
     Optics,
     Scene,
-    Types,
-    shared_optics,
+    GrainTypes,
+    make_bounding_optics,
 )
-from splits.transport.grains.spheroid import Segment
-from splits.transport.lanes.batch import passing_of
-from splits.transport.numerics.vectors import ORIGIN, Vector
-from splits.transport.optics.light import Light
+from splits.kernels.grains.spheroid import Segment
+from splits.kernels.vectorized.batch import make_pass_constants
+from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.optics.source import Source
 
 
-def coated(thickness, materials, facetness=0.0):
+def make_coated_grains(thickness, materials, facetness=0.0):
     """Return grains of one type, one size and one shape, coated from the outside inwards.
 
     Parameters
@@ -43,35 +43,35 @@ def coated(thickness, materials, facetness=0.0):
         Of the coatings and of the core.
     """
     one = np.ones((1, 2))
-    types = Types(
+    types = GrainTypes(
         np.array([len(materials)]), np.array([materials]), np.array([[*thickness, 0.0]]),
         one, one, facetness * one,
     )  # fmt: skip
-    return Grains(1e3, np.ones(1), types)
+    return GrainPopulation(1e3, np.ones(1), types)
 
 
-def scene_of(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0):
+def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0):
     """Return a slab of grains under a beam, or diffuse light, and how the papers are read."""
-    rules = splits.Readings().rules() if rules is None else rules
+    rules = splits.Interpretation().rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
         grains.type_cdf[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),
-        np.array([GRAINS]),
+        np.array([NO_PARTICLES]),
     )  # fmt: skip
     return Scene(
-        Light(float(cos), float(diffuse)),
+        Source(float(cos), float(diffuse)),
         layers,
         grains.types,
         rules,
-        particles_of([]),
+        make_particle_table([]),
         NO_GROUND,
         False,
     )
 
 
-def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):
+def make_medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):
     """Return the scene that instruments make of a medium, or one of other depth or saturation."""
-    scene = granular_scene(medium, incidence, analog)
+    scene = build_scene(medium, incidence, analog)
     layers = scene.layers
     if depth is not None:
         layers = layers._replace(boundaries=np.array([0.0, -float(depth)]))
@@ -80,15 +80,15 @@ def medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=Non
     return scene._replace(layers=layers)
 
 
-def oracle_slab(medium, incidence):
+def make_oracle_slab(medium, incidence):
     """Return grains, slab and rules of a medium as the oracle wants them."""
     grains, rules = medium.make_grain_population(), medium.interpretation.to_sampling_rules(False)
-    cos = medium_scene(medium, incidence).source.cos_incidence
+    cos = make_medium_scene(medium, incidence).source.cos_incidence
     slab = oracle_scene.Slab(medium.depth_m, medium.saturation, cos, incidence == "diffuse")
     return oracle_scene.Grains(grains.attenuation, grains.type_cdf, *grains.types), slab, rules
 
 
-def optics_of(n, k=None, absorption=None):
+def make_optics(n, k=None, absorption=None):
     """Return the optics of materials of given indices; what is not given is 0."""
     n, k, absorption = (
         np.zeros(len(n)) if x is None else np.array(x, dtype=float) for x in (n, k, absorption)
@@ -96,74 +96,74 @@ def optics_of(n, k=None, absorption=None):
     return Optics(n, k, absorption, absorption > 0.0)
 
 
-def optics_at(medium, wavelength_nm):
+def compute_optics(medium, wavelength_nm):
     """Return the optics of a medium at one wavelength."""
     index = medium.compute_refractive_indices(np.array([wavelength_nm]))[0]
-    return shared_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
+    return make_bounding_optics(index, absorption_coefficient(index, wavelength_nm)[np.newaxis])
 
 
-def alone(optics):
+def to_single_item(optics):
     """Return the optics of work on lanes of a single item."""
     return Optics(*(values[np.newaxis] for values in optics))
 
 
-def passing(scene):
+def get_vectorized_scene(scene):
     """Return what the passes over lanes need to know of a scene, in the precision they take."""
-    return passing_of(scene)
+    return make_pass_constants(scene)
 
 
-def boundless(scene):
+def keep_all_grains(scene):
     """Return a scene in which every grain fits."""
-    return scene._replace(rules=scene.rules._replace(segment_overlap=KEPT, boundary_overlap=KEPT))
+    return scene._replace(rules=scene.rules._replace(segment_overlap=OVERLAP_KEEP, boundary_overlap=OVERLAP_KEEP))
 
 
 @njit
-def space_of(scene):
+def get_pore_space(scene):
     """Return the pore space between the boundaries of a scene."""
-    return scalar.space_of(scene.layers, 0)
+    return state.get_layer_geometry(scene.layers, 0)
 
 
 @njit
-def pore_drawn(u, scene):
+def sample_pore(u, scene):
     """Return the material of the pores that a number stands for."""
-    return scalar.pore_of(scene.layers, 0, u)
+    return state.pore_material(scene.layers, 0, u)
 
 
 @njit
-def carried(d, wet=False, limit=math.inf):
+def make_beam_state(d, wet=False, limit=math.inf):
     """Return what a ray carries, through wet pores where there are any, or through dry ones."""
-    return Beam(d, 0, 0.0 if wet else 1.0, Purse(0.0, limit, 1.0))
+    return RayPayload(d, 0, 0.0 if wet else 1.0, RouletteState(0.0, limit, 1.0))
 
 
 @njit
-def starting(z, d):
+def make_new_ray(z, d):
     """Return a ray at a height that has not travelled yet."""
-    return Flier(Vector(0.0, 0.0, z), ORIGIN, d, scalar.NO_LEG, 0.0)
+    return RayGeometry(Vector(0.0, 0.0, z), ORIGIN, d, state.NO_SEGMENT, 0.0)
 
 
 @njit
-def coming(z, displacement, d, direction_back, length):
+def make_ray_after_segment(z, displacement, d, direction_back, length):
     """Return a ray at a height, some way from the end of the leg that it travelled last."""
     place = Vector(-displacement.x, -displacement.y, z - displacement.z)
-    return Flier(place, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
+    return RayGeometry(place, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
 
 
 @njit
-def next_of(state, flier, scene, optics):
+def find_next_event(state, flier, scene, optics):
     """Return what a ray meets next."""
-    return granular.find(state, flier, carried(flier.direction), scene, optics)
+    return history.sample_next_event(state, flier, make_beam_state(flier.direction), scene, optics)
 
 
 @njit
-def _traced(state, scene, optics, length, max_order):
+def _trace(state, scene, optics, length, max_order):
     length[:] = 0.0
-    ray = granular.launch(state, scene, optics, None, max_order)
-    if ray.status == granular.TRAVELS:
-        ray = granular.follow(state, ray, scene, optics, length, None, None, None)
+    ray = history.sample_source(state, scene, optics, None, max_order)
+    if ray.status == history.ALIVE:
+        ray = history.trace_history(state, ray, scene, optics, length, None, None, None)
     return ray
 
 
-def trace(state, scene, optics, max_order=UNLIMITED):
+def trace_ray(state, scene, optics, max_order=NO_MAX_ORDER):
     """Return a ray at its end, and the lengths of its paths in all materials (m)."""
     length = np.zeros(optics.n.size)
-    return _traced(state, scene, optics, length, max_order), length
+    return _trace(state, scene, optics, length, max_order), length

@@ -8,46 +8,46 @@ from __future__ import annotations
 import numpy as np
 
 
-def unit(vectors):
+def normalize(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def dot(a, b):
+def dot_product(a, b):
     return (np.asarray(a) * np.asarray(b)).sum(axis=-1, keepdims=True)
 
 
-def real_point(q, w, minor, flattening):
+def to_real_space(q, w, minor, flattening):
     """Return the point relative to the grain's centre: the unit sphere stretched along w."""
     q, w = np.asarray(q), np.asarray(w)
     minor, flattening = np.asarray(minor)[..., None], np.asarray(flattening)[..., None]
-    along = dot(q, w) * w
+    along = dot_product(q, w) * w
     return minor * (q - along) + minor / (1.0 - flattening) * along
 
 
-def sphere_point(p, w, minor, flattening):
+def to_unit_sphere(p, w, minor, flattening):
     """Return the point of the unit sphere for a point relative to the grain's centre."""
-    along = dot(p, w) * np.asarray(w)
+    along = dot_product(p, w) * np.asarray(w)
     return (p - along) / minor + along * (1.0 - flattening) / minor
 
 
-def quadratic(p, w, minor, flattening):
+def evaluate_quadratic(p, w, minor, flattening):
     """Return the left side of the grain's equation, 1 on its surface and less inside."""
     minor, flattening = np.asarray(minor), np.asarray(flattening)
-    z = dot(p, w)
+    z = dot_product(p, w)
     radial = np.asarray(p) - z * np.asarray(w)
     major = minor / (1.0 - flattening)
     return (radial**2).sum(axis=-1) / minor**2 + z[..., 0] ** 2 / major**2
 
 
-def gradient(p, w, minor, flattening):
+def compute_normal(p, w, minor, flattening):
     """Return the outward unit normal at a point of the surface."""
-    z = dot(p, w)
+    z = dot_product(p, w)
     radial = np.asarray(p) - z * np.asarray(w)
     minor, flattening = np.asarray(minor)[..., None], np.asarray(flattening)[..., None]
-    return unit(radial / minor**2 + z * np.asarray(w) * ((1.0 - flattening) / minor) ** 2)
+    return normalize(radial / minor**2 + z * np.asarray(w) * ((1.0 - flattening) / minor) ** 2)
 
 
-def nearest(start, end, w, minor, flattening, steps=500):
-    """Return the least `quadratic` over points along a segment; positions from the centre."""
+def find_closest_approach(start, end, w, minor, flattening, steps=500):
+    """Return the least `evaluate_quadratic` over points along a segment; positions from the centre."""
     part = np.linspace(0.0, 1.0, steps)
-    return np.min([quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0)
+    return np.min([evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0)

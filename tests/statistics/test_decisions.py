@@ -6,40 +6,56 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, draw, judge_p, judge_z, p_of_values, scaled, tabulated_cdf
+from chi2 import (
+    NEEDS_JIT,
+    draw_samples,
+    judge_p,
+    judge_z,
+    compute_p_of_values,
+    scale_sample_size,
+    tabulate_cdf,
+)
 from events import (
-    facet_struck,
-    facet_struck_by_lane,
-    interact,
-    interact_by_lane,
-    lane_words,
-    singly,
+    sample_facet,
+    sample_facet_by_lane,
+    resolve_interaction,
+    resolve_interaction_by_lane,
+    make_lane_words,
+    to_single_precision,
 )
 from numba import njit
-from scenes import coming, medium_scene, next_of, optics_of, pore_drawn, scene_of, space_of
-from spheroids import dot, gradient, nearest, real_point
+from scenes import (
+    make_ray_after_segment,
+    make_medium_scene,
+    find_next_event,
+    make_optics,
+    sample_pore,
+    make_scene,
+    get_pore_space,
+)
+from spheroids import dot_product, compute_normal, find_closest_approach, to_real_space
 
 import splits
 from splits.media import grain_statistics
-from splits.transport.grains import granular, scalar
-from splits.transport.grains.scene import DRY_PORE, WET_PORE
-from splits.transport.numerics import rng
-from splits.transport.numerics.vectors import ORIGIN, UP, Vector
-from splits.transport.optics import faces, fresnel
-from splits.transport.optics.faces import Index
-from splits.transport.optics.light import Light, launched
+from splits.kernels.grains import history, state
+from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.kernels.math import rng
+from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.optics import interface, fresnel
+from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.optics.source import Source, sample_source_direction
 
-COUNT = scaled(200_000)
+N_SAMPLES = scale_sample_size(200_000)
 # Way from the end of the last leg, its direction, its length.
-NO_LEG = (ORIGIN, scalar.NO_LEG.direction, scalar.NO_LEG.length)
-EMPTY = optics_of([1.0, 1.0, 1.0])
+NO_SEGMENT = (ORIGIN, state.NO_SEGMENT.direction, state.NO_SEGMENT.length)
+TRANSPARENT_OPTICS = make_optics([1.0, 1.0, 1.0])
 # Semi-major axes of SPLITSnow Table 1 (m).
-LOW, HIGH = 1.5e-4, 3.75e-4
+MIN_SEMI_AXIS_M, MAX_SEMI_AXIS_M = 1.5e-4, 3.75e-4
 single = np.float32
-DEEP = {"depth": 1e4, "saturation": 0.0}
+DEEP_SLAB = {"depth": 1e4, "saturation": 0.0}
 
 
-def binomial_z(hits, p):
+def compute_binomial_z(hits, p):
     """Return how many standard errors a share of hits lies from p, in a list.
 
     What is certain, p = 0 or 1, must be so, and is no comparison.
@@ -52,10 +68,10 @@ def binomial_z(hits, p):
 
 
 @njit
-def _next_grain(state, z, d, scene, optics, displacement, direction_back, length):
+def _sample_next_grain(state, z, d, scene, optics, displacement, direction_back, length):
     """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
-    flier = coming(z, displacement, d, direction_back, length)
-    found = next_of(state, flier, scene, optics)
+    flier = make_ray_after_segment(z, displacement, d, direction_back, length)
+    found = find_next_event(state, flier, scene, optics)
     met = found.collision
     grain, n = met.entry.grain, met.entry.normal
     q, w = grain.q, grain.w
@@ -66,10 +82,10 @@ def _next_grain(state, z, d, scene, optics, displacement, direction_back, length
     )  # fmt: skip
 
 
-def next_grains(count, z, d, snow, slab=None, previous_segment=NO_LEG):
+def sample_next_grains(count, z, d, snow, slab=None, previous_segment=NO_SEGMENT):
     """Draw next grains; vectors as (count, 3).  Rays that reach a boundary first are left out."""
-    scene = medium_scene(snow, **(slab or DEEP))
-    out = draw(_next_grain, count, z, Vector(*d), scene, EMPTY, *previous_segment, width=13)
+    scene = make_medium_scene(snow, **(slab or DEEP_SLAB))
+    out = draw_samples(_sample_next_grain, count, z, Vector(*d), scene, TRANSPARENT_OPTICS, *previous_segment, width=13)
     out = out[out[:, 12] == 0.0]
     return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:12]
 
@@ -79,55 +95,55 @@ def test_free_path_and_grain_in_a_deep_medium():
     for entry in ("uniform", "projected"):
         snow = splits.Snow(depth_m=1e4, saturation=0.0, readings={"entry": entry})
         d = (0.48, -0.64, 0.6)
-        leg, minor, flattening, q, w, n = next_grains(scaled(100_000), -5e3, d, snow)
+        leg, minor, flattening, q, w, n = sample_next_grains(scale_sample_size(100_000), -5e3, d, snow)
         # A grain that the ray strikes from outside, with the normal of the point it strikes.
         assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-12
         assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-12
-        at = real_point(q, w, minor, flattening)
-        assert np.abs(gradient(at, w, minor, flattening) - n).max() < 1e-11
-        assert dot(n, d).max() < 0.0
+        at = to_real_space(q, w, minor, flattening)
+        assert np.abs(compute_normal(at, w, minor, flattening) - n).max() < 1e-11
+        assert dot_product(n, d).max() < 0.0
         b, psi = minor / (1.0 - flattening), np.sqrt(1.0 - flattening)
         distance = snow.mean_grain_distance_m
-        p[entry, "distance"] = p_of_values(leg, lambda x, d=distance: -np.expm1(-x / d))
-        p[entry, "size"] = p_of_values(b, lambda s: (1 / LOW - 1 / s) / (1 / LOW - 1 / HIGH))
+        p[entry, "distance"] = compute_p_of_values(leg, lambda x, d=distance: -np.expm1(-x / d))
+        p[entry, "size"] = compute_p_of_values(b, lambda s: (1 / MIN_SEMI_AXIS_M - 1 / s) / (1 / MIN_SEMI_AXIS_M - 1 / MAX_SEMI_AXIS_M))
         limits = snow.sphericity
 
         def density(x, limits=limits):
             bell = np.exp(-0.5 * ((x - limits[2]) / limits[3]) ** 2)
-            return grain_statistics.surface_to_volume(x) * bell
+            return grain_statistics.surface_to_volume_ratio(x) * bell
 
-        p[entry, "sphericity"] = p_of_values(psi, tabulated_cdf(density, *limits[:2]))
+        p[entry, "sphericity"] = compute_p_of_values(psi, tabulate_cdf(density, *limits[:2]))
     judge_p(p)
 
 
 def test_grain_is_forgotten_when_the_boundary_comes_first():
     snow = splits.Snow(depth_m=1e4, readings={"grain_across_boundary": "keep"})
     ahead = snow.mean_grain_distance_m
-    out = draw(_next_leg, scaled(50_000), -ahead, medium_scene(snow, **DEEP), EMPTY, width=4)
+    out = draw_samples(_sample_next_segment, scale_sample_size(50_000), -ahead, make_medium_scene(snow, **DEEP_SLAB), TRANSPARENT_OPTICS, width=4)
     legs, heights, reached, lost = out.T
     # The boundary lies one mean distance ahead: e^-1 of all rays get there.
     reached = reached == 1.0
     assert not lost.any()
     assert (legs[reached] == ahead).all() and (heights[reached] == 0.0).all()
     assert legs.max() == ahead and heights[~reached].max() < 0.0
-    judge_z(binomial_z(reached, math.exp(-1.0)), "boundary first")
+    judge_z(compute_binomial_z(reached, math.exp(-1.0)), "boundary first")
 
 
 @njit
-def _next_leg(state, z, scene, optics):
+def _sample_next_segment(state, z, scene, optics):
     """Return where the leg of a ray straight up ends, and whether at the boundary."""
-    flier = coming(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
-    found = next_of(state, flier, scene, optics)
-    there = granular.arrived(flier, found, space_of(scene))
+    flier = make_ray_after_segment(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
+    found = find_next_event(state, flier, scene, optics)
+    there = history.move_to_event(flier, found, get_pore_space(scene))
     outside = 1.0 if found.collision.leaves_layer else 0.0
     return there.previous_segment.length, there.position.z, outside, 1.0 if found.lost else 0.0
 
 
 @njit
-def _crossed(state, mu, n1, n2):
+def _sample_crossing(state, mu, n1, n2):
     d = Vector(math.sqrt(1.0 - mu * mu), 0.0, mu)
-    near, far = Index(n1, 0.0), Index(n2, 0.0)
-    passed, d = faces.meet(d, faces.facing(d), near, far, rng.uniform(state))
+    near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
+    passed, d = interface.sample_interface(d, interface.orient_horizontal_normal(d), near, far, rng.uniform(state))
     return 1.0 if passed else 0.0, d.x, d.y, d.z
 
 
@@ -135,11 +151,11 @@ def test_share_reflected_at_an_extended_boundary():
     z = []
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0), (1.0, 1.0), (1.0, 3.0)):
         for mu in (1.0, 0.7, 0.3, 0.05, -0.9, -0.2):
-            out = draw(_crossed, COUNT // 4, mu, n1, n2, width=4)
+            out = draw_samples(_sample_crossing, N_SAMPLES // 4, mu, n1, n2, width=4)
             passed, dx, dy, dz = out.T
             sine_t = n1 / n2 * math.sqrt(1.0 - mu * mu)
-            reflectance = fresnel.interface(n1, n2, 0.0, abs(mu)).reflectance
-            z += binomial_z(passed, 1.0 - reflectance)
+            reflectance = fresnel.fresnel(n1, n2, 0.0, abs(mu)).reflectance
+            z += compute_binomial_z(passed, 1.0 - reflectance)
             went = passed == 1.0
             assert (dz[~went] == -mu).all() and (dy == 0.0).all()
             assert (np.sign(dz[went]) == np.sign(mu)).all()
@@ -148,27 +164,27 @@ def test_share_reflected_at_an_extended_boundary():
 
 
 @njit
-def _interacted(state, cos_i, near, far, facetness, rules):
+def _sample_interaction(state, cos_i, near, far, facetness, rules):
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
-    passed, d = interact(state, d, UP, facetness, near, far, rules)
+    passed, d = resolve_interaction(state, d, UP, facetness, near, far, rules)
     return 1.0 if passed else 0.0, d.x, d.y, d.z
 
 
 @njit
-def _interacted_by_lane(state, words, cos_i, near, far, sigma, rules):
-    d = singly(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    passed, d = interact_by_lane(words, d, singly(UP), sigma, near, far, rules)
+def _sample_interaction_by_lane(state, words, cos_i, near, far, sigma, rules):
+    d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
+    passed, d = resolve_interaction_by_lane(words, d, to_single_precision(UP), sigma, near, far, rules)
     return 1.0 if passed else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
 
 
-def interacted(precision, count, cos_i, n1, n2, k2, facetness, rules, ray=0):
+def sample_interactions(precision, count, cos_i, n1, n2, k2, facetness, rules, ray=0):
     """Draw what becomes of rays at a surface: whether they passed, and their directions."""
     if precision == "double":
-        near, far = Index(n1, 0.0), Index(n2, k2)
-        return draw(_interacted, count, cos_i, near, far, facetness, rules, width=4, ray=ray)
-    near, far = Index(single(n1), single(0.0)), Index(single(n2), single(k2))
-    return draw(
-        _interacted_by_lane, count, lane_words(ray), cos_i, near, far, single(0.5 * facetness),
+        near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, k2)
+        return draw_samples(_sample_interaction, count, cos_i, near, far, facetness, rules, width=4, ray=ray)
+    near, far = ComplexIndex(single(n1), single(0.0)), ComplexIndex(single(n2), single(k2))
+    return draw_samples(
+        _sample_interaction_by_lane, count, make_lane_words(ray), cos_i, near, far, single(0.5 * facetness),
         rules, width=4,
     )  # fmt: skip
 
@@ -178,38 +194,38 @@ PRECISIONS = ["double", pytest.param("single", marks=NEEDS_JIT)]
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_share_reflected_at_a_smooth_grain(precision):
-    rules = splits.Readings().rules()
+    rules = splits.Interpretation().rules()
     z = []
     for n1, n2, k2 in ((1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.31, 1.33, 1e-3), (1.0, 1.3, 0.5)):
         for cos_i in (1.0, 0.8, 0.5, 0.1):
-            out = interacted(precision, COUNT // 4, cos_i, n1, n2, k2, 0.0, rules)
+            out = sample_interactions(precision, N_SAMPLES // 4, cos_i, n1, n2, k2, 0.0, rules)
             passed, _, _, dz = out.T
-            z += binomial_z(passed, 1.0 - fresnel.interface(n1, n2, k2, cos_i).reflectance)
+            z += compute_binomial_z(passed, 1.0 - fresnel.fresnel(n1, n2, k2, cos_i).reflectance)
             assert ((dz < 0.0) == (passed == 1.0)).all()
     judge_z(z, "grain")
 
 
 @njit
-def _expected(state, cos_i, n1, n2, facetness, rules):
+def _sample_reflectance(state, cos_i, n1, n2, facetness, rules):
     """Return the reflectance at a facet that a ray strikes."""
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
-    facet = facet_struck(state, d, UP, facetness, rules.facet_sampling)
-    return fresnel.interface(n1, n2, 0.0, facet.cos_facet).reflectance
+    facet = sample_facet(state, d, UP, facetness, rules.facet_sampling)
+    return fresnel.fresnel(n1, n2, 0.0, facet.cos_facet).reflectance
 
 
 @njit
-def _expected_by_lane(state, words, cos_i, n1, n2, sigma, rules):
-    d = singly(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rules.facet_sampling)
-    return fresnel.interface(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
+def _sample_reflectance_by_lane(state, words, cos_i, n1, n2, sigma, rules):
+    d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
+    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, rules.facet_sampling)
+    return fresnel.fresnel(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
 
 
-def expected_share(precision, count, cos_i, n1, n2, facetness, rules, ray):
+def sample_reflectances(precision, count, cos_i, n1, n2, facetness, rules, ray):
     """Draw reflectances at facets."""
     if precision == "double":
-        return draw(_expected, count, cos_i, n1, n2, facetness, rules, ray=ray)
-    words, sigma = lane_words(ray), single(0.5 * facetness)
-    return draw(_expected_by_lane, count, words, cos_i, n1, n2, sigma, rules)
+        return draw_samples(_sample_reflectance, count, cos_i, n1, n2, facetness, rules, ray=ray)
+    words, sigma = make_lane_words(ray), single(0.5 * facetness)
+    return draw_samples(_sample_reflectance_by_lane, count, words, cos_i, n1, n2, sigma, rules)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -220,12 +236,12 @@ def test_share_reflected_at_a_rough_grain(precision):
     ray = 0
     for wrong_side in ("lobe", "mirrored"):
         for rule in ("projected", "unweighted", "any"):
-            rules = splits.Readings(facets=rule, wrong_side=wrong_side).rules()
+            rules = splits.Interpretation(facets=rule, wrong_side=wrong_side).rules()
             for n1, n2 in ((1.0, 1.31), (1.31, 1.0)):
                 for cos_i in (0.9, 0.3):
                     how = cos_i, n1, n2
-                    expected = expected_share(precision, COUNT // 8, *how, 0.8, rules, ray)
-                    out = interacted(precision, COUNT // 8, *how, 0.0, 0.8, rules, ray + 1)
+                    expected = sample_reflectances(precision, N_SAMPLES // 8, *how, 0.8, rules, ray)
+                    out = sample_interactions(precision, N_SAMPLES // 8, *how, 0.0, 0.8, rules, ray + 1)
                     passed, dz = out[:, 0], out[:, 3]
                     reflected = 1.0 - passed
                     assert ((dz < 0.0) == (passed == 1.0)).all()
@@ -237,60 +253,60 @@ def test_share_reflected_at_a_rough_grain(precision):
 
 
 @njit
-def _pore(state, scene):
-    return float(pore_drawn(rng.uniform(state), scene))
+def _sample_pore(state, scene):
+    return float(sample_pore(rng.uniform(state), scene))
 
 
 def test_pore_medium_follows_saturation():
     z = []
     for saturation in (0.0, 0.05, 0.3, 1.0):
-        pore = draw(_pore, COUNT, scene_of(splits.Snow().make_grain_population(), saturation=saturation))
+        pore = draw_samples(_sample_pore, N_SAMPLES, make_scene(splits.Snow().make_grain_population(), saturation=saturation))
         assert set(np.unique(pore)) <= {float(DRY_PORE), float(WET_PORE)}
-        z += binomial_z(pore == WET_PORE, saturation)
+        z += compute_binomial_z(pore == WET_PORE, saturation)
     judge_z(z, "pore")
 
 
 @njit
-def _launched(state, light):
-    return launched(light, rng.uniform(state))
+def _launch(state, light):
+    return sample_source_direction(light, rng.uniform(state))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_light_comes_as_a_beam_or_by_lamberts_law_or_both(share):
     beam = 0.8
-    d = draw(_launched, COUNT, Light(beam, share), width=3)
+    d = draw_samples(_launch, N_SAMPLES, Source(beam, share), width=3)
     assert np.abs((d * d).sum(axis=1) - 1.0).max() < 1e-14
     assert d[:, 2].max() < 0.0 and d[:, 0].min() >= 0.0 and (d[:, 1] == 0.0).all()
     from_beam = d[:, 2] == -beam
-    z = binomial_z(from_beam, 1.0 - share)
+    z = compute_binomial_z(from_beam, 1.0 - share)
     if z:
         judge_z(z, "beam")
     if share > 0.0:
         # Of equal radiance, flux through a horizontal face has density 2μ.
-        judge_p({share: p_of_values(-d[~from_beam, 2], lambda mu: mu * mu, 101)})
+        judge_p({share: compute_p_of_values(-d[~from_beam, 2], lambda mu: mu * mu, 101)})
 
 
-LAST_LEGS = {
+PREVIOUS_SEGMENTS = {
     # Straight on from where the last leg ended, and some way through a grain from there.
     "reversal": (Vector(0.0, 0.0, 0.0), Vector(0.0, 0.0, -1.0), 2e-3),
     "beyond a grain": (Vector(1e-4, -5e-5, 2e-4), Vector(-0.28, 0.0, -0.96), 3e-3),
 }
 
 
-@pytest.mark.parametrize("name", LAST_LEGS)
+@pytest.mark.parametrize("name", PREVIOUS_SEGMENTS)
 def test_no_grain_lies_on_the_last_leg_unless_kept(name):
-    last_leg = LAST_LEGS[name]
+    last_leg = PREVIOUS_SEGMENTS[name]
     g, back, length = np.array(last_leg[0]), np.array(last_leg[1]), last_leg[2]
     d = np.array([0.1, 0.0, math.sqrt(0.99)])
     least = {}
     for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e4, readings={"grain_on_last_leg": fate})
-        leg, minor, flattening, q, w, _ = next_grains(
-            scaled(20_000), -5e3, d, snow, previous_segment=last_leg
+        leg, minor, flattening, q, w, _ = sample_next_grains(
+            scale_sample_size(20_000), -5e3, d, snow, previous_segment=last_leg
         )
         # Both ends of the last leg as seen from the grain's centre.
-        end = real_point(q, w, minor, flattening) - leg[:, None] * d - g
-        least[fate] = nearest(end - length * back, end, w, minor, flattening)
+        end = to_real_space(q, w, minor, flattening) - leg[:, None] * d - g
+        least[fate] = find_closest_approach(end - length * back, end, w, minor, flattening)
     assert min(least["reject"].min(), least["skip"].min()) >= 1.0
     assert (least["keep"] < 1.0).mean() > {"reversal": 0.5, "beyond a grain": 0.3}[name]
 
@@ -303,9 +319,9 @@ def test_no_grain_crosses_a_boundary_unless_kept(z):
     for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e-3, readings={"grain_across_boundary": fate})
         # Close below the boundary, one ray in 75 finds a grain that fits before it gets there.
-        leg, minor, flattening, q, w, _ = next_grains(scaled(400_000), z, d, snow, slab)
+        leg, minor, flattening, q, w, _ = sample_next_grains(scale_sample_size(400_000), z, d, snow, slab)
         assert leg.size > 50 and leg.max() <= -z / d[2]
-        centre = z + leg * d[2] - real_point(q, w, minor, flattening)[:, 2]
+        centre = z + leg * d[2] - to_real_space(q, w, minor, flattening)[:, 2]
         # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.
         major = minor / (1.0 - flattening)
         half = np.sqrt(minor**2 + (major**2 - minor**2) * w[:, 2] ** 2)
@@ -327,7 +343,7 @@ def test_skipped_grains_thin_the_process_of_grains():
             depth_m=depth, grain_size_um=(400, 400), sphericity=(1.0, 1.0, 1.0, 0.0),
             density_kg_m3=450, readings={"grain_across_boundary": "skip", "entry": entry},
         )  # fmt: skip
-        leg = next_grains(COUNT, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
+        leg = sample_next_grains(N_SAMPLES, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
 
         def law(s, entry=entry, per_metre=1.0 / snow.mean_grain_distance_m):
             x = np.minimum(s / a, 1.0)
@@ -335,5 +351,5 @@ def test_skipped_grains_thin_the_process_of_grains():
             beyond = np.maximum(s - a, 0.0)
             return -np.expm1(-per_metre * (a * within + beyond))
 
-        p[entry] = p_of_values(leg, law)
+        p[entry] = compute_p_of_values(leg, law)
     judge_p(p)

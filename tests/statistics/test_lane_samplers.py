@@ -8,40 +8,40 @@ from itertools import product
 import numpy as np
 import pytest
 from chi2 import (
-    CELLS,
-    EDGES,
+    CELL_PROBABILITIES,
+    CELL_EDGES,
     NEEDS_JIT,
-    TAILS,
-    draw,
-    evenly,
+    TAIL_PROBABILITIES,
+    draw_samples,
+    uniform_cdf,
     judge_p,
-    p_of_counts,
-    p_of_values,
-    stream,
+    compute_p_of_counts,
+    compute_p_of_values,
+    start_random_stream,
 )
-from events import facet_struck_by_lane, lane_words, singly
+from events import sample_facet_by_lane, make_lane_words, to_single_precision
 from numba import njit
 from scipy import stats
 
 from splits.media import grain_statistics
-from splits.transport.grains import facets
-from splits.transport.lanes import draws, numbers, rows
-from splits.transport.lanes.surface import numbers_at
-from splits.transport.lanes.vectors import look_up
-from splits.transport.numerics import rng
-from splits.transport.numerics.elementary import circle, logarithm
-from splits.transport.numerics.vectors import UP, Vector
+from splits.kernels.grains import microfacet
+from splits.kernels.vectorized import sampling, lane_rng, lane_state
+from splits.kernels.vectorized.interaction import draw_interaction_variates
+from splits.kernels.vectorized.intrinsics import gather_interpolate
+from splits.kernels.math import rng
+from splits.kernels.math.elementary import sample_circle, log
+from splits.kernels.math.vectors import UP, Vector
 
 pytestmark = NEEDS_JIT
 
-COUNT = 400_000
+N_SAMPLES = 400_000
 single = np.float32
 
 
 @njit
-def bits(state):
+def draw_bits(state):
     """Return the stream's next 64 random bits."""
-    state[0] += rng.GOLDEN
+    state[0] += rng.GOLDEN_GAMMA
     return rng.mix64(state[0])
 
 
@@ -49,75 +49,75 @@ def bits(state):
 
 
 @njit
-def _words(words, lane, first, out):
+def _draw_words(words, lane, first, out):
     for offset in range(out.size):
-        words[rows.COUNT + lane] = np.uint32(first)
-        out[offset] = numbers.word(words, lane, offset)
+        words[lane_state.N_DRAWN + lane] = np.uint32(first)
+        out[offset] = lane_rng.compute_random_bits(words, lane, offset)
 
 
 @njit
-def _below_one(bits):
-    return numbers.below_one(np.uint64(bits))
+def _to_unit_interval(bits):
+    return lane_rng.to_uniform_31(np.uint64(bits))
 
 
 def test_the_largest_numbers_are_below_one():
     """Rounded to 1, a number would choose a type of grain beyond the last."""
-    assert max(_below_one(2**31 - 1 - i) for i in range(200)) == 1.0 - 2.0**-24
-    assert _below_one(0) == 2.0**-32
-    assert _below_one(2**30) == 0.5
+    assert max(_to_unit_interval(2**31 - 1 - i) for i in range(200)) == 1.0 - 2.0**-24
+    assert _to_unit_interval(0) == 2.0**-32
+    assert _to_unit_interval(2**30) == 0.5
 
 
 @njit
-def _stream_words(state, out):
+def _draw_stream_words(state, out):
     for i in range(out.size):
-        out[i] = bits(state)
+        out[i] = draw_bits(state)
 
 
 @njit
-def _doubles(words, out):
+def _draw_doubles(words, out):
     for i in range(out.size):
-        out[i] = numbers.double(words[i])
+        out[i] = lane_rng.to_uniform_52(words[i])
 
 
 @njit
-def _uniforms(state, out):
+def _draw_uniforms(state, out):
     for i in range(out.size):
         out[i] = rng.uniform(state)
 
 
-def key(words, lane, start):
-    words[rows.KEY_HIGH + lane] = start >> 32
-    words[rows.KEY_LOW + lane] = start & 0xFFFFFFFF
+def set_lane_key(words, lane, start):
+    words[lane_state.KEY_HIGH + lane] = start >> 32
+    words[lane_state.KEY_LOW + lane] = start & 0xFFFFFFFF
 
 
-@pytest.mark.parametrize("lane", [0, 1, rows.LANES - 1])
+@pytest.mark.parametrize("lane", [0, 1, lane_state.N_LANES - 1])
 def test_a_lane_draws_the_stream_of_its_ray(lane):
-    words = np.full(rows.WORDS, 0xDEADBEEF, dtype=np.uint32)
+    words = np.full(lane_state.WORDS_SIZE, 0xDEADBEEF, dtype=np.uint32)
     for ray in (0, 1, 12_345, 2**40):
-        state = stream(ray)
-        key(words, lane, int(state[0]))
+        state = start_random_stream(ray)
+        set_lane_key(words, lane, int(state[0]))
         expected, found = (np.empty(1000, dtype=np.uint64) for _ in range(2))
-        _stream_words(state, expected)
+        _draw_stream_words(state, expected)
         # A fresh ray has drawn none: its count starts at 1.
-        _words(words, lane, 1, found)
+        _draw_words(words, lane, 1, found)
         np.testing.assert_array_equal(found, expected)
-        _words(words, lane, 101, found[:900])
+        _draw_words(words, lane, 101, found[:900])
         np.testing.assert_array_equal(found[:900], expected[100:])
         doubles, uniforms = np.empty(1000), np.empty(1000)
-        _doubles(expected, doubles)
-        _uniforms(stream(ray), uniforms)
+        _draw_doubles(expected, doubles)
+        _draw_uniforms(start_random_stream(ray), uniforms)
         np.testing.assert_array_equal(doubles, uniforms)
 
 
 def test_numbers_continue_past_two_to_the_31():
-    words = np.zeros(rows.WORDS, dtype=np.uint32)
-    start = stream(5)
-    key(words, 3, int(start[0]))
+    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
+    start = start_random_stream(5)
+    set_lane_key(words, 3, int(start[0]))
     found, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
     for first in (2**31 - 32, 2**32 - 64):
-        _words(words, 3, first, found)
-        ahead = (int(start[0]) + (first - 1) * int(rng.GOLDEN)) % 2**64
-        _stream_words(np.array([ahead], dtype=np.uint64), expected)
+        _draw_words(words, 3, first, found)
+        ahead = (int(start[0]) + (first - 1) * int(rng.GOLDEN_GAMMA)) % 2**64
+        _draw_stream_words(np.array([ahead], dtype=np.uint64), expected)
         np.testing.assert_array_equal(found, expected)
 
 
@@ -125,36 +125,36 @@ def test_numbers_continue_past_two_to_the_31():
 
 
 @njit
-def _three(state):
-    a, b, c = numbers.three(bits(state))
+def _draw_three(state):
+    a, b, c = lane_rng.to_three_uniforms(draw_bits(state))
     return float(a), float(b), float(c)
 
 
 @njit
-def _of_bits(word):
-    a, b, c = numbers.three(word)
-    return float(a), float(b), float(c), float(numbers.fine(word)), numbers.double(word)
+def _to_uniform(word):
+    a, b, c = lane_rng.to_three_uniforms(word)
+    return float(a), float(b), float(c), float(lane_rng.to_uniform_46(word)), lane_rng.to_uniform_52(word)
 
 
 def test_three_numbers_are_uniform_and_independent():
-    out = draw(_three, COUNT, width=3)
+    out = draw_samples(_draw_three, N_SAMPLES, width=3)
     assert out.min() > 0.0 and out.max() < 1.0
-    p = {i: p_of_values(out[:, i], evenly, EDGES) for i in range(3)}
+    p = {i: compute_p_of_values(out[:, i], uniform_cdf, CELL_EDGES) for i in range(3)}
     for i, j in ((0, 1), (0, 2), (1, 2)):
         cells = np.histogram2d(out[:, i], out[:, j], bins=12, range=((0, 1), (0, 1)))[0]
-        p[i, j] = p_of_counts(cells, np.full(144, 1 / 144))
+        p[i, j] = compute_p_of_counts(cells, np.full(144, 1 / 144))
     cube = np.histogramdd(out, bins=6, range=[(0, 1)] * 3)[0]
-    p["all"] = p_of_counts(cube, np.full(216, 1 / 216))
+    p["all"] = compute_p_of_counts(cube, np.full(216, 1 / 216))
     # From one draw to the next, and in the lowest of the 21 bits.
     pairs = np.histogram2d(out[:-1, 2], out[1:, 0], bins=12, range=((0, 1), (0, 1)))[0]
-    p["successive"] = p_of_counts(pairs, np.full(144, 1 / 144))
+    p["successive"] = compute_p_of_counts(pairs, np.full(144, 1 / 144))
     for i in range(3):
-        p["low bits", i] = p_of_values(np.modf(out[:, i] * 2.0**15)[0], evenly, 16)
+        p["low bits", i] = compute_p_of_values(np.modf(out[:, i] * 2.0**15)[0], uniform_cdf, 16)
     judge_p(p)
 
 
 def test_numbers_of_the_extreme_words():
-    ends = [np.array(_of_bits(np.uint64(word))) for word in (0, 2**64 - 1)]
+    ends = [np.array(_to_uniform(np.uint64(word))) for word in (0, 2**64 - 1)]
     assert ends[0] == pytest.approx([2.0**-22] * 3 + [2.0**-47, 2.0**-53], rel=1e-7)
     assert ends[1][:3] == pytest.approx([1.0 - 2.0**-22] * 3, abs=1e-9)
     assert (ends[1][:3] < 1.0).all() and ends[1][4] < 1.0
@@ -163,84 +163,84 @@ def test_numbers_of_the_extreme_words():
 
 
 @njit
-def _fine(state, zeros):
+def _draw_fine_uniform(state, zeros):
     """Return a number drawn with so many leading zero bits, times 2^zeros."""
-    word = bits(state) >> np.uint64(zeros)
-    return float(numbers.fine(word)) * 2.0**zeros
+    word = draw_bits(state) >> np.uint64(zeros)
+    return float(lane_rng.to_uniform_46(word)) * 2.0**zeros
 
 
 @njit
-def _flown(state, zeros):
+def _draw_path_remainder(state, zeros):
     """Return −ln u of such a number beyond the part that the zeros stand for."""
-    word = bits(state) >> np.uint64(zeros)
-    return -float(logarithm(numbers.fine(word))) - zeros * math.log(2.0)
+    word = draw_bits(state) >> np.uint64(zeros)
+    return -float(log(lane_rng.to_uniform_46(word))) - zeros * math.log(2.0)
 
 
 def test_fine_numbers_are_uniform_down_to_their_lower_tail():
     """Among numbers below 2^-k, hardly ever drawn, the law is the same after scaling."""
     p = {}
     for zeros in (0, 1, 10, 22, 23, 24, 30, 36):
-        u = draw(_fine, COUNT, zeros, ray=zeros)
+        u = draw_samples(_draw_fine_uniform, N_SAMPLES, zeros, ray=zeros)
         assert u.min() > 0.0 and u.max() <= 1.0
         # Cells of 2^-46: enough of them below 2^-36 to fill 64 cells of equal probability.
-        p["uniform", zeros] = p_of_values(np.minimum(u, 1.0 - 1e-12), evenly, 64)
+        p["uniform", zeros] = compute_p_of_values(np.minimum(u, 1.0 - 1e-12), uniform_cdf, 64)
         if zeros <= 30:
-            tail = np.concatenate([CELLS, 1.0 - TAILS[::-1]])
+            tail = np.concatenate([CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
             # Less than the smallest number's own cell is not resolved: 6e-8 in the logarithm.
-            flown = draw(_flown, COUNT, zeros, ray=100 + zeros)
-            p["exponential", zeros] = p_of_values(np.maximum(flown, 0.0), stats.expon.cdf, tail)
+            flown = draw_samples(_draw_path_remainder, N_SAMPLES, zeros, ray=100 + zeros)
+            p["exponential", zeros] = compute_p_of_values(np.maximum(flown, 0.0), stats.expon.cdf, tail)
     judge_p(p)
 
 
 @njit
-def _circle(state):
-    u, _, _ = numbers.three(bits(state))
-    x, y = circle(u)
+def _sample_circle(state):
+    u, _, _ = lane_rng.to_three_uniforms(draw_bits(state))
+    x, y = sample_circle(u)
     return float(x), float(y)
 
 
 def test_azimuths_are_uniform():
-    x, y = draw(_circle, COUNT, width=2).T
+    x, y = draw_samples(_sample_circle, N_SAMPLES, width=2).T
     assert np.abs(x * x + y * y - 1.0).max() < 2e-6
-    judge_p({"azimuth": p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, evenly, 101)})
+    judge_p({"azimuth": compute_p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, uniform_cdf, 101)})
 
 
 # --- leaning facets ---------------------------------------------------------------------------
 
 
 @njit
-def _half_normal(state, words):
-    return float(numbers_at(words, 0, True, True).half_normal)
+def _sample_half_normal(state, words):
+    return float(draw_interaction_variates(words, 0, True, True).half_normal)
 
 
 @njit
-def _half_circle(state, words):
-    azimuth = numbers_at(words, 0, True, True).azimuth
+def _sample_half_circle(state, words):
+    azimuth = draw_interaction_variates(words, 0, True, True).azimuth
     return float(azimuth.cos), float(azimuth.sin)
 
 
 def test_numbers_of_a_trial():
     far = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
-    normal = draw(_half_normal, COUNT, lane_words())
-    cos, sin = draw(_half_circle, COUNT, lane_words(), width=2).T
+    normal = draw_samples(_sample_half_normal, N_SAMPLES, make_lane_words())
+    cos, sin = draw_samples(_sample_half_circle, N_SAMPLES, make_lane_words(), width=2).T
     assert np.abs(cos * cos + sin * sin - 1.0).max() < 1e-6 and cos.min() > -1e-6
     p = {
-        "normal": p_of_values(normal, stats.halfnorm.cdf, far),
-        "azimuth": p_of_values(np.arctan2(sin, cos) / np.pi + 0.5, evenly, 101),
+        "normal": compute_p_of_values(normal, stats.halfnorm.cdf, far),
+        "azimuth": compute_p_of_values(np.arctan2(sin, cos) / np.pi + 0.5, uniform_cdf, 101),
     }
     cells = np.histogram2d(
         stats.halfnorm.cdf(normal), np.arctan2(sin, cos) / np.pi + 0.5, bins=12,
         range=((0, 1), (0, 1)),
     )[0]  # fmt: skip
-    p["both"] = p_of_counts(cells, np.full(144, 1 / 144))
+    p["both"] = compute_p_of_counts(cells, np.full(144, 1 / 144))
     judge_p(p)
 
 
 @njit
-def _leaning(state, words, sigma):
+def _sample_tilt(state, words, sigma):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
-    d = singly(Vector(0.6, 0.0, -0.8))
-    facet = facet_struck_by_lane(words, d, singly(UP), sigma, facets.ANY)
+    d = to_single_precision(Vector(0.6, 0.0, -0.8))
+    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, microfacet.ANY_FACETS)
     return float(single(1.0) - facet.tilt.cos)
 
 
@@ -248,16 +248,16 @@ def test_leaning_is_half_normal():
     p = {}
     for facetness in (0.1, 0.3, 1.0):
         sigma = 0.5 * facetness
-        x = draw(_leaning, COUNT, lane_words(int(100 * facetness)), single(sigma))
+        x = draw_samples(_sample_tilt, N_SAMPLES, make_lane_words(int(100 * facetness)), single(sigma))
         assert x.min() >= 0.0 and x.max() < 1.0
         law = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
-        p[facetness] = p_of_values(x, law.cdf, EDGES)
-        p[facetness, "far"] = p_of_values(x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5))
+        p[facetness] = compute_p_of_values(x, law.cdf, CELL_EDGES)
+        p[facetness, "far"] = compute_p_of_values(x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5))
     judge_p(p)
 
 
 def test_a_smooth_facet_does_not_lean():
-    assert (draw(_leaning, 1000, lane_words(), single(0.0)) == 0.0).all()
+    assert (draw_samples(_sample_tilt, 1000, make_lane_words(), single(0.0)) == 0.0).all()
 
 
 NORMAL = single(1e-4)
@@ -265,11 +265,11 @@ NORMAL = single(1e-4)
 
 
 @njit
-def _facet(state, words, sigma, cos_i, sin_i, rule):
+def _sample_facet(state, words, sigma, cos_i, sin_i, rule):
     """Return lean and azimuth of a facet, and of incidence the cosine on it."""
     zero = single(0.0)
     d = Vector(sin_i, zero, -cos_i)
-    facet = facet_struck_by_lane(words, d, singly(UP), sigma, rule)
+    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, rule)
     cos_facet = -facet.cos_facet if facet.back_side else facet.cos_facet
     lean = single(1.0) - facet.tilt.cos
     sine = facet.tilt.sin * max(sin_i, NORMAL)
@@ -278,13 +278,19 @@ def _facet(state, words, sigma, cos_i, sin_i, rule):
 
 @pytest.mark.parametrize("rule", ["projected", "unweighted", "any"])
 def test_facets_are_chosen_as_the_density_says(rule):
-    from test_facets import AZIMUTH_CELLS, RULES, TILT_CELLS, cell_probabilities, tilt
+    from test_facets import (
+        AZIMUTH_CELLS,
+        RULES,
+        TILT_CELLS,
+        compute_cell_probabilities,
+        make_tilt_distribution,
+    )
 
     p = {}
     for number, (facetness, cos_i) in enumerate(product((0.3, 1.0), (0.05, 0.5, 1.0))):
         sin_i = math.sqrt(1.0 - cos_i**2)
-        out = draw(
-            _facet, COUNT, lane_words(100 * number), single(0.5 * facetness), single(cos_i),
+        out = draw_samples(
+            _sample_facet, N_SAMPLES, make_lane_words(100 * number), single(0.5 * facetness), single(cos_i),
             single(sin_i), RULES[rule], width=5,
         )  # fmt: skip
         x, tilt_sine, sine, cosine, cos_facet = out.T
@@ -295,11 +301,11 @@ def test_facets_are_chosen_as_the_density_says(rule):
         assert rule == "any" or cos_facet.min() >= 0.0
         turn = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
         counts = np.histogram2d(
-            tilt(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
+            make_tilt_distribution(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
             range=((0, 1), (0, 1)),
         )[0]  # fmt: skip
-        assert counts.sum() == COUNT
-        p[facetness, cos_i] = p_of_counts(counts, cell_probabilities(facetness, cos_i, rule))
+        assert counts.sum() == N_SAMPLES
+        p[facetness, cos_i] = compute_p_of_counts(counts, compute_cell_probabilities(facetness, cos_i, rule))
     judge_p(p)
 
 
@@ -307,44 +313,44 @@ def test_facets_are_chosen_as_the_density_says(rule):
 
 
 @njit
-def _looked_up(table, row, x):
+def _look_up(table, row, x):
     """Return what a lane reads in a table."""
-    state = np.zeros(3 * rows.VECTOR, dtype=single)
-    state[0], state[rows.VECTOR] = row, x
-    look_up(table, state, 0, rows.VECTOR, 2 * rows.VECTOR)
-    return state[2 * rows.VECTOR]
+    state = np.zeros(3 * lane_state.VECTOR_WIDTH, dtype=single)
+    state[0], state[lane_state.VECTOR_WIDTH] = row, x
+    gather_interpolate(table, state, 0, lane_state.VECTOR_WIDTH, 2 * lane_state.VECTOR_WIDTH)
+    return state[2 * lane_state.VECTOR_WIDTH]
 
 
 @njit
-def _read(state, table):
+def _sample_quantile(state, table):
     """Return a quantile as `draw_types` does: 31 bits, and a position in single precision."""
-    u = (single(np.int32(bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
-    return float(_looked_up(table, 0, draws.position(u, single(table.shape[1] - 1))))
+    u = (single(np.int32(draw_bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
+    return float(_look_up(table, 0, sampling.compute_quantile_position(u, single(table.shape[1] - 1))))
 
 
 @njit
-def _read_at(table, exact, u, out):
+def _look_up_exact(table, exact, u, out):
     for i in range(u.size):
-        x = draws.position(u[i], single(table.shape[1] - 1))
-        out[i, 0] = _looked_up(table, 0, x)
-        out[i, 1] = rng.from_table(exact, 0, float(u[i]))
+        x = sampling.compute_quantile_position(u[i], single(table.shape[1] - 1))
+        out[i, 0] = _look_up(table, 0, x)
+        out[i, 1] = rng.interpolate_quantile(exact, 0, float(u[i]))
 
 
 TABLES = {
     "sizes": (
-        grain_statistics.struck_inverse_sizes(3e-4, 7.5e-4, "attenuation"),
+        grain_statistics.tabulate_struck_inverse_sizes(3e-4, 7.5e-4, "attenuation"),
         lambda x: (x - 1 / 7.5e-4) / (1 / 3e-4 - 1 / 7.5e-4),
     ),
     "sizes 1000 : 1": (
-        grain_statistics.struck_inverse_sizes(1e-5, 1e-2, "attenuation"),
+        grain_statistics.tabulate_struck_inverse_sizes(1e-5, 1e-2, "attenuation"),
         lambda x: (x - 1e2) / (1e5 - 1e2),
     ),
     "facetness": (
-        grain_statistics.truncated_normal(0.2, 0.4, 0.3, 0.072),
+        grain_statistics.tabulate_truncated_normal(0.2, 0.4, 0.3, 0.072),
         stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072).cdf,
     ),
     "far limits": (
-        grain_statistics.truncated_normal(0.1, 1.0, 0.55, 0.05),
+        grain_statistics.tabulate_truncated_normal(0.1, 1.0, 0.55, 0.05),
         stats.truncnorm(-9.0, 9.0, loc=0.55, scale=0.05).cdf,
     ),
 }
@@ -354,13 +360,13 @@ TABLES = {
 def test_tables_are_read_as_their_quantile_function(name):
     values, cdf = TABLES[name]
     table = np.ascontiguousarray(values, dtype=single)[np.newaxis]
-    sample = draw(_read, COUNT, table)
+    sample = draw_samples(_sample_quantile, N_SAMPLES, table)
     far = 10.0 ** np.arange(-4.0, -1.0, 0.5)
     judge_p(
         {
-            "cells": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), EDGES),
-            "low": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), far),
-            "high": p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]),
+            "cells": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), CELL_EDGES),
+            "low": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), far),
+            "high": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]),
         }
     )
 
@@ -371,7 +377,7 @@ def test_tables_are_read_as_in_double_precision(name):
     near = np.logspace(-9.3, -0.4, 200_000)
     u = np.concatenate([near, 1.0 - near, np.linspace(0.0, 1.0, 200_001)]).astype(single)
     found = np.empty((u.size, 2))
-    _read_at(exact.astype(single), exact, u, found)
+    _look_up_exact(exact.astype(single), exact, u, found)
     # A position is off by a few of its last digits, near the upper end 1e-4 of a cell.
     steps = np.abs(np.diff(exact[0])).max()
     error = np.abs(found[:, 0] - found[:, 1])
@@ -381,5 +387,5 @@ def test_tables_are_read_as_in_double_precision(name):
 
 def test_every_type_reads_its_own_row_unless_there_is_only_one():
     table = np.array([[0.0, 1.0, 2.0], [10.0, 12.0, 16.0]], dtype=single)
-    assert [_looked_up(table, row, 1.5) for row in (0, 1)] == [1.5, 14.0]
-    assert [_looked_up(table[:1].copy(), row, 1.5) for row in (0, 1, 7)] == [1.5] * 3
+    assert [_look_up(table, row, 1.5) for row in (0, 1)] == [1.5, 14.0]
+    assert [_look_up(table[:1].copy(), row, 1.5) for row in (0, 1, 7)] == [1.5] * 3

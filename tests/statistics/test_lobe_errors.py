@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.instruments.angular import estimate
-from splits.instruments.detail import angles_of, stands_out
-from splits.instruments.directional import GROUPS
-from splits.transport.sums.directions import basis_of
+from splits.instruments.angular_estimate import estimate_brdf
+from splits.instruments.angular_truncation import make_direction_grid, is_significant
+from splits.instruments.angular_tally import N_ANGULAR_BATCHES
+from splits.kernels.tallies.angular import make_basis
 
 POLAR = np.array([0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 72.5, 75.0, 77.5, 80.0])
 AZIMUTH = np.array([0.0, 5.0, 10.0, 60.0, 90.0, 120.0, 180.0])
-BASIS = basis_of(24)
-ANGLES = angles_of(POLAR, AZIMUTH, BASIS)
+BASIS = make_basis(24)
+ANGLES = make_direction_grid(POLAR, AZIMUTH, BASIS)
 LOBE = (POLAR[:, np.newaxis] >= 60.0) & (AZIMUTH <= 10.0)
 SEEDS = 40
 
 
-class Exits:
+class SyntheticExits:
     """Groups of coefficients as rays yield them that leave with a given BRDF.
 
     Their covariance is that of single exits, ∫ f B_i B_j over projected solid angle, by rays.
@@ -28,21 +28,21 @@ class Exits:
     def __init__(self, mean, root, rays, rng, classes=1):
         self.basis, self.wavelength_rows = BASIS, {0: 0}
         self.rays = rays
-        noise = rng.standard_normal((GROUPS, classes, 1, mean.size)) @ root.T
-        groups = mean / classes + noise * np.sqrt(GROUPS / rays / classes)
+        noise = rng.standard_normal((N_ANGULAR_BATCHES, classes, 1, mean.size)) @ root.T
+        groups = mean / classes + noise * np.sqrt(N_ANGULAR_BATCHES / rays / classes)
         self.groups = np.repeat(groups, 2, axis=2)
 
     def compute_coefficients(self, _):
         return self.groups
 
     def compute_unscattered(self, _):
-        return np.zeros((GROUPS, 2))
+        return np.zeros((N_ANGULAR_BATCHES, 2))
 
     def count_rays(self):
         return np.full(self.groups.shape[1], self.rays)
 
 
-def forward(polar, azimuth, width):
+def evaluate_forward_lobe(polar, azimuth, width):
     """Return a BRDF (1/sr) with a forward lobe about 76° of so many degrees, of snow's height."""
     theta, phi, peak = np.radians(polar), np.radians(azimuth), np.radians(76.0)
     cosine = np.cos(theta) * np.cos(peak) + np.sin(theta) * np.sin(peak) * np.cos(phi)
@@ -50,14 +50,14 @@ def forward(polar, azimuth, width):
     return 0.06 + 0.15 * np.exp(-0.5 * (away / width) ** 2)
 
 
-def projected(width):
+def project_lobe(width):
     """Return the coefficients of the lobe and a square root of the covariance of one exit."""
     x, w = np.polynomial.legendre.leggauss(60)
     mu = 0.5 * (x + 1.0)
     polar, azimuth = np.degrees(np.arccos(mu)), np.arange(0.0, 360.0, 3.0)
-    values = angles_of(polar, azimuth, BASIS).polynomials
+    values = make_direction_grid(polar, azimuth, BASIS).polynomials
     weight = np.repeat(0.5 * w * mu, azimuth.size) * np.radians(3.0)
-    light = weight * forward(polar[:, np.newaxis], azimuth, width).ravel()
+    light = weight * evaluate_forward_lobe(polar[:, np.newaxis], azimuth, width).ravel()
     mean = values.T @ light
     covariance = (values.T * light) @ values - np.outer(mean, mean)
     share, vectors = np.linalg.eigh(covariance)
@@ -65,32 +65,32 @@ def projected(width):
     return mean, (vectors * np.sqrt(np.maximum(share, 0.0))) @ vectors.T
 
 
-def compared(width, rays, classes):
+def compare_errors(width, rays, classes):
     """Return how far results are off, over the errors stated, and their bias so."""
-    mean, root = projected(width)
+    mean, root = project_lobe(width)
     truth = ANGLES.polynomials @ mean
     rng = np.random.default_rng(7)
     counted = np.ones(truth.size, dtype=bool)
     found = []
     for _ in range(SEEDS):
-        exits = Exits(mean, root, rays, rng, classes)
-        result, _ = estimate([exits], np.zeros(1), ANGLES, False, 0, counted)
+        exits = SyntheticExits(mean, root, rays, rng, classes)
+        result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
         found.append((result.mean[0, 0], result.stderr[0, 0]))
     value, stated = np.array(found).transpose(1, 0, 2).reshape(2, SEEDS, *LOBE.shape)
     off = value - truth.reshape(LOBE.shape)
     error = np.sqrt((stated**2).mean(axis=0))
     z = np.sqrt((off**2).mean(axis=0)) / error
     bias = np.abs(off.mean(axis=0)) / error
-    print(f"off over stated: lobe {rms(z[LOBE]):.2f}, elsewhere {rms(z[~LOBE]):.2f}, at most")
+    print(f"off over stated: lobe {compute_rms(z[LOBE]):.2f}, elsewhere {compute_rms(z[~LOBE]):.2f}, at most")
     print(f"{z.max():.2f}; bias over stated at most {bias.max():.2f}")
     # 40 values know a root mean square to 11 %, and a mean to 16 % of their scatter.
-    assert 0.6 < rms(z[LOBE]) < 1.2 and 0.6 < rms(z[~LOBE]) < 1.2
+    assert 0.6 < compute_rms(z[LOBE]) < 1.2 and 0.6 < compute_rms(z[~LOBE]) < 1.2
     return z, bias
 
 
 @pytest.mark.parametrize(("width", "rays"), [(12.0, 30_000), (15.0, 60_000), (10.0, 100_000)])
 def test_a_lobe_cut_by_noise_is_within_its_errors(width, rays):
-    z, bias = compared(width, rays, 1)
+    z, bias = compare_errors(width, rays, 1)
     assert z.max() < 1.0 + 4.0 * 0.11
     assert bias.max() < 1.0 + 2.0 * 0.16
 
@@ -98,11 +98,11 @@ def test_a_lobe_cut_by_noise_is_within_its_errors(width, rays):
 @pytest.mark.parametrize(("width", "rays"), [(10.0, 30_000), (12.0, 100_000), (15.0, 200_000)])
 def test_so_is_a_lobe_that_classes_share(width, rays):
     # Every class for itself sees little of it: the slope of the lobe may still be off by more.
-    z, _ = compared(width, rays, 4)
+    z, _ = compare_errors(width, rays, 4)
     assert z.max() < 2.0
 
 
-class Few(Exits):
+class FewRays(SyntheticExits):
     """A few rays that left as from a Lambertian surface, 100 000 having been traced."""
 
     def __init__(self, number, rng):
@@ -111,10 +111,10 @@ class Few(Exits):
             360.0 * rng.random(number),
         )
         self.basis, self.wavelength_rows, self.rays = BASIS, {0: 0}, 100_000
-        self.groups = np.zeros((GROUPS, 1, 2, BASIS.norms.size))
-        for at, around, group in zip(polar, azimuth, rng.integers(0, GROUPS, number), strict=True):
-            values = angles_of(np.array([at]), np.array([around]), BASIS).polynomials[0]
-            self.groups[group, 0] += values * GROUPS / self.rays
+        self.groups = np.zeros((N_ANGULAR_BATCHES, 1, 2, BASIS.norms.size))
+        for at, around, group in zip(polar, azimuth, rng.integers(0, N_ANGULAR_BATCHES, number), strict=True):
+            values = make_direction_grid(np.array([at]), np.array([around]), BASIS).polynomials[0]
+            self.groups[group, 0] += values * N_ANGULAR_BATCHES / self.rays
 
 
 @pytest.mark.parametrize("number", [1, 2, 4, 8, 32])
@@ -123,31 +123,31 @@ def test_few_rays_do_not_know_their_own_error(number):
     counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for seen in rng.poisson(number, SEEDS):
-        result, _ = estimate([Few(seen, rng)], np.zeros(1), ANGLES, False, 0, counted)
+        result, _ = estimate_brdf([FewRays(seen, rng)], np.zeros(1), ANGLES, False, 0, counted)
         z.append((result.mean[0, 0] - number / 1e5 / np.pi) / result.stderr[0, 0])
         # No light went straight, which 100 000 rays cannot rule out.
         assert result.hemispherical[3] == pytest.approx(1e-5)
-    print(f"{number} rays: rms z {rms(np.array(z)):.2f}, largest {np.abs(z).max():.1f}")
+    print(f"{number} rays: rms z {compute_rms(np.array(z)):.2f}, largest {np.abs(z).max():.1f}")
     # Directions share their rays, so that one run of 40 may be 40 values: an rms known to 11 %.
-    assert rms(np.array(z)) < 1.0 + 4.0 * 0.11
+    assert compute_rms(np.array(z)) < 1.0 + 4.0 * 0.11
 
 
-def rms(values):
+def compute_rms(values):
     return float(np.sqrt((values**2).mean()))
 
 
 def test_noise_of_what_was_dropped_does_not_raise_errors_of_a_plain_surface():
     # Lambert's law: all but the constant coefficient is noise.
-    mean, root = projected(0.01)
+    mean, root = project_lobe(0.01)
     rng = np.random.default_rng(3)
     counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for _ in range(SEEDS):
-        exits = Exits(mean, root, 30_000, rng, 4)
-        result, _ = estimate([exits], np.zeros(1), ANGLES, False, 0, counted)
+        exits = SyntheticExits(mean, root, 30_000, rng, 4)
+        result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
         z.append((result.mean[0, 0] - ANGLES.polynomials @ mean) / result.stderr[0, 0])
-    print(f"plain surface: rms z {rms(np.array(z)):.2f}")
-    assert 0.8 < rms(np.array(z)) < 1.2
+    print(f"plain surface: rms z {compute_rms(np.array(z)):.2f}")
+    assert 0.8 < compute_rms(np.array(z)) < 1.2
 
 
 @pytest.mark.parametrize("count", [2, 8, 40])
@@ -156,14 +156,14 @@ def test_noise_is_hardly_ever_taken_for_detail(count):
     generator = np.random.default_rng(count)
     found = 0
     for _ in range(10):
-        groups = generator.normal(size=(GROUPS, draws // 10, count)) * np.linspace(1.0, 2.0, count)
-        mean, variance = groups.mean(axis=0), groups.var(axis=0, ddof=1) / GROUPS
-        found += int(stands_out(mean, variance).sum())
+        groups = generator.normal(size=(N_ANGULAR_BATCHES, draws // 10, count)) * np.linspace(1.0, 2.0, count)
+        mean, variance = groups.mean(axis=0), groups.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
+        found += int(is_significant(mean, variance).sum())
     # A normal variable lies 4 of its deviations above its mean in 3 of 100 000 cases; few groups
     # know their variance to 18 % and make it up to five times as many.
     print(f"{count} coefficients: {found} of {draws}")
     assert found <= 12
     one = np.zeros((1, count))
-    assert not stands_out(one, one).any()
+    assert not is_significant(one, one).any()
     one[0, 0] = 1.0
-    assert stands_out(10.0 * one, np.ones_like(one)).all()
+    assert is_significant(10.0 * one, np.ones_like(one)).all()

@@ -7,22 +7,29 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from chi2 import EDGES, draw, judge_p, judge_z, p_of_counts, scaled
+from chi2 import (
+    CELL_EDGES,
+    draw_samples,
+    judge_p,
+    judge_z,
+    compute_p_of_counts,
+    scale_sample_size,
+)
 from numba import njit
 
-from splits.transport.numerics.vectors import Vector
-from splits.transport.optics import phase, polarized_faces, stokes
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics import phase_function, polarized_interface, stokes
 
-COUNT = scaled(200_000)
-RAYLEIGH = phase.rayleigh()
+N_SAMPLES = scale_sample_size(200_000)
+RAYLEIGH = phase_function.make_rayleigh()
 ASYMMETRIES = (-0.99, -0.5, 0.0, 1e-9, 0.3, 0.875, 0.99)
 # A forward peak over four decades, a rainbow, a cell of one end 0 and a cell of none of the light.
-TABLE = phase.tabulated(
+TABLE = phase_function.make_tabulated(
     [1.0, 0.999, 0.97, 0.8, 0.5, 0.1, 0.0, -0.3, -0.7, -0.75, -0.8, -1.0],
     [9e3, 3e2, 2e1, 3.0, 0.5, 0.0, 0.0, 0.2, 0.3, 1.4, 0.3, 0.6],
     0.6,
 )
-MODELS = {f"g = {g}": phase.henyey_greenstein(g, 0.9) for g in ASYMMETRIES}
+MODELS = {f"g = {g}": phase_function.make_henyey_greenstein(g, 0.9) for g in ASYMMETRIES}
 MODELS |= {"Rayleigh": RAYLEIGH, "table": TABLE}
 
 # Cosines dense at both ends, where phase functions have their peaks, and the corners of the table.
@@ -35,26 +42,26 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 def _densities(model, mu):
     out = np.empty(mu.size)
     for i in range(mu.size):
-        out[i] = phase.phase_density(model, mu[i])
+        out[i] = phase_function.evaluate_phase_function(model, mu[i])
     return out
 
 
-def within(edges):
+def make_quadrature(edges):
     """Return nodes and weights of an integral over each of the cells between edges."""
     half = 0.5 * np.diff(edges)[:, np.newaxis]
     return edges[:-1, np.newaxis] + half * (1.0 + NODES), half * WEIGHTS
 
 
-def probabilities(model, moment=0):
+def integrate_density(model, moment=0):
     """Return the integrals of the density times a power of µ over the cells of the grid."""
-    mu, weights = within(GRID)
+    mu, weights = make_quadrature(GRID)
     density = _densities(model, mu.ravel()).reshape(mu.shape)
     return 2.0 * np.pi * (weights * density * mu**moment).sum(axis=1)
 
 
-def cells(model, levels):
+def make_cells(model, levels):
     """Return edges on the grid next to given probabilities, and the cells' probabilities."""
-    cumulative = np.append(0.0, np.cumsum(probabilities(model)))
+    cumulative = np.append(0.0, np.cumsum(integrate_density(model)))
     at = np.unique(np.searchsorted(cumulative, levels))
     at = np.concatenate([[0], at[(at > 0) & (at < GRID.size - 1)], [GRID.size - 1]])
     return GRID[at], np.diff(cumulative[at])
@@ -62,17 +69,17 @@ def cells(model, levels):
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_density_and_mean_cosine(model):
-    assert probabilities(model).sum() == pytest.approx(1.0, rel=1e-10)
-    assert probabilities(model, 1).sum() == pytest.approx(model.g, rel=1e-10, abs=1e-14)
+    assert integrate_density(model).sum() == pytest.approx(1.0, rel=1e-10)
+    assert integrate_density(model, 1).sum() == pytest.approx(model.g, rel=1e-10, abs=1e-14)
 
 
 def test_cosines_of_scattering():
     p, z = {}, []
     for i, (name, model) in enumerate(MODELS.items()):
-        mu = draw(phase.scattering_cosine, COUNT, model, ray=i)
+        mu = draw_samples(phase_function.sample_scattering_cosine, N_SAMPLES, model, ray=i)
         assert mu.min() >= -1.0 and mu.max() <= 1.0
-        edges, share = cells(model, EDGES)
-        p[name] = p_of_counts(np.histogram(mu, edges)[0], share)
+        edges, share = make_cells(model, CELL_EDGES)
+        p[name] = compute_p_of_counts(np.histogram(mu, edges)[0], share)
         z.append((mu.mean() - model.g) / (mu.std() / math.sqrt(mu.size)))
     judge_p(p)
     judge_z(z, "mean cosine")
@@ -82,14 +89,14 @@ def test_quantiles_of_henyey_and_greenstein():
     levels = [1e-15, 1e-9, 1e-3, 0.3, 0.5, 0.9, 0.999, 1.0 - 1e-9, 1.0 - 2.0**-53]
     for g in (*ASYMMETRIES, -1e-300, -0.999999, 0.999999):
         for u in levels:
-            mu = phase.henyey_greenstein_quantile(g, u)
+            mu = phase_function.henyey_greenstein_quantile(g, u)
             assert -1.0 <= mu <= 1.0
             with mp.workdps(50):
                 a, t = mp.mpf(g), 2 * mp.mpf(u) - 1
                 top = t + a * (3 + t * t) / 2 + a * a * t + a**3 * (t * t - 1) / 2
                 assert abs(top / (1 + a * t) ** 2 - mu) < 1e-15
     for u in levels:
-        mu = phase.rayleigh_quantile(u)
+        mu = phase_function.rayleigh_quantile(u)
         assert -1.0 <= mu <= 1.0
         assert (mu**3 + 3.0 * mu + 4.0) / 8.0 == pytest.approx(u, abs=3e-16)
 
@@ -100,39 +107,39 @@ def test_density_of_henyey_and_greenstein_keeps_its_digits():
             with mp.workdps(50):
                 a = mp.mpf(g)
                 exact = (1 - a * a) / (4 * mp.pi * (1 + a * a - 2 * a * mp.mpf(mu)) ** mp.mpf(1.5))
-            model = phase.henyey_greenstein(g)
-            assert phase.phase_density(model, mu) == pytest.approx(float(exact), rel=2e-15)
+            model = phase_function.make_henyey_greenstein(g)
+            assert phase_function.evaluate_phase_function(model, mu) == pytest.approx(float(exact), rel=2e-15)
 
 
 def test_table():
     x = np.array([-1.0, -0.25, 0.5, 1.0])
-    table = phase.tabulated(x[::-1], [4.0, 0.0, 2.0, 2.0])
+    table = phase_function.make_tabulated(x[::-1], [4.0, 0.0, 2.0, 2.0])
     # 2 × 0.75 + 0.75 + 1 of the integral over µ.
     assert table.density == pytest.approx(np.array([2.0, 2.0, 0.0, 4.0]) / (6.5 * np.pi))
     assert table.cdf == pytest.approx(np.array([0.0, 1.5, 2.25, 3.25]) / 3.25)
     for mu, u in ((-0.625, 0.75), (0.125, 2.0625), (0.75, 2.5)):
-        out = phase.table_quantile(table.cosines, table.density, table.cdf, u / 3.25)
+        out = phase_function.table_quantile(table.cosines, table.density, table.cdf, u / 3.25)
         assert out == pytest.approx(mu, abs=1e-15)
-        assert phase.phase_density(table, mu) == pytest.approx(np.interp(mu, x, table.density))
+        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(np.interp(mu, x, table.density))
     for mu in x:
-        assert phase.phase_density(table, mu) == pytest.approx(np.interp(mu, x, table.density))
+        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(np.interp(mu, x, table.density))
 
 
 def test_mean_of_a_fine_table():
     theta = np.radians(np.arange(181.0))
-    table = phase.tabulated(np.cos(theta), 1.0 + np.cos(theta) ** 2)
+    table = phase_function.make_tabulated(np.cos(theta), 1.0 + np.cos(theta) ** 2)
     assert table.g == pytest.approx(0.0, abs=1e-15)
-    assert phase.phase_density(table, 1.0) == pytest.approx(3 / (8 * math.pi), rel=1e-3)
+    assert phase_function.evaluate_phase_function(table, 1.0) == pytest.approx(3 / (8 * math.pi), rel=1e-3)
 
 
 @njit
-def _direction(state, model, d, light):
+def _sample_direction(state, model, d, light):
     return stokes.scatter_polarized(state, model, d, light).direction
 
 
 @njit
-def _unpolarised(state, model, d):
-    return phase.scattered(state, model, d)
+def _sample_unpolarized(state, model, d):
+    return phase_function.sample_phase_function(state, model, d)
 
 
 D = np.array([0.48, -0.64, 0.6])
@@ -147,15 +154,15 @@ ALONG, REFERENCE = Vector(*D.tolist()), Vector(*E.tolist())
 TURN = 2.0 * np.pi * np.arange(13) / 12
 
 
-def joint(model, s, levels):
+def make_joint_cells(model, s, levels):
     """Return edges of cosines and the probabilities of (cosine, azimuth) cells.
 
     The density of `scattered_towards` at 2 nodes of each azimuthal cell: what Gauss' rule misses
     of cos2φ over 30° is 1e-4 of it.
     """
-    edges, _ = cells(model, levels)
+    edges, _ = make_cells(model, levels)
     inner = np.unique(np.concatenate([edges, np.linspace(-1.0, 1.0, 9), TABLE.cosines]))
-    mu, weights = within(inner)
+    mu, weights = make_quadrature(inner)
     x = np.array([-1.0, 1.0]) / math.sqrt(3.0)
     phi = TURN[:-1, np.newaxis] + 0.5 * (TURN[1] - TURN[0]) * (1.0 + x)
     sides = np.cos(phi)[..., np.newaxis] * E + np.sin(phi)[..., np.newaxis] * np.cross(D, E)
@@ -166,12 +173,12 @@ def joint(model, s, levels):
         for column, pair in enumerate(t):
             for one in pair:
                 light, toward = stokes.Stokes(REFERENCE, *s), Vector(*one.tolist())
-                density = stokes.scattered_towards(model, ALONG, light, toward).density
+                density = stokes.evaluate_polarized_scattering(model, ALONG, light, toward).density
                 out[row, column] += w * density * 0.5 * (TURN[1] - TURN[0])
     return edges, out
 
 
-def counts_of(directions, edges):
+def count_directions(directions, edges):
     assert np.abs((directions**2).sum(axis=1) - 1.0).max() < 4e-15
     phi = np.arctan2(directions @ np.cross(D, E), directions @ E) % (2.0 * np.pi)
     mu = np.clip(directions @ D, -1.0, 1.0)
@@ -181,23 +188,23 @@ def counts_of(directions, edges):
 def test_azimuths_of_polarised_light():
     p = {}
     levels = np.arange(1, 8) / 8
-    models = {"forward": phase.henyey_greenstein(0.5, 0.9), "Rayleigh": RAYLEIGH}
+    models = {"forward": phase_function.make_henyey_greenstein(0.5, 0.9), "Rayleigh": RAYLEIGH}
     for model_name, model in models.items():
         for i, (name, s) in enumerate(LIGHT.items()):
             light = stokes.Stokes(REFERENCE, *s)
-            out = draw(_direction, COUNT // 2, model, ALONG, light, width=3, ray=i)
-            edges, share = joint(model, s, levels)
+            out = draw_samples(_sample_direction, N_SAMPLES // 2, model, ALONG, light, width=3, ray=i)
+            edges, share = make_joint_cells(model, s, levels)
             share /= share.sum()
-            p[model_name, name] = p_of_counts(counts_of(out, edges), share)
-        out = draw(_unpolarised, COUNT // 2, model, ALONG, width=3)
-        edges, share = joint(model, LIGHT["unpolarised"], levels)
-        p[model_name, "scalar"] = p_of_counts(counts_of(out, edges), share / share.sum())
+            p[model_name, name] = compute_p_of_counts(count_directions(out, edges), share)
+        out = draw_samples(_sample_unpolarized, N_SAMPLES // 2, model, ALONG, width=3)
+        edges, share = make_joint_cells(model, LIGHT["unpolarised"], levels)
+        p[model_name, "scalar"] = compute_p_of_counts(count_directions(out, edges), share / share.sum())
     judge_p(p)
 
 
 @njit
-def _passed(state, d, light, normal, n1, n2):
-    meeting = polarized_faces.reflect_or_refract_polarized(state, d, light, normal, n1, n2)
+def _sample_transmission(state, d, light, normal, n1, n2):
+    meeting = polarized_interface.sample_polarized_interface(state, d, light, normal, n1, n2)
     return 1.0 if meeting.transmitted else 0.0
 
 
@@ -209,8 +216,8 @@ def test_share_reflected_of_polarised_light():
             normal = Vector(*(-cos_i * D + math.sqrt(1.0 - cos_i * cos_i) * side).tolist())
             for s in LIGHT.values():
                 beam = ALONG, stokes.Stokes(REFERENCE, *s), normal, n1, n2
-                share = polarized_faces.reflected_polarized(*beam).reflectance
-                passed = draw(_passed, COUNT // 8, *beam, ray=len(z))
+                share = polarized_interface.reflect_polarized(*beam).reflectance
+                passed = draw_samples(_sample_transmission, N_SAMPLES // 8, *beam, ray=len(z))
                 if share == 1.0:
                     assert not passed.any()
                     continue

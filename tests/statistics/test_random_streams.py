@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import numpy as np
-from chi2 import SEED, draw, judge_p, judge_z, p_of_counts, p_of_values, scaled
+from chi2 import (
+    SEED,
+    draw_samples,
+    judge_p,
+    judge_z,
+    compute_p_of_counts,
+    compute_p_of_values,
+    scale_sample_size,
+)
 from numba import njit
 
-from splits.transport.numerics import rng
+from splits.kernels.math import rng
 
 MASK = 2**64 - 1
-COUNT = scaled(400_000)
+N_STREAMS = scale_sample_size(400_000)
 
 
 @njit
-def _first_draws(state, seeds, ensembles, rays, out):
+def _fill_first_numbers(state, seeds, ensembles, rays, out):
     for i in range(out.shape[0]):
         rng.start_stream(state, seeds[i], ensembles[i], rays[i])
         for j in range(out.shape[1]):
             out[i, j] = rng.uniform(state)
 
 
-def first_draws(count, seed=None, ensemble=None, ray=None, width=4):
+def draw_first_numbers(count, seed=None, ensemble=None, ray=None, width=4):
     """Return the first draws of `count` streams; what is not given counts 0, 1, 2, …"""
     numbers = np.arange(count)
     fixed = [numbers if x is None else np.full(count, x) for x in (seed, ensemble, ray)]
     out = np.empty((count, width))
-    _first_draws(np.zeros(1, dtype=np.uint64), *fixed, out)
+    _fill_first_numbers(np.zeros(1, dtype=np.uint64), *fixed, out)
     return out
 
 
@@ -36,59 +44,59 @@ NEIGHBOURS = {
 }
 
 
-def correlation_z(a, b):
+def compute_correlation_z(a, b):
     """Return the correlation of two uniform samples in standard errors (variance 1/12 each)."""
     return ((a - 0.5) * (b - 0.5)).sum() * 12.0 / np.sqrt(a.size)
 
 
 def test_uniform_in_one_dimension_and_in_pairs():
-    u = draw(rng.uniform, COUNT)
-    p = {"one": p_of_values(u, lambda x: x, 128)}
+    u = draw_samples(rng.uniform, N_STREAMS)
+    p = {"one": compute_p_of_values(u, lambda x: x, 128)}
     for lag in (1, 2, 3):
         pairs = np.histogram2d(u[:-lag:2], u[lag::2], bins=12, range=((0, 1), (0, 1)))[0]
-        p[f"pairs at lag {lag}"] = p_of_counts(pairs, np.full(144, 1 / 144))
+        p[f"pairs at lag {lag}"] = compute_p_of_counts(pairs, np.full(144, 1 / 144))
     judge_p(p)
 
 
 def test_serial_correlation():
-    u = draw(rng.uniform, COUNT)
-    judge_z([correlation_z(u[:-lag], u[lag:]) for lag in (1, 2, 3, 4, 5, 8, 16, 64)])
+    u = draw_samples(rng.uniform, N_STREAMS)
+    judge_z([compute_correlation_z(u[:-lag], u[lag:]) for lag in (1, 2, 3, 4, 5, 8, 16, 64)])
 
 
 def test_low_bits_are_random_too():
     # Of the 53 bits, those beyond the 40th: a weak finaliser would leave them patterned.
-    u = draw(rng.uniform, COUNT)
+    u = draw_samples(rng.uniform, N_STREAMS)
     low = np.modf(u * 2.0**40)[0]
-    judge_p({"low bits": p_of_values(low, lambda x: x, 64)})
+    judge_p({"low bits": compute_p_of_values(low, lambda x: x, 64)})
 
 
 def test_neighbouring_streams_are_uniform():
     p = {}
     for name, fixed in NEIGHBOURS.items():
-        out = first_draws(COUNT // 4, **fixed)
+        out = draw_first_numbers(N_STREAMS // 4, **fixed)
         for j in range(out.shape[1]):
-            p[name, j] = p_of_values(out[:, j], lambda x: x, 64)
+            p[name, j] = compute_p_of_values(out[:, j], lambda x: x, 64)
     judge_p(p)
 
 
 def test_neighbouring_streams_are_independent():
     z = []
     for fixed in NEIGHBOURS.values():
-        out = first_draws(COUNT // 4, **fixed)
+        out = draw_first_numbers(N_STREAMS // 4, **fixed)
         for j in range(out.shape[1]):
             # Stream i against stream i + 1: the same draw, and one draw later (a shifted copy).
-            z.append(correlation_z(out[:-1, j], out[1:, j]))
-            z.append(correlation_z(out[:-1, j], out[1:, (j + 1) % out.shape[1]]))
-        z.append(correlation_z(out[:, 0], out[:, 1]))
+            z.append(compute_correlation_z(out[:-1, j], out[1:, j]))
+            z.append(compute_correlation_z(out[:-1, j], out[1:, (j + 1) % out.shape[1]]))
+        z.append(compute_correlation_z(out[:, 0], out[:, 1]))
     judge_z(z)
 
 
 def test_neighbouring_streams_fill_the_square():
     p = {}
     for name, fixed in NEIGHBOURS.items():
-        first = first_draws(COUNT // 2, width=1, **fixed)[:, 0]
+        first = draw_first_numbers(N_STREAMS // 2, width=1, **fixed)[:, 0]
         cells = np.histogram2d(first[::2], first[1::2], bins=12, range=((0, 1), (0, 1)))[0]
-        p[name] = p_of_counts(cells, np.full(144, 1 / 144))
+        p[name] = compute_p_of_counts(cells, np.full(144, 1 / 144))
     judge_p(p)
 
 
@@ -104,11 +112,11 @@ def test_seed_ensemble_and_ray_do_not_trade_places():
 
 
 def test_stream_is_reproducible():
-    assert (draw(rng.uniform, 1000, ray=7) == draw(rng.uniform, 1000, ray=7)).all()
-    assert (draw(rng.uniform, 1000, ray=7) != draw(rng.uniform, 1000, ray=8)).all()
+    assert (draw_samples(rng.uniform, 1000, ray=7) == draw_samples(rng.uniform, 1000, ray=7)).all()
+    assert (draw_samples(rng.uniform, 1000, ray=7) != draw_samples(rng.uniform, 1000, ray=8)).all()
 
 
-def unshifted(value, shift):
+def invert_xorshift(value, shift):
     """Return x with ``x ^ (x >> shift) == value``."""
     x = value
     for _ in range(64 // shift + 1):
@@ -116,19 +124,19 @@ def unshifted(value, shift):
     return x
 
 
-def state_before(word):
+def invert_generator(word):
     """Return the state from which the next 64 random bits are `word`."""
-    z = unshifted(word, 31)
+    z = invert_xorshift(word, 31)
     z = z * pow(0x94D049BB133111EB, -1, 2**64) & MASK
-    z = unshifted(z, 27)
+    z = invert_xorshift(z, 27)
     z = z * pow(0xBF58476D1CE4E5B9, -1, 2**64) & MASK
-    z = unshifted(z, 30)
+    z = invert_xorshift(z, 30)
     return np.array([(z - 0x9E3779B97F4A7C15) & MASK], dtype=np.uint64)
 
 
 def test_largest_and_smallest_uniform_stay_inside_the_open_interval():
     # The finaliser is a bijection: the states before the extreme words exist and can be named.
-    smallest = rng.uniform(state_before(0))
-    largest = rng.uniform(state_before(MASK))
+    smallest = rng.uniform(invert_generator(0))
+    largest = rng.uniform(invert_generator(MASK))
     assert 0.0 < smallest < 1e-15
     assert 1.0 - 1e-15 < largest < 1.0

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chi2 import draw, judge_p, p_of_counts, p_of_values, scaled, tabulated_cdf
-from events import struck as strike
+from chi2 import (
+    draw_samples,
+    judge_p,
+    compute_p_of_counts,
+    compute_p_of_values,
+    scale_sample_size,
+    tabulate_cdf,
+)
+from events import sample_entry as strike
 from numba import njit
 from scipy import integrate, stats
-from spheroids import dot, gradient, quadratic, real_point
+from spheroids import dot_product, compute_normal, evaluate_quadratic, to_real_space
 
 from splits.media import grain_statistics
-from splits.transport.grains import scalar, spheroid
-from splits.transport.grains.spheroid import Size
-from splits.transport.numerics import rng
-from splits.transport.numerics.rng import table_probabilities
-from splits.transport.numerics.vectors import Vector
+from splits.kernels.grains import state, spheroid
+from splits.kernels.grains.spheroid import GrainSize
+from splits.kernels.math import rng
+from splits.kernels.math.rng import make_table_probabilities
+from splits.kernels.math.vectors import Vector
 
-COUNT = scaled(200_000)
+N_SAMPLES = scale_sample_size(200_000)
 SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)
 # Cells of equal probability that do not fall on the table's own knots, and both tails.
 TAILS = np.array([1e-4, 5e-4, 2e-3])
@@ -32,15 +39,15 @@ LIMITED_NORMALS = {
 
 
 @njit
-def quantile(state, table):
-    return rng.from_table(table, 0, rng.uniform(state))
+def evaluate_quantile(state, table):
+    return rng.interpolate_quantile(table, 0, rng.uniform(state))
 
 
-def from_table(values, count=COUNT):
-    return draw(quantile, count, np.ascontiguousarray(values)[np.newaxis])
+def sample_table(values, count=N_SAMPLES):
+    return draw_samples(evaluate_quantile, count, np.ascontiguousarray(values)[np.newaxis])
 
 
-def area_per_volume(sphericity):
+def compute_area_per_volume(sphericity):
     """Return surface over volume of a prolate spheroid of major axis 1, from textbook formulas."""
     b, c = 0.5, 0.5 * sphericity**2
     e = np.sqrt(1.0 - (c / b) ** 2)
@@ -51,14 +58,14 @@ def area_per_volume(sphericity):
 @pytest.mark.parametrize("limits", [(3e-4, 7.5e-4), (5e-5, 2e-3)], ids=str)
 def test_struck_sizes(limits):
     low, high = limits
-    attenuation = 1 / from_table(grain_statistics.struck_inverse_sizes(low, high, "attenuation"))
-    uniform = 1 / from_table(grain_statistics.struck_inverse_sizes(low, high, "uniform"))
+    attenuation = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "attenuation"))
+    uniform = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "uniform"))
     judge_p(
         {
-            "s^-2": p_of_values(
+            "s^-2": compute_p_of_values(
                 attenuation, lambda s: (1 / low - 1 / s) / (1 / low - 1 / high), EDGES
             ),
-            "even": p_of_values(uniform, lambda s: (s - low) / (high - low), EDGES),
+            "even": compute_p_of_values(uniform, lambda s: (s - low) / (high - low), EDGES),
         }
     )
 
@@ -67,18 +74,18 @@ def test_struck_sizes(limits):
 def test_mean_struck_size_belongs_to_the_attenuation(limits):
     # The mean over density s^-2 P(s) is 1/K1; 1/s is linear in each cell of the table, so the
     # mean of s over a cell is the logarithmic mean of its ends.
-    table = grain_statistics.struck_inverse_sizes(*limits, "attenuation")
-    cells = np.diff(table_probabilities(table.size)) * np.diff(np.log(table)) / np.diff(table)
+    table = grain_statistics.tabulate_struck_inverse_sizes(*limits, "attenuation")
+    cells = np.diff(make_table_probabilities(table.size)) * np.diff(np.log(table)) / np.diff(table)
     assert cells.sum() * grain_statistics.size_attenuation(*limits) == pytest.approx(1.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("sd", [0.05, 1e-3, 3e-4, 1e-5, 1e-9])
 def test_narrow_sphericities_have_the_attenuation_of_their_mean(sd):
     value = grain_statistics.shape_attenuation(0.6, 0.95, 0.798, sd)
-    limit = grain_statistics.surface_to_volume(0.798) / 4.0
+    limit = grain_statistics.surface_to_volume_ratio(0.798) / 4.0
     # Second-order Taylor: A bends by less than 40 per unit of sphericity squared.
     assert value == pytest.approx(limit, abs=10.0 * sd**2 + 1e-12)
-    table = grain_statistics.struck_sphericities(0.6, 0.95, 0.798, sd)
+    table = grain_statistics.tabulate_struck_sphericities(0.6, 0.95, 0.798, sd)
     assert np.isfinite(table).all()
     assert abs(table[table.size // 2] - 0.798) <= sd
 
@@ -86,12 +93,12 @@ def test_narrow_sphericities_have_the_attenuation_of_their_mean(sd):
 def test_struck_sphericities():
     p = {}
     for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
-        values = from_table(grain_statistics.struck_sphericities(low, high, mean, sd))
+        values = sample_table(grain_statistics.tabulate_struck_sphericities(low, high, mean, sd))
 
         def density(psi, mean=mean, sd=sd):
-            return area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(psi, mean, sd)
+            return compute_area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(psi, mean, sd)
 
-        p[name] = p_of_values(values, tabulated_cdf(density, low, high), EDGES)
+        p[name] = compute_p_of_values(values, tabulate_cdf(density, low, high), EDGES)
     judge_p(p)
 
 
@@ -99,12 +106,12 @@ def test_truncated_normal():
     p = {}
     for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
         exact = stats.truncnorm((low - mean) / sd, (high - mean) / sd, loc=mean, scale=sd)
-        table = grain_statistics.truncated_normal(low, high, mean, sd)
-        p[name] = p_of_values(from_table(table), exact.cdf, EDGES)
+        table = grain_statistics.tabulate_truncated_normal(low, high, mean, sd)
+        p[name] = compute_p_of_values(sample_table(table), exact.cdf, EDGES)
     judge_p(p)
 
 
-def area_below(z, sphericity):
+def compute_area_below(z, sphericity):
     """Return the fraction of a prolate spheroid's area below z (unit semi-major axis)."""
     e = np.sqrt(1.0 - sphericity**4)
     if e == 0.0:
@@ -114,43 +121,43 @@ def area_below(z, sphericity):
 
 
 @njit
-def _axial(state, flattening):
-    return 2.0 * scalar.aim_of(state, flattening).u_axial - 1.0
+def _sample_axial(state, flattening):
+    return 2.0 * state.sample_entry_variates(state, flattening).u_axial - 1.0
 
 
 def test_axial_position():
     p = {}
     for psi in SPHERICITIES:
-        z = draw(_axial, COUNT, 1.0 - psi * psi, ray=1)
-        p[psi] = p_of_values(z, lambda z, psi=psi: area_below(z, psi))
+        z = draw_samples(_sample_axial, N_SAMPLES, 1.0 - psi * psi, ray=1)
+        p[psi] = compute_p_of_values(z, lambda z, psi=psi: compute_area_below(z, psi))
     judge_p(p)
 
 
 RAY = np.array([0.48, -0.64, -0.6])
-B = 2.5
-ENTRIES = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
+SEMI_AXIS_M = 2.5
+ENTRIES = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_ENTRY}
 
 
 @njit
-def _struck(state, x, y, z, size, rule):
+def _sample_entry(state, x, y, z, size, rule):
     entry = strike(state, Vector(x, y, z), size, rule)
     q, w, n = entry.grain.q, entry.grain.w, entry.normal
     return q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z, entry.axial_position, entry.semi_major, entry.grain.semi_minor
 
 
-def struck(psi, entry):
+def sample_entries(psi, entry):
     """Return entry points from the centre, major axes and normals of grains of semi-axis B."""
     flattening = 1.0 - psi * psi
-    out = draw(_struck, COUNT, *RAY, Size(B, flattening), ENTRIES[entry], width=12, ray=1)
+    out = draw_samples(_sample_entry, N_SAMPLES, *RAY, GrainSize(SEMI_AXIS_M, flattening), ENTRIES[entry], width=12, ray=1)
     q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:9]
     # What the kernel needs later, to see whether the grain fits.
     assert np.abs((q * axis).sum(axis=1) - out[:, 9]).max() < 1e-13
-    assert (out[:, 10] == B).all() and np.abs(out[:, 11] - B * psi * psi).max() < 1e-15 * B
+    assert (out[:, 10] == SEMI_AXIS_M).all() and np.abs(out[:, 11] - SEMI_AXIS_M * psi * psi).max() < 1e-15 * SEMI_AXIS_M
     assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-13
-    return real_point(q, axis, B * psi * psi, flattening), axis, normal
+    return to_real_space(q, axis, SEMI_AXIS_M * psi * psi, flattening), axis, normal
 
 
-def facing_cdf(x, entry):
+def compute_facing_cdf(x, entry):
     """Return the cumulative of −d·n.
 
     Turning the grain at random turns the normal at any fixed point of it at random, so −d·n is
@@ -159,15 +166,15 @@ def facing_cdf(x, entry):
     return x if entry == "uniform" else x * x
 
 
-def axis_cdf(psi, entry):
+def compute_axis_cdf(psi, entry):
     """Return the cumulative of |d·w|: even, or weighted by the outline's area along d."""
     if entry == "uniform":
         return lambda x: x
     c2 = psi**4
-    return tabulated_cdf(lambda x: np.sqrt(c2 * x * x + 1.0 - x * x), 0.0, 1.0)
+    return tabulate_cdf(lambda x: np.sqrt(c2 * x * x + 1.0 - x * x), 0.0, 1.0)
 
 
-def axial_cdf(psi, entry):
+def compute_axial_cdf(psi, entry):
     """Return the cumulative of the entry point's axial coordinate, by quadrature.
 
     At height z of the body the normal makes the angle with cosine q to the axis; the weight is
@@ -190,48 +197,48 @@ def axial_cdf(psi, entry):
     def density(v):
         return np.sqrt(1.0 - (1.0 - c * c) * v * v) * np.interp(v, z, weights)
 
-    return tabulated_cdf(density, -1.0, 1.0)
+    return tabulate_cdf(density, -1.0, 1.0)
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
 def test_struck_point(entry):
     p = {}
     for psi in SPHERICITIES:
-        point, axis, normal = struck(psi, entry)
+        point, axis, normal = sample_entries(psi, entry)
         facing = -normal @ RAY
         assert facing.min() > 0.0
-        p[psi, "facing"] = p_of_values(facing, lambda x: facing_cdf(x, entry))
-        p[psi, "axis"] = p_of_values(np.abs(axis @ RAY), axis_cdf(psi, entry))
+        p[psi, "facing"] = compute_p_of_values(facing, lambda x: compute_facing_cdf(x, entry))
+        p[psi, "axis"] = compute_p_of_values(np.abs(axis @ RAY), compute_axis_cdf(psi, entry))
         side = int((axis @ RAY > 0.0).sum())
-        p[psi, "axis side"] = p_of_counts([side, COUNT - side], [0.5, 0.5])
-        z = (point * axis).sum(axis=1) / B
-        p[psi, "axial"] = p_of_values(z, axial_cdf(psi, entry))
+        p[psi, "axis side"] = compute_p_of_counts([side, N_SAMPLES - side], [0.5, 0.5])
+        z = (point * axis).sum(axis=1) / SEMI_AXIS_M
+        p[psi, "axial"] = compute_p_of_values(z, compute_axial_cdf(psi, entry))
         # Height on the body and angle to the ray are independent under both rules.
         cells = np.histogram2d(
-            area_below(z, psi), facing_cdf(facing, entry), bins=10, range=((0, 1), (0, 1))
+            compute_area_below(z, psi), compute_facing_cdf(facing, entry), bins=10, range=((0, 1), (0, 1))
         )[0]
-        p[psi, "joint"] = p_of_counts(cells, np.full(100, 0.01))
+        p[psi, "joint"] = compute_p_of_counts(cells, np.full(100, 0.01))
         # Around the ray nothing distinguishes one azimuth from another.
         u = np.cross(RAY, [1.0, 0.0, 0.0])
         u /= np.linalg.norm(u)
         turn = np.arctan2(point @ np.cross(RAY, u), point @ u) / (2 * np.pi) % 1.0
-        p[psi, "azimuth"] = p_of_values(turn, lambda x: x)
+        p[psi, "azimuth"] = compute_p_of_values(turn, lambda x: x)
         # Nor around the normal: the grain is turned at random.
         v = np.cross(normal, RAY)
-        turn = np.arctan2(dot(axis, v)[:, 0], dot(axis, np.cross(normal, v))[:, 0])
+        turn = np.arctan2(dot_product(axis, v)[:, 0], dot_product(axis, np.cross(normal, v))[:, 0])
         turn = turn / (2 * np.pi) % 1.0
-        p[psi, "turn"] = p_of_values(turn, lambda x: x)
+        p[psi, "turn"] = compute_p_of_values(turn, lambda x: x)
     judge_p(p)
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
 def test_struck_point_lies_on_the_grain_with_its_normal(entry):
     for psi in SPHERICITIES:
-        point, axis, normal = struck(psi, entry)
-        c, flattening = B * psi * psi, 1.0 - psi * psi
+        point, axis, normal = sample_entries(psi, entry)
+        c, flattening = SEMI_AXIS_M * psi * psi, 1.0 - psi * psi
         assert np.abs((axis * axis).sum(axis=1) - 1.0).max() < 1e-14
-        assert np.abs(quadratic(point, axis, c, flattening) - 1.0).max() < 1e-12
-        assert np.abs(gradient(point, axis, c, flattening) - normal).max() < 1e-12
+        assert np.abs(evaluate_quadratic(point, axis, c, flattening) - 1.0).max() < 1e-12
+        assert np.abs(compute_normal(point, axis, c, flattening) - normal).max() < 1e-12
 
 
 def test_sphericity_limits_of_the_area_formula():
@@ -242,4 +249,4 @@ def test_sphericity_limits_of_the_area_formula():
             lambda z, c=c: 2 * np.pi * c * np.sqrt(1 - (1 - c * c) * z * z), -1.0, 1.0
         )[0]
         expected = 2.0 * area / (4.0 / 3.0 * np.pi * c * c)
-        assert float(grain_statistics.surface_to_volume(psi)) == pytest.approx(expected, rel=1e-9)
+        assert float(grain_statistics.surface_to_volume_ratio(psi)) == pytest.approx(expected, rel=1e-9)

@@ -6,22 +6,30 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, SEED, evenly, judge_p, judge_z, p_of_values, scaled
+from chi2 import (
+    NEEDS_JIT,
+    SEED,
+    uniform_cdf,
+    judge_p,
+    judge_z,
+    compute_p_of_values,
+    scale_sample_size,
+)
 from numba import njit
 from scipy import stats
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.numerics import rng
-from splits.transport.rough import waves as kernels
-from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.kernels.math import rng
+from splits.kernels.rough_surface import realization as kernels
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
 
-REALISATIONS = scaled(60_000)
+N_REALISATIONS = scale_sample_size(60_000)
 K0, SIGMA = 2.0, 0.3
 K = np.linspace(0.0, 8.0, 17)
 TABLE = {"wave_number_per_m": K, "density": np.exp(-K) * (1.0 + np.sin(K) ** 2)}
 BASE = {"rms_height_m": SIGMA, "wave_number_per_m": K0, "waves": 12}
 PRINTED = BASE | {"correlation": "exponential_printed"}
-LAWS = {
+SPECTRA = {
     "exponential, limit": BASE | {"band_limit_per_m": 5.0 * K0},
     "exponential, no limit": BASE | {"band_limit_per_m": math.inf},
     "printed": PRINTED,
@@ -38,32 +46,32 @@ LAGS = np.array([0.2, 0.5, 1.0, 2.0, 4.0]) / K0
 
 
 @njit
-def _heights(seed, ensemble, fields, x, y, found):
+def _evaluate_heights(seed, ensemble, fields, x, y, found):
     state = np.zeros(1, dtype=np.uint64)
-    room = kernels.room_for(fields)
+    room = kernels.allocate_realization(fields)
     for i in range(found.shape[0]):
         rng.start_stream(state, seed, ensemble, i)
-        waves = kernels.draw_waves(state, fields, room).waves
+        waves = kernels.sample_realization(state, fields, room).waves
         for j in range(x.size):
-            found[i, j] = kernels.relief_at(waves, x[j], y[j]).height
+            found[i, j] = kernels.compute_height_and_slope(waves, x[j], y[j]).height
 
 
-def heights(name, x, y):
+def sample_heights(name, x, y):
     """Return heights at points in units of σ, one row per realisation; each law has its own."""
-    surface = RoughSurface.from_input(LAWS[name])
-    found = np.empty((REALISATIONS, len(x)))
-    ensemble = list(LAWS).index(name)
-    _heights(SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found)
+    surface = RoughSurface.from_input(SPECTRA[name])
+    found = np.empty((N_REALISATIONS, len(x)))
+    ensemble = list(SPECTRA).index(name)
+    _evaluate_heights(SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found)
     return found / surface.rms_height_m
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", SPECTRA)
 def test_variance_and_correlation_of_heights(name):
-    surface = RoughSurface.from_input(LAWS[name])
+    surface = RoughSurface.from_input(SPECTRA[name])
     # Away from the origin, so that wrong phases or directions would show; five lags either way.
     x = 3.0 + np.concatenate([[0.0], LAGS, 0.0 * LAGS])
     y = -7.0 + np.concatenate([[0.0], 0.0 * LAGS, LAGS])
-    h = heights(name, x, y)
+    h = sample_heights(name, x, y)
     products = h[:, :1] * h
     expected = surface.correlation(np.concatenate([[0.0], LAGS, LAGS]))
     assert expected[0] == pytest.approx(1.0, abs=1e-12)
@@ -75,14 +83,14 @@ def test_variance_and_correlation_of_heights(name):
 
 def test_heights_are_normal_however_few_the_waves():
     p = {}
-    for name in LAWS:
-        p[name] = p_of_values(heights(name, [11.0], [2.0])[:, 0], stats.norm.cdf)
+    for name in SPECTRA:
+        p[name] = compute_p_of_values(sample_heights(name, [11.0], [2.0])[:, 0], stats.norm.cdf)
     judge_p(p)
 
 
-def law_of(name):
+def compute_spectrum_cdf(name):
     """Return the probability of wave numbers below λ, by the densities of the correlations."""
-    field = RoughSurface.from_input(LAWS[name]).fields[0]
+    field = RoughSurface.from_input(SPECTRA[name]).fields[0]
     if field.correlation == "spectrum":
         k = np.linspace(K[0], K[-1], 160_001)
         mass = np.interp(k, K, TABLE["density"]) * k
@@ -96,25 +104,25 @@ def law_of(name):
     return lambda x: share(x / K0) / share(field.band_limit_per_m / K0)
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name != "two fields"])
+@pytest.mark.parametrize("name", [name for name in SPECTRA if name != "two fields"])
 def test_waves_have_the_laws_that_they_are_drawn_from(name):
-    count = scaled(100_000)
-    law = LAWS[name] | {"waves": count}
-    waves = RoughSurface(law).sample_realization(SEED, list(LAWS).index(name))
+    count = scale_sample_size(100_000)
+    law = SPECTRA[name] | {"waves": count}
+    waves = RoughSurface(law).sample_realization(SEED, list(SPECTRA).index(name))
     waves = waves[:, waves[AMPLITUDE] > 0.0]
     assert waves.shape[1] == count
     # Amplitudes are Rayleigh distributed: their squares have mean 2 σ²/M.
     square = waves[AMPLITUDE] ** 2 / (2.0 * SIGMA**2 / count)
     judge_p(
         {
-            "wave number": p_of_values(
-                2.0 * np.pi * np.hypot(waves[KX], waves[KY]), law_of(name)
+            "wave number": compute_p_of_values(
+                2.0 * np.pi * np.hypot(waves[KX], waves[KY]), compute_spectrum_cdf(name)
             ),
-            "direction": p_of_values(
-                np.arctan2(waves[KY], waves[KX]) / (2.0 * np.pi) % 1.0, evenly
+            "direction": compute_p_of_values(
+                np.arctan2(waves[KY], waves[KX]) / (2.0 * np.pi) % 1.0, uniform_cdf
             ),
-            "phase": p_of_values(waves[PHASE], evenly),
-            "amplitude": p_of_values(square, lambda x: 1.0 - np.exp(-x)),
+            "phase": compute_p_of_values(waves[PHASE], uniform_cdf),
+            "amplitude": compute_p_of_values(square, lambda x: 1.0 - np.exp(-x)),
         }
     )  # fmt: skip
 
@@ -125,7 +133,7 @@ def test_waves_have_the_laws_that_they_are_drawn_from(name):
 PAIR = ((500, 11.25, 0.025), (100, 0.2, 3.0))
 
 
-def pair(correlation):
+def make_pair(correlation):
     """Return the pair as a surface without band limit."""
     return RoughSurface([
         {
@@ -136,7 +144,7 @@ def pair(correlation):
     ])  # fmt: skip
 
 
-def slopes_of(surface, count):
+def compute_rms_slopes(surface, count):
     """Return the rms slope of each of many realisations."""
     found = []
     for number in range(count):
@@ -146,7 +154,7 @@ def slopes_of(surface, count):
     return np.sort(found)
 
 
-def slopes_by_hand(law, count):
+def compute_rms_slopes_numpy(law, count):
     """Return the same in plain NumPy, by the laws as they are written down."""
     generator = np.random.default_rng(SEED)
     square = np.zeros(count)
@@ -166,10 +174,10 @@ def slopes_by_hand(law, count):
     ],
 )
 def test_rms_slope_of_the_pair_without_band_limit(correlation, law, median):
-    surface = pair(correlation)
+    surface = make_pair(correlation)
     assert surface.rms_slope() == math.inf
     count = 1000
-    found, by_hand = slopes_of(surface, count), slopes_by_hand(law, 2000)
+    found, by_hand = compute_rms_slopes(surface, count), compute_rms_slopes_numpy(law, 2000)
     # The mean does not exist; order statistics hold the median with a probability of 99 %.
     low, high = stats.binom.ppf([0.005, 0.995], count, 0.5).astype(int)
     print(f"median {np.median(found):.3f}, 99 % within {found[low]:.3f} to {found[high]:.3f}")
@@ -179,7 +187,7 @@ def test_rms_slope_of_the_pair_without_band_limit(correlation, law, median):
 
 @pytest.mark.parametrize("name", ["exponential, limit", "printed, limit", "gaussian", "spectrum"])
 def test_rms_slope_with_a_band_limit(name):
-    surface = RoughSurface.from_input(LAWS[name])
-    squares = slopes_of(surface, scaled(20_000)) ** 2
+    surface = RoughSurface.from_input(SPECTRA[name])
+    squares = compute_rms_slopes(surface, scale_sample_size(20_000)) ** 2
     error = squares.std() / math.sqrt(squares.size)
     judge_z([(squares.mean() - surface.rms_slope() ** 2) / error], name)

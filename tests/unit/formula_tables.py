@@ -10,14 +10,14 @@ import splits
 W = np.linspace(500.0, 1500.0, 11)
 
 
-def spectrum(size, dirt, w=W):
+def evaluate_spectrum(size, dirt, w=W):
     """Return something like snow's reflectance: darker with size and, below 1 µm, with dirt."""
     ice = 10.0 ** (-4.0 + 4.0 * (w - 500.0) / 1000.0)
     soot = (500.0 / w) ** 2
     return np.exp(-4.0 * np.sqrt(size / 200.0 * (ice + 1e-5 * dirt * soot)))
 
 
-def table_of(make, axes, stderr=1e-4, w=W):
+def make_table(make, axes, stderr=1e-4, w=W):
     """Return a table of a function of its axes that returns a spectrum."""
     names, rows = list(axes), [np.asarray(row, dtype=float) for row in axes.values()]
     grids = np.meshgrid(*rows, indexing="ij")
@@ -37,11 +37,11 @@ def table_of(make, axes, stderr=1e-4, w=W):
     )
 
 
-def snowlike(stderr=1e-4):
-    """Return a table of `spectrum`, fine enough that interpolation is exact to 1e-4."""
+def make_snowlike_table(stderr=1e-4):
+    """Return a table of `evaluate_spectrum`, fine enough that interpolation is exact to 1e-4."""
     axes = {
         "optical_radius_um": np.geomspace(40.0, 2000.0, 14),
         "impurities_ng_g.black_carbon": np.linspace(0.0, 40.0, 14) ** 2,
         "incidence_deg": [0.0, 30.0, 60.0],
     }
-    return table_of(lambda size, dirt, _: spectrum(size, dirt), axes, stderr)
+    return make_table(lambda size, dirt, _: evaluate_spectrum(size, dirt), axes, stderr)

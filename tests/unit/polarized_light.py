@@ -3,51 +3,51 @@
 from __future__ import annotations
 
 import numpy as np
-from chi2 import scaled
+from chi2 import scale_sample_size
 
-from splits.transport.numerics.vectors import Vector
-from splits.transport.optics.stokes import Stokes
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.stokes import Stokes
 
-GEOMETRIES = scaled(50_000) // 1000 * 4
+GEOMETRIES = scale_sample_size(50_000) // 1000 * 4
 IDENTITY = np.eye(3)
 
 
-def random_units(rng, count):
+def draw_unit_vectors(rng, count):
     x = rng.normal(size=(count, 3))
     return x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
-def random_light(rng, pure=False):
+def draw_polarized_light(rng, pure=False):
     """Return a direction, a reference and q, u, v, of complete or of any polarization."""
-    d, e = random_units(rng, 2)
+    d, e = draw_unit_vectors(rng, 2)
     e = np.cross(d, e)
     degree = 1.0 if pure else rng.random()
-    return d, e / np.linalg.norm(e), degree * random_units(rng, 1)[0]
+    return d, e / np.linalg.norm(e), degree * draw_unit_vectors(rng, 1)[0]
 
 
-def coherency(q, u, v):
+def make_coherency(q, u, v):
     """Return the mean of E E* in the frame (e, f) of light of intensity 1."""
     return 0.5 * np.array([[1 + q, u - 1j * v], [u + 1j * v, 1 - q]])
 
 
-def frame(d, e):
+def make_frame(d, e):
     return np.stack([e, np.cross(d, e)], axis=1)
 
 
-def stokes_of(c, d, e):
+def compute_stokes(c, d, e):
     """Return I, Q, U, V of a coherency tensor, mean E E* in space."""
-    (ee, ef), (_, ff) = frame(d, e).T @ c @ frame(d, e)
+    (ee, ef), (_, ff) = make_frame(d, e).T @ c @ make_frame(d, e)
     return np.array([(ee + ff).real, (ee - ff).real, 2.0 * ef.real, -2.0 * ef.imag])
 
 
-def vector(x):
+def to_vector(x):
     """Return three numbers as kernels take them."""
     return Vector(*(float(c) for c in x))
 
 
-def light_of(e, s):
+def to_kernel_light(e, s):
     """Return a reference and q, u, v as kernels take them."""
-    return Stokes(vector(e), *(float(x) for x in s))
+    return Stokes(to_vector(e), *(float(x) for x in s))
 
 
 def assert_frame(d, e, within=4e-15):

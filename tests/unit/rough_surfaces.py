@@ -5,31 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, PHASE
-from splits.transport.rough.waves import surface_of
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.kernels.rough_surface.realization import make_realization
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}
-PRINTED = {"rms_height_m": 2.0, "wave_number_per_m": 0.1, "correlation": "exponential_printed"}
+TABULATED = {"rms_height_m": 2.0, "wave_number_per_m": 0.1, "correlation": "exponential_printed"}
 TABLE = {"wave_number_per_m": [0.5, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
 SPECTRUM = {"rms_height_m": 0.3, "correlation": "spectrum", "spectrum": TABLE}
 SURFACES = {
     "gaussian": GAUSSIAN,
     "exponential": EXPONENTIAL,
-    "printed": PRINTED,
+    "printed": TABULATED,
     "spectrum": SPECTRUM,
-    "two scales": [PRINTED, GAUSSIAN | {"rms_height_m": 0.05, "wave_number_per_m": 20.0}],
+    "two scales": [TABULATED, GAUSSIAN | {"rms_height_m": 0.05, "wave_number_per_m": 20.0}],
 }
 
 
-def realised(surface, number=0):
+def draw_realization(surface, number=0):
     """Return a realisation."""
-    found = surface_of(RoughSurface.from_input(surface).sample_realization(7, number))
+    found = make_realization(RoughSurface.from_input(surface).sample_realization(7, number))
     assert found.max_height > 0.0
     return found
 
 
-def summed(waves, x, y):
+def sum_waves(waves, x, y):
     """Return the heights that a sum in plain NumPy has."""
     turns = np.multiply.outer(waves[KX], x) + np.multiply.outer(waves[KY], y)
     return np.tensordot(waves[AMPLITUDE], np.cos(2.0 * np.pi * (turns.T - waves[PHASE]).T), axes=1)

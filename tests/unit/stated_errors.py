@@ -5,7 +5,7 @@ from __future__ import annotations
 import xarray as xr
 
 
-def with_errors(dataset: xr.Dataset) -> set[str]:
+def list_variables_with_errors(dataset: xr.Dataset) -> set[str]:
     """Return the variables that have a standard error; every one must name it, and no other."""
     found = {
         str(name).removesuffix("_stderr")

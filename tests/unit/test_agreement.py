@@ -9,17 +9,17 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.agreement import _judge, read_published
+from splits.experiments.papers.agreement import _compare_with_published, read_published
 from splits.analysis.measured import (
-    DIFFUSE_SHARE,
+    DIFFUSE_FRACTION,
     LETCHER_COLUMNS,
-    bands,
-    letcher_bands,
-    measured_rmse,
+    compare_with_spectrum,
+    compare_with_letcher,
+    compute_measured_rmse,
     read_measured,
-    rmse,
+    compute_rmse,
 )
-from splits.analysis.tables import write_table
+from splits.experiments.papers.paper_tables import write_table
 
 CONFIG = Path(__file__).parents[2] / "config"
 PUBLISHED = """\
@@ -50,7 +50,7 @@ def published(tmp_path):
 
 @pytest.mark.parametrize(("name", "ours", "verdict"), VERDICTS)
 def test_a_number_agrees_within_its_bar(published, name, ours, verdict):
-    row = _judge(name, published.loc[name], (ours, 1e-5))
+    row = _compare_with_published(name, published.loc[name], (ours, 1e-5))
     assert row["verdict"] == verdict
     assert row["difference"] == pytest.approx(ours - published.loc[name].published)
     assert row["stderr"] == 1e-5
@@ -62,12 +62,12 @@ def test_a_number_agrees_within_its_bar(published, name, ours, verdict):
     [("absolute", 0.531, 0.001), ("at_most", 5.0, 0.6), ("at_most", 6.0, 1e-9)],
 )
 def test_a_number_whose_error_reaches_over_its_bar_has_no_verdict(published, name, ours, stderr):
-    row = _judge(name, published.loc[name], (ours, stderr))
+    row = _compare_with_published(name, published.loc[name], (ours, stderr))
     assert row["verdict"] == "not resolved at this accuracy"
 
 
 def test_bars_are_told_as_they_are_applied(published):
-    bars = {name: _judge(name, row, (1.0, 0.0))["bar"] for name, row in published.iterrows()}
+    bars = {name: _compare_with_published(name, row, (1.0, 0.0))["bar"] for name, row in published.iterrows()}
     assert bars["absolute"] == "±0.03"
     assert bars["relative"] == "±3 %"
     assert bars["between"] == "0.02 to 0.032"
@@ -75,7 +75,7 @@ def test_bars_are_told_as_they_are_applied(published):
 
 
 def test_a_number_without_a_counterpart_is_said_to_be_so(published):
-    row = _judge("absolute", published.loc["absolute"], None)
+    row = _compare_with_published("absolute", published.loc["absolute"], None)
     assert row["verdict"].startswith("not reproducible")
     assert "ours" not in row
 
@@ -91,7 +91,7 @@ def test_rmse_of_independent_errors_scatters_as_stated():
     random = np.random.default_rng(4)
     exact, stderr = np.array([0.03, -0.04, 0.01]), np.array([0.002, 0.004, 0.003])
     found = [
-        rmse(
+        compute_rmse(
             exact + stderr * random.normal(size=3),
             stderr,
             lambda w: float(np.hypot.reduce(w * stderr)),
@@ -105,12 +105,12 @@ def test_rmse_of_independent_errors_scatters_as_stated():
 
 def test_rmse_of_errors_that_go_together_is_bounded():
     stderr = np.array([0.01, 0.01])
-    value, error = rmse([0.03, -0.03], stderr, lambda weights: float(weights @ stderr))
+    value, error = compute_rmse([0.03, -0.03], stderr, lambda weights: float(weights @ stderr))
     assert value == pytest.approx(0.03)
     # Both shift alike, which changes the differences' squares in the second order alone.
     assert error == pytest.approx(0.5 * 1e-4 / 0.03)
-    assert rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (0.0, pytest.approx(np.sqrt(5e-4)))
-    assert rmse([0.01, 0.0], stderr, lambda _: 9.0)[1] == pytest.approx(0.01)
+    assert compute_rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (0.0, pytest.approx(np.sqrt(5e-4)))
+    assert compute_rmse([0.01, 0.0], stderr, lambda _: 9.0)[1] == pytest.approx(0.01)
 
 
 def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
@@ -124,10 +124,10 @@ def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
         {"wavelength": [500.0, 1000.0]},
     )
     measured = pd.DataFrame({"wavelength_nm": [500.0, 1000.0], "reflectance": [0.8, 0.4]})
-    value, error = measured_rmse(dataset, measured)
+    value, error = compute_measured_rmse(dataset, measured)
     assert value == pytest.approx(0.1)
     assert error == pytest.approx(0.005, rel=0.01)
-    _, apart = measured_rmse(dataset, measured.assign(reflectance=[0.8, 0.6]))
+    _, apart = compute_measured_rmse(dataset, measured.assign(reflectance=[0.8, 0.6]))
     assert apart < 0.001
 
 
@@ -140,11 +140,11 @@ def test_bands_hold_model_against_measurement():
         {"wavelength": [500.0, 1000.0]},
     )
     measured = pd.DataFrame({"wavelength_nm": [1000.0], "reflectance": [0.4]})
-    row = bands(dataset, measured).iloc[0]
+    row = compare_with_spectrum(dataset, measured).iloc[0]
     assert (row.model, row.measured, row.stderr) == (0.5, 0.4, 0.2)
     assert row.difference == pytest.approx(0.1)
     with pytest.raises(KeyError):
-        bands(dataset, measured.assign(wavelength_nm=[999.0]))
+        compare_with_spectrum(dataset, measured.assign(wavelength_nm=[999.0]))
 
 
 def test_letcher_mixes_beam_and_diffuse_light():
@@ -165,8 +165,8 @@ def test_letcher_mixes_beam_and_diffuse_light():
         },
     )
     columns = {column: [0.7] for column in LETCHER_COLUMNS.values()}
-    table = letcher_bands(dataset, pd.DataFrame({"wavelength_nm": [500.0], **columns}))
-    share = DIFFUSE_SHARE
+    table = compare_with_letcher(dataset, pd.DataFrame({"wavelength_nm": [500.0], **columns}))
+    share = DIFFUSE_FRACTION
     assert sorted(table.depth_m) == sorted(LETCHER_COLUMNS)
     np.testing.assert_allclose(table.model, share * 0.8 + (1 - share) * 0.4)
     np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(share, 1 - share))

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.anisotropy import EVERY, beside_measured, by_angle
-from splits.checks import Refusal
-from splits.figures.anisotropy import anisotropy
-from splits.figures.style import save_figure
+from splits.analysis.anisotropy import ALL_DIRECTIONS, compare_with_measured, summarize_by_angle
+from splits.core.validation import InvalidValue
+from splits.plotting.anisotropy import draw_anisotropy
+from splits.plotting.style import save_figure
 
 POLAR, AZIMUTH = np.arange(0.0, 90.0, 2.5), np.arange(0.0, 360.0, 5.0)
 MODELS, SAMPLES, W = ["lobe", "none"], ["0", "0.4"], [500.0, 900.0]
@@ -41,7 +41,7 @@ def measured():
 
 
 def test_a_model_that_is_right_is_off_by_interpolation_only():
-    table = beside_measured(dataset(), measured())
+    table = compare_with_measured(dataset(), measured())
     assert len(table) == 2 * len(measured())
     own = table[table.readings == "lobe"]
     np.testing.assert_allclose(own.modelled, own.anisotropy_factor, rtol=1e-3)
@@ -51,8 +51,8 @@ def test_a_model_that_is_right_is_off_by_interpolation_only():
 
 
 def test_misfits_by_angle_are_those_of_their_directions():
-    table = beside_measured(dataset(), measured())
-    found = by_angle(table)
+    table = compare_with_measured(dataset(), measured())
+    found = summarize_by_angle(table)
     assert len(found) == 2 * 2 * 2 * 3
     one = found[(found.readings == "none") & (found.saturation == 0.4)
                 & (found.wavelength_nm == 900) & (found.polar_deg == 20)].iloc[0]  # fmt: skip
@@ -61,19 +61,19 @@ def test_misfits_by_angle_are_those_of_their_directions():
     assert one.bias == pytest.approx(-off.mean())
     # A model without directions misses just what the measured ones spread.
     assert one.rmse == pytest.approx(one.spread) and one.directions == 4
-    every = found[found.polar_deg == EVERY]
+    every = found[found.polar_deg == ALL_DIRECTIONS]
     assert (every.directions == 8).all() and (every[every.readings == "lobe"].rmse < 1e-3).all()
 
 
 def test_the_figure_shows_every_sample(tmp_path):
-    table = beside_measured(dataset(), measured())
-    figure = anisotropy(dataset(), table, by_angle(table), 500.0)
+    table = compare_with_measured(dataset(), measured())
+    figure = draw_anisotropy(dataset(), table, summarize_by_angle(table), 500.0)
     assert len(figure.axes) == 4
     for path in save_figure(figure, tmp_path / "figure"):
         assert path.stat().st_size > 10_000
 
 
-WRONG = {
+INVALID_CALLS = {
     "column": (measured().drop(columns="azimuth_deg"), "azimuth_deg"),
     "sample": (measured().assign(saturation=0.7), r"directions\.saturation = '0\.7'.*0, 0\.4"),
     "wavelength": (measured().assign(wavelength_nm=650), r"directions\.wavelength_nm"),
@@ -85,8 +85,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_tables_that_do_not_go_with_the_model_are_refused(name):
-    table, message = WRONG[name]
-    with pytest.raises(Refusal, match=message):
-        beside_measured(dataset(), table)
+    table, message = INVALID_CALLS[name]
+    with pytest.raises(InvalidValue, match=message):
+        compare_with_measured(dataset(), table)

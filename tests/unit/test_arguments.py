@@ -7,43 +7,43 @@ import re
 import pytest
 
 import splits
-from splits.instruments.fixed import fixed_spectrum
+from splits.simulation.fixed_budget import estimate_fixed_budget
 
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "correlation": "gaussian"}
-ROUGH = splits.Layer(surface=WAVES, depth_m=10.0)
-LOOKS = {
+ROUGH = splits.ParticleLayer(surface=WAVES, depth_m=10.0)
+VIEW_CALLS = {
     "spectrophotometer": lambda medium: splits.spectrophotometer(medium, [600]),
     "goniophotometer": lambda medium: splits.goniophotometer(medium, [600]),
-    "bssrdf": lambda medium: splits.bssrdf(medium, [600]),
-    "fixed_spectrum": lambda medium: fixed_spectrum(medium, [600], 0.0, [0], 1, 1),
+    "bssrdf": lambda medium: splits.beam_spread(medium, [600]),
+    "fixed_spectrum": lambda medium: estimate_fixed_budget(medium, [600], 0.0, [0], 1, 1),
     "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
     "deep_transmittance": lambda medium: splits.deep_transmittance(medium, [600]),
     "lens": lambda medium: splits.lens(medium, [1.0], 0.1, half_width_m=1.0),
     "surface_map": lambda medium: splits.surface_map(medium, 1.0),
 }
-OF_GRAINS = ("single_scattering", "deep_transmittance")
-OF_SURFACES = ("lens", "surface_map")
+GRAIN_CALLS = ("single_scattering", "deep_transmittance")
+SURFACE_CALLS = ("lens", "surface_map")
 
 
-@pytest.mark.parametrize("medium", ["snow", "layer", splits.Snow, splits.Layer, None, [600], 5])
-@pytest.mark.parametrize("instrument", LOOKS)
+@pytest.mark.parametrize("medium", ["snow", "layer", splits.Snow, splits.ParticleLayer, None, [600], 5])
+@pytest.mark.parametrize("instrument", VIEW_CALLS)
 def test_what_is_no_medium_is_refused(instrument, medium):
-    allowed = "Layer" if instrument in OF_SURFACES else "Snow"
+    allowed = "Layer" if instrument in SURFACE_CALLS else "Snow"
     told = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
     with pytest.raises(ValueError, match=f"^{told}"):
-        LOOKS[instrument](medium)
+        VIEW_CALLS[instrument](medium)
 
 
 @pytest.mark.parametrize(
     ("instrument", "medium"),
     [
-        *((name, ROUGH) for name in OF_GRAINS),
-        *((name, medium) for name in OF_SURFACES for medium in (splits.Snow(), splits.Sand())),
+        *((name, ROUGH) for name in GRAIN_CALLS),
+        *((name, medium) for name in SURFACE_CALLS for medium in (splits.Snow(), splits.Sand())),
     ],
 )
 def test_media_that_an_instrument_cannot_look_at_are_refused(instrument, medium):
     with pytest.raises(ValueError, match=f"^medium = '{medium.kind}': must be splits"):
-        LOOKS[instrument](medium)
+        VIEW_CALLS[instrument](medium)
 
 
 @pytest.mark.parametrize("medium", ["snow", "Snow", "snwo", splits.Snow])
@@ -63,7 +63,7 @@ def test_a_medium_nearly_right_is_told(medium):
          r"^wavelength_nm = \[\[400, 500\]\]: must be one row of numbers"),
         (lambda: splits.spectrophotometer(splits.Snow(), [600], "difuse"),
          r"^incidence_deg = 'difuse': must be an angle .*did you mean diffuse"),
-        (lambda: splits.Layer(surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0}),
+        (lambda: splits.ParticleLayer(surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0}),
          r"^surface\.band_limit_per_m = None: must be given .*default correlation"),
     ],
 )  # fmt: skip

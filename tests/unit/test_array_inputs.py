@@ -6,20 +6,20 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from array_inputs import AT, CASES, SIZE, TABLE, mapped
+from array_inputs import FIXED, CASES, SIZE, TABLE, retrieve_image
 from chi2 import NEEDS_JIT
 from formula_tables import W
-from test_bird import WHO, measured
-from test_phase_functions_by_angle import optics
+from test_bird import AUTHOR, make_brdf
+from test_phase_functions_by_angle import make_optics
 
 import splits
-from splits.analysis.errors import weighted_error
-from splits.checks import Refusal
-from splits.dataset import without_volatile
-from splits.lookup.formats import for_spires
+from splits.core.uncertainty import compute_weighted_error
+from splits.core.validation import InvalidValue
+from splits.io.netcdf import drop_run_specific_attributes
+from splits.tables.export import convert_to_spires
 from splits.retrieval.maps import FLAGS
 
-SAME = {
+EQUIVALENT_INPUTS = {
     "read-only": lambda a: np.lib.stride_tricks.as_strided(a, writeable=False),
     "float16": lambda a: a.astype(np.float16),
     "big-endian": lambda a: a.astype(">f8"),
@@ -30,18 +30,18 @@ SAME = {
 """Other forms of the same values."""
 
 
-def with_first(a, value, dtype):
+def replace_first(a, value, dtype):
     changed = a.astype(dtype)
     changed.flat[0] = value
     return changed
 
 
-REFUSED = {
+INVALID_INPUTS = {
     "masked": lambda a: np.ma.masked_array(a, np.arange(a.size).reshape(a.shape) == 0),
     "all masked": lambda a: np.ma.masked_array(a, True),
-    "NaN": lambda a: with_first(a, np.nan, float),
-    "infinite": lambda a: with_first(a, np.inf, float),
-    "NA": lambda a: with_first(a, pd.NA, object),
+    "NaN": lambda a: replace_first(a, np.nan, float),
+    "infinite": lambda a: replace_first(a, np.inf, float),
+    "NA": lambda a: replace_first(a, pd.NA, object),
     "nullable": lambda a: pd.array([None, *a[1:]], dtype="Float64") if a.ndim == 1 else [pd.NA],
     "truth": lambda a: np.ones(a.shape, dtype=bool),
     "truth among numbers": lambda a: [True, *a.tolist()[1:]],
@@ -54,16 +54,16 @@ REFUSED = {
 """What is no row of numbers."""
 
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
-NO_ARRAYS = {
+NON_ARRAYS = {
     "Progress", "ProgressBar", "Readings", "SandReadings", "__version__", "load", "open_table",
     "save", "sensor", "surface_map",
 }  # fmt: skip
 """Public names that take no array, and those that keep datasets as they are."""
-OF_DATASETS = {"save_brdf", "with_diffraction", "retrieve_map", "Table"}
+DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "Table"}
 """Those that take arrays within datasets, below."""
 
 
-def named(cases, runs=False):
+def list_case_names(cases, runs=False):
     marks = {True: [NEEDS_JIT], False: []}
     return [
         pytest.param(case, id=name, marks=marks[runs and case.runs]) for name, case in cases.items()
@@ -72,49 +72,49 @@ def named(cases, runs=False):
 
 def assert_same(one, other):
     if isinstance(one, xr.Dataset):
-        xr.testing.assert_identical(without_volatile(one), without_volatile(other))
+        xr.testing.assert_identical(drop_run_specific_attributes(one), drop_run_specific_attributes(other))
     else:
         for left, right in zip(np.atleast_1d(one), np.atleast_1d(other), strict=True):
             np.testing.assert_array_equal(left, right)
 
 
 def test_every_public_function_is_here():
-    covered = {name.split()[0].partition(".")[0] for name in CASES} | OF_DATASETS
-    assert covered >= set(splits.__all__) - NO_ARRAYS
-    assert not covered & NO_ARRAYS
+    covered = {name.split()[0].partition(".")[0] for name in CASES} | DATASET_CALLS
+    assert covered >= set(splits.__all__) - NON_ARRAYS
+    assert not covered & NON_ARRAYS
 
 
-@pytest.mark.parametrize("case", named(CASES, runs=True))
+@pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
 def test_forms_of_the_same_values_give_the_same(case):
     values = np.array(case.values)
     native = case.call(values)
     assert_same(native, case.call(case.values))
-    for form in SAME.values():
+    for form in EQUIVALENT_INPUTS.values():
         assert_same(native, case.call(form(values)))
 
 
-@pytest.mark.parametrize("case", named(CASES, runs=True))
+@pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
 def test_an_array_without_dimensions_is_one_number_or_refused(case):
     first = np.array(case.values).ravel()[:1]
     if case.one:
         assert_same(case.call(float(first[0])), case.call(first.reshape(())))
         return
-    with pytest.raises(Refusal) as caught:
+    with pytest.raises(InvalidValue) as caught:
         case.call(np.array(case.values).ravel()[0].reshape(()))
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", REFUSED)
-@pytest.mark.parametrize("case", named(CASES))
+@pytest.mark.parametrize("kind", INVALID_INPUTS)
+@pytest.mark.parametrize("case", list_case_names(CASES))
 def test_gaps_and_what_is_no_number_are_refused_in_one_line(case, kind):
     if case is CASES["table grid"] and kind == "text":
         pytest.skip("an axis may have texts")
-    with pytest.raises(Refusal) as caught:
-        case.call(REFUSED[kind](np.array(case.values)))
+    with pytest.raises(InvalidValue) as caught:
+        case.call(INVALID_INPUTS[kind](np.array(case.values)))
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("case", named(LABELLED, runs=True))
+@pytest.mark.parametrize("case", list_case_names(LABELLED, runs=True))
 def test_labels_decide_and_not_places(case):
     native = case.call(case.values)
     series = pd.Series(case.values, case.labels)
@@ -122,7 +122,7 @@ def test_labels_decide_and_not_places(case):
         assert_same(native, case.call(given))
     other = [f"other {i}" for i in range(len(case.values))]
     for labels in (other, [*case.labels[1:], 3.0], pd.date_range("2020", periods=len(other))):
-        with pytest.raises(Refusal, match=r"values at .*must be values at") as caught:
+        with pytest.raises(InvalidValue, match=r"values at .*must be values at") as caught:
             case.call(pd.Series(case.values, labels))
         assert "\n" not in str(caught.value)
 
@@ -133,7 +133,7 @@ def test_rows_of_one_frame_belong_together():
     for w, a in ((part.w, part.a), (part.w, part.a[::-1]), (part.w.to_numpy(), part.a.to_list())):
         found = splits.Snow(ground={"wavelength_nm": w, "albedo": a}).ground
         assert found.values.tolist() == [0.2, 0.3, 0.4]
-    with pytest.raises(Refusal, match=r"ground.albedo = 'values at \[1, 2, 3\]'"):
+    with pytest.raises(InvalidValue, match=r"ground.albedo = 'values at \[1, 2, 3\]'"):
         splits.Snow(ground={"wavelength_nm": part.w.to_list(), "albedo": part.a})
 
 
@@ -141,31 +141,31 @@ def test_a_covariance_is_matched_along_both_axes():
     errors = np.linspace(0.01, 0.03, W.size)
     table = pd.DataFrame(np.diag(errors**2), W, W)
     seen = (W, np.full(W.size, 0.5))
-    plain = splits.retrieve(seen, TABLE, [SIZE], errors, at=AT).dataset
-    turned = splits.retrieve(seen, TABLE, [SIZE], table.iloc[::-1, ::-1], at=AT).dataset
+    plain = splits.retrieve(seen, TABLE, [SIZE], errors, at=FIXED).dataset
+    turned = splits.retrieve(seen, TABLE, [SIZE], table.iloc[::-1, ::-1], at=FIXED).dataset
     assert_same(plain, turned)
-    with pytest.raises(Refusal, match=r"noise = .values at"):
-        splits.retrieve(seen, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), at=AT)
+    with pytest.raises(InvalidValue, match=r"noise = .values at"):
+        splits.retrieve(seen, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), at=FIXED)
 
 
 @pytest.mark.parametrize("kind", ["masked", "NaN", "NA", "infinite"])
 def test_maps_flag_gaps_of_every_kind(kind):
     values = np.full(W.size, 0.5)
-    found = mapped(REFUSED[kind](values))
+    found = retrieve_image(INVALID_INPUTS[kind](values))
     assert found.flags.values.tolist() == [FLAGS["gap"]]
     assert np.isnan(found[SIZE]).all()
 
 
-@pytest.mark.parametrize("form", SAME)
+@pytest.mark.parametrize("form", EQUIVALENT_INPUTS)
 def test_maps_take_every_form_of_numbers(form):
     values = np.full(W.size, 0.5)
-    assert_same(mapped(values), mapped(SAME[form](values)))
+    assert_same(retrieve_image(values), retrieve_image(EQUIVALENT_INPUTS[form](values)))
 
 
 @pytest.mark.parametrize("kind", ["truth", "date", "text", "complex"])
 def test_maps_of_what_is_no_number_are_refused(kind):
-    with pytest.raises(Refusal, match="image = "):
-        mapped(REFUSED[kind](np.full(W.size, 0.5)))
+    with pytest.raises(InvalidValue, match="image = "):
+        retrieve_image(INVALID_INPUTS[kind](np.full(W.size, 0.5)))
 
 
 def test_weights_along_a_spectrum_are_matched():
@@ -175,45 +175,45 @@ def test_weights_along_a_spectrum_are_matched():
         {"r_stderr": (about, [0.1, 0.2, 0.3]), "r_groups": groups}, {"wavelength": w}
     )
     weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, about)
-    errors = [weighted_error(found, "r", one) for one in (weights, weights[::-1])]
+    errors = [compute_weighted_error(found, "r", one) for one in (weights, weights[::-1])]
     assert_same(errors[0].to_dataset(name="error"), errors[1].to_dataset(name="error"))
     for wrong in (
         weights.assign_coords(wavelength=[500.0, 600.0, 800.0]),
         weights.where(weights > 0),
     ):
-        with pytest.raises(Refusal, match="weights = "):
-            weighted_error(found, "r", wrong)
+        with pytest.raises(InvalidValue, match="weights = "):
+            compute_weighted_error(found, "r", wrong)
 
 
-def table_of(form, dataset):
+def make_table(form, dataset):
     return splits.Table(dataset.copy(data={n: form(v.values) for n, v in dataset.items()}))
 
 
-@pytest.mark.parametrize("form", SAME)
+@pytest.mark.parametrize("form", EQUIVALENT_INPUTS)
 def test_tables_of_every_form_read_alike(form):
     plain = TABLE.dataset.astype(np.float16)
-    found = [table_of(look, plain).interp(**AT, **{SIZE: 100.0}) for look in (np.array, SAME[form])]
+    found = [make_table(look, plain).interp(**FIXED, **{SIZE: 100.0}) for look in (np.array, EQUIVALENT_INPUTS[form])]
     assert_same(*found)
 
 
 GAP = {
-    "Table": lambda ds: splits.Table(ds).interp(**AT, **{SIZE: 40.0}),
+    "Table": lambda ds: splits.Table(ds).interp(**FIXED, **{SIZE: 40.0}),
     "retrieve": lambda ds: splits.retrieve(
-        (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, at=AT
+        (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, at=FIXED
     ),
-    "spires": lambda ds: for_spires(ds, "impurities_ng_g.black_carbon", {"a": (600, 700)}),
+    "spires": lambda ds: convert_to_spires(ds, "impurities_ng_g.black_carbon", {"a": (600, 700)}),
     "save_brdf": lambda _: splits.save_brdf(
-        measured(0.0).where(lambda ds: ds.polar > 0.0), "snow.brdf", WHO
+        make_brdf(0.0).where(lambda ds: ds.polar > 0.0), "snow.brdf", AUTHOR
     ),
-    "with_diffraction": lambda _: splits.with_diffraction(optics(albedo=np.nan)),
-    "phase_function": lambda _: splits.phase_function(optics(albedo=np.nan), [0.0]),
+    "with_diffraction": lambda _: splits.with_diffraction(make_optics(albedo=np.nan)),
+    "phase_function": lambda _: splits.phase_function(make_optics(albedo=np.nan), [0.0]),
 }
 
 
 @pytest.mark.parametrize("look", GAP)
 def test_datasets_with_gaps_are_refused(look):
     broken = TABLE.dataset.where(TABLE.dataset[SIZE] > 40.0)
-    with pytest.raises(Refusal, match=r"gaps in .*masked, NaN or missing|a number at every node"):
+    with pytest.raises(InvalidValue, match=r"gaps in .*masked, NaN or missing|a number at every node"):
         GAP[look](broken)
 
 
@@ -224,7 +224,7 @@ def test_a_gap_is_no_single_number(value):
         lambda: splits.Snow(saturation=value),
         lambda: splits.Snow(ground=value),
         lambda: splits.Snow(refractive_index={"ice": value}),
-        lambda: splits.Layer(optical_thickness=value),
+        lambda: splits.ParticleLayer(optical_thickness=value),
         lambda: splits.Snow(grain_size_um=(value, 100.0)),
         lambda: splits.spectrophotometer(splits.Snow(), 500.0, value),
         lambda: splits.spectrophotometer(splits.Snow(), 500.0, seed=value),
@@ -232,7 +232,7 @@ def test_a_gap_is_no_single_number(value):
         lambda: splits.sky("clear", value),
         lambda: TABLE.interp(incidence_deg=value),
     ):
-        with pytest.raises(Refusal) as caught:
+        with pytest.raises(InvalidValue) as caught:
             look()
         assert "\n" not in str(caught.value)
 
@@ -240,5 +240,5 @@ def test_a_gap_is_no_single_number(value):
 def test_arrays_are_not_changed():
     """What is put at the end of a range is put there in a copy."""
     cosine = np.array([-1.0 - 1e-12, 0.0, 1.0])
-    splits.Layer(phase_function={"cosine": cosine, "density": [1.0, 1.0, 1.0]})
+    splits.ParticleLayer(phase_function={"cosine": cosine, "density": [1.0, 1.0, 1.0]})
     assert cosine[0] != -1.0

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from formula_tables import W, snowlike, table_of
+from formula_tables import W, make_snowlike_table, make_table
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
-AT = {"incidence_deg": 30.0}
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
+FIXED = {"incidence_deg": 30.0}
 
 
 def test_information_is_that_of_all_bands_together():
     """All bands of a linear model, whatever their order: ½ log₂ det(I + Kᵀ S⁻¹ K Sₐ)."""
     rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
     nodes = np.linspace(-1.0, 1.0, 6)
-    linear = table_of(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+    linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
                       {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
-    found = splits.best_bands(linear, W, ["a", "b"], 0.02, most=W.size)
+    found = splits.select_bands(linear, W, ["a", "b"], 0.02, most=W.size)
     k = 0.2 * rows.T / 0.02
     exact = 0.5 * np.linalg.slogdet(np.eye(2) + k.T @ k / 12.0)[1] / np.log(2.0)
     assert float(found.information_bits[-1]) == pytest.approx(exact, rel=1e-4)
@@ -30,7 +30,7 @@ def test_information_is_that_of_all_bands_together():
 
 
 def test_more_bands_tell_more_but_less_each():
-    found = splits.best_bands(snowlike(), W, [SIZE, DIRT], 0.01, most=4, at=AT)
+    found = splits.select_bands(make_snowlike_table(), W, [SIZE, SOOT], 0.01, most=4, at=FIXED)
     bits = found.information_bits.values
     assert (np.diff(bits) > 0.0).all()
     assert len(set(found.band.values)) == 4
@@ -39,11 +39,11 @@ def test_more_bands_tell_more_but_less_each():
 
 def test_bands_of_a_sensor():
     bands = {"blue": (500, 560), "near infrared": (850, 950), "short-wave": (1200, 1300)}
-    found = splits.best_bands(snowlike(), bands, [SIZE, DIRT], 0.01, most=2, at=AT)
+    found = splits.select_bands(make_snowlike_table(), bands, [SIZE, SOOT], 0.01, most=2, at=FIXED)
     assert "blue" in found.band.values
 
 
-WRONG = {
+INVALID_CALLS = {
     "too many": ({"most": W.size + 1}, "1 to 11"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "unknown noise": ({"noise": None}, "noise = None: must be given"),
@@ -53,9 +53,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused(name):
-    other, message = WRONG[name]
-    given = {"table": snowlike(), "bands": W, "free": [SIZE, DIRT], "noise": 0.01, "at": AT}
-    with pytest.raises(Refusal, match=message):
-        splits.best_bands(**(given | other))
+    other, message = INVALID_CALLS[name]
+    given = {"table": make_snowlike_table(), "bands": W, "free": [SIZE, SOOT], "noise": 0.01, "at": FIXED}
+    with pytest.raises(InvalidValue, match=message):
+        splits.select_bands(**(given | other))

@@ -10,9 +10,9 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 
-WHO = {
+AUTHOR = {
     "organization": "Example Institute",
     "location": {"country": "Finland", "city": "Espoo", "street": "Maarintie",
                  "building_nr": "8", "postal_code": "02150"},
@@ -29,7 +29,7 @@ ANGLES = {"theta_i": 90.0, "phi_i": 360.0, "theta_r": 90.0, "phi_r": 360.0}
 """Bounds of angles in degrees, which they must stay below."""
 
 
-def measured(incidence, **keywords):
+def make_brdf(incidence, **keywords):
     """Return a small BRDF by direction, rising forwards, as a goniophotometer returns it."""
     polar, azimuth = np.array([0.0, 40.0, 70.0]), np.array([0.0, 90.0, 180.0, 270.0])
     shape = (2, 3, 4)
@@ -49,12 +49,12 @@ def measured(incidence, **keywords):
 
 
 def written(tmp_path, *datasets, **keywords):
-    splits.save_brdf(list(datasets), tmp_path / "snow.brdf", WHO, **keywords)
+    splits.save_brdf(list(datasets), tmp_path / "snow.brdf", AUTHOR, **keywords)
     return json.loads((tmp_path / "snow.brdf").read_text(encoding="utf-8"))
 
 
 def test_it_holds_what_the_format_asks_for_and_nothing_else(tmp_path):
-    found = written(tmp_path, measured(30.0), license={"type": "CC-BY-4.0", "rights_holder": "Ada"})
+    found = written(tmp_path, make_brdf(30.0), license={"type": "CC-BY-4.0", "rights_holder": "Ada"})
     assert set(found) == {"metadata", "data"}
     about, data = found["metadata"], found["data"]
     needed = {"schema", "id", "type", "timestamp", "provenance", "method", "instrumentation",
@@ -84,7 +84,7 @@ def test_it_holds_what_the_format_asks_for_and_nothing_else(tmp_path):
 
 
 def test_each_line_is_a_value_of_its_dataset(tmp_path):
-    given = [measured(0.0), measured(60.0)]
+    given = [make_brdf(0.0), make_brdf(60.0)]
     data = written(tmp_path, *given)["data"]
     columns = [data[n]["values"] for n in ("wavelength_i", "theta_i", "theta_r", "phi_r", "BRDF",
                                            "uBRDF")]  # fmt: skip
@@ -101,7 +101,7 @@ def test_each_line_is_a_value_of_its_dataset(tmp_path):
 
 
 def test_a_polarizer_takes_its_part(tmp_path):
-    ds = measured(30.0)
+    ds = make_brdf(30.0)
     ds["brdf_q"], ds["brdf_q_stderr"] = 0.2 * ds.brdf, 0.5 * ds.brdf_stderr
     data = written(tmp_path, ds)["data"]
     parts = {
@@ -115,7 +115,7 @@ def test_a_polarizer_takes_its_part(tmp_path):
 
 
 def test_negative_noise_is_left_out_and_counted(tmp_path):
-    ds = measured(30.0)
+    ds = make_brdf(30.0)
     ds.brdf[0, 2, 1] = -0.001
     found = written(tmp_path, ds)
     assert len(found["data"]["BRDF"]["values"]) == ds.brdf.size - 1
@@ -130,7 +130,7 @@ def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
         splits.Stack([splits.Snow(depth_m=0.02), splits.Snow(depth_m=0.03)]),
     )):  # fmt: skip
         ds = splits.goniophotometer(medium, [1300.0], 30.0, **beam)
-        splits.save_brdf(ds, tmp_path / f"{number}.json", WHO)
+        splits.save_brdf(ds, tmp_path / f"{number}.json", AUTHOR)
         found = json.loads((tmp_path / f"{number}.json").read_text(encoding="utf-8"))
         parameters = found["metadata"]["software"]["simulation_model"]["parameters"]
         units = {one["name"]: one["unit"] for one in parameters}
@@ -142,15 +142,15 @@ def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
     ("datasets", "changes", "line"),
     [
         ([], {}, "datasets = "),
-        ([measured(0.0), measured(30.0, snow_depth_m=0.2)], {}, "datasets = 'another medium'"),
-        ([measured(0.0).drop_vars("brdf")], {}, "datasets = 'BRDF'"),
-        ([measured(30.0), measured(30.0)], {}, r"datasets = \[30.0, 30.0\]: must be of different"),
-        ([measured(0.0)], {"path": "snow.nc"}, "path = 'snow.nc'"),
-        ([measured(0.0)], {"provenance": {"email": "a@b.org"}}, "provenance = .*organization"),
-        ([measured(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),
+        ([make_brdf(0.0), make_brdf(30.0, snow_depth_m=0.2)], {}, "datasets = 'another medium'"),
+        ([make_brdf(0.0).drop_vars("brdf")], {}, "datasets = 'BRDF'"),
+        ([make_brdf(30.0), make_brdf(30.0)], {}, r"datasets = \[30.0, 30.0\]: must be of different"),
+        ([make_brdf(0.0)], {"path": "snow.nc"}, "path = 'snow.nc'"),
+        ([make_brdf(0.0)], {"provenance": {"email": "a@b.org"}}, "provenance = .*organization"),
+        ([make_brdf(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),
     ],
 )
 def test_what_the_format_cannot_hold_is_refused(datasets, changes, line):
-    given = {"path": "snow.brdf", "provenance": WHO, "license": None, **changes}
-    with pytest.raises(Refusal, match=f"^{line}"):
+    given = {"path": "snow.brdf", "provenance": AUTHOR, "license": None, **changes}
+    with pytest.raises(InvalidValue, match=f"^{line}"):
         splits.save_brdf(datasets, **given)

@@ -19,11 +19,11 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits import files
-from splits.transport.compiling import cache, turns
-from splits.transport.compiling import folders as places_of_kernels
-from splits.transport.compiling.cache import KernelCache, keep
-from splits.transport.compiling.folders import Folder, folders
+from splits.core import atomic
+from splits.kernels.compiler import cache, cache_lock
+from splits.kernels.compiler import cache_folders as places_of_kernels
+from splits.kernels.compiler.cache import KernelCache, enable_caching
+from splits.kernels.compiler.cache_folders import CacheFolder, list_cache_folders
 
 SCRIPT = """
 import numpy as np
@@ -37,25 +37,25 @@ print(sum(sum(k.compiled.stats.cache_hits.values()) for k in kernels))
 COMMAND = [sys.executable, "-c", SCRIPT]
 
 
-def plus_one(x):
+def add_one(x):
     return x + 1
 
 
 def compiled():
     """Return a function as another process would have it: not compiled yet."""
-    return keep(njit(plus_one))
+    return enable_caching(njit(add_one))
 
 
-def hits(kernel):
+def count_cache_hits(kernel):
     return sum(kernel.stats.cache_hits.values())
 
 
 @pytest.fixture
 def places(monkeypatch, tmp_path):
     """Return two folders for kernels, the user's own and one for when that fails."""
-    found = Folder(tmp_path / "own" / "numba", False), Folder(tmp_path / "temporary", False)
+    found = CacheFolder(tmp_path / "own" / "numba", False), CacheFolder(tmp_path / "temporary", False)
     monkeypatch.setattr(cache, "folders", lambda: found)
-    places_of_kernels.tell.cache_clear()
+    places_of_kernels.warn_once.cache_clear()
     return found
 
 
@@ -67,24 +67,24 @@ def kernels(folder):
 def test_a_kernel_is_compiled_once(places, caplog):
     first, second = compiled(), compiled()
     assert (first(1), second(1), second(1.5)) == (2, 2, 2.5)
-    assert hits(first) == 0 and hits(second) == 1
+    assert count_cache_hits(first) == 0 and count_cache_hits(second) == 1
     assert len(kernels(places[0])) == 2 and kernels(places[1]) == []
     assert caplog.messages == []
 
 
-def emptied(content):
+def empty(content):
     return b""
 
 
-def cut_short(content):
+def truncate(content):
     return content[: len(content) // 2]
 
 
-def replaced(content):
+def replace_content(content):
     return b"\x80\x05garbage."
 
 
-def flipped(place):
+def flip_bit(place):
     def flip(content):
         at = int(place * (len(content) - 1))
         return content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :]
@@ -92,7 +92,7 @@ def flipped(place):
     return flip
 
 
-DAMAGES = [emptied, cut_short, replaced, *(flipped(place / 10) for place in range(11))]
+DAMAGES = [empty, truncate, replace_content, *(flip_bit(place / 10) for place in range(11))]
 
 
 @NEEDS_JIT
@@ -103,11 +103,11 @@ def test_a_damaged_kernel_is_compiled_again(damage, places, caplog):
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
     again = compiled()
-    assert again(1) == 2 and hits(again) == 0
+    assert again(1) == 2 and count_cache_hits(again) == 0
     (said,) = caplog.messages
     assert str(places[0].path) in said and "damaged" in said and "\n" not in said
     later = compiled()
-    assert later(1) == 2 and hits(later) == 1
+    assert later(1) == 2 and count_cache_hits(later) == 1
     assert len(caplog.messages) == 1 and kernels(places[0]) == [path]
 
 
@@ -135,7 +135,7 @@ def test_whole_files_of_no_use_are_compiled_again(places, caplog, monkeypatch):
     assert str(places[0].path) in said and "gone in this version" in said
 
 
-class _Full:
+class _FullDisk:
     """A file on a full disk."""
 
     def __init__(self, path, mode):
@@ -154,11 +154,11 @@ class _Full:
 
 @NEEDS_JIT
 def test_a_full_disk_stops_nothing(places, caplog, monkeypatch):
-    monkeypatch.setattr(places_of_kernels, "open", _Full, raising=False)
+    monkeypatch.setattr(places_of_kernels, "open", _FullDisk, raising=False)
     assert compiled()(1) == 2
     (said,) = caplog.messages
     assert str(places[0].path) in said and "No space left" in said
-    assert {path.name for place in places for path in place.path.iterdir()} <= {turns.FILE}
+    assert {path.name for place in places for path in place.path.iterdir()} <= {cache_lock.LOCK_FILE}
 
 
 @NEEDS_JIT
@@ -168,7 +168,7 @@ def test_where_nothing_can_be_written_another_folder_serves(places, caplog):
     assert compiled()(1) == 2
     assert len(kernels(places[1])) == 1
     later = compiled()
-    assert later(1) == 2 and hits(later) == 1
+    assert later(1) == 2 and count_cache_hits(later) == 1
     assert caplog.messages == []
 
 
@@ -179,7 +179,7 @@ def test_folders_are_made_for_the_user_alone(places):
     assert about.st_mode & 0o777 == 0o700 and about.st_uid == os.getuid()
 
 
-class _Planted:
+class _ForeignCode:
     """What runs foreign code once it is loaded."""
 
     def __reduce__(self):
@@ -190,14 +190,14 @@ def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
     monkeypatch.setattr(places_of_kernels, "kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
-        then = time.time() - age * places_of_kernels.KEPT_S
+        then = time.time() - age * places_of_kernels.MAX_UNUSED_AGE_S
         os.utime(tmp_path / name, (then, then))
-    Folder(tmp_path / "numba-new", False).write("kernel", b"content")
+    CacheFolder(tmp_path / "numba-new", False).write("kernel", b"content")
     left = {folder.name for folder in tmp_path.iterdir()}
     assert left == {"numba-recent", "numba-new", "notes"}
 
 
-KILLED = """
+KILLED_PROGRAM = """
 import os, pathlib, signal, sys
 from splits.transport.compiling.folders import Folder
 
@@ -207,32 +207,32 @@ Folder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
 
 
 def test_what_killed_writers_left_is_removed(tmp_path):
-    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)])
+    subprocess.run([sys.executable, "-c", KILLED_PROGRAM, str(tmp_path)])
     assert len(list(tmp_path.iterdir())) == 2
-    with files.whole(tmp_path / "living") as living:
+    with atomic.atomic_write(tmp_path / "living") as living:
         living.write_text("whole")
-        Folder(tmp_path, True).write("kernel", b"content")
+        CacheFolder(tmp_path, True).write("kernel", b"content")
         assert living.exists()
     assert {path.name for path in tmp_path.iterdir()} == {"kernel", "living"}
 
 
-def plant(places):
+def plant_foreign_kernel(places):
     """Put a file with a fitting checksum in place of the kernel."""
     compiled()(1)
     (path,) = kernels(places[0])
-    whole = pickle.dumps(_Planted())
+    whole = pickle.dumps(_ForeignCode())
     path.write_bytes(hashlib.sha256(whole).digest() + whole)
 
 
 def test_the_planted_file_would_run(places):
     with pytest.raises(SystemExit):
-        pickle.loads(pickle.dumps(_Planted()))
+        pickle.loads(pickle.dumps(_ForeignCode()))
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("way", ["open to others", "a link", "of another user"])
 def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monkeypatch):
-    plant(places)
+    plant_foreign_kernel(places)
     folder = places[0].path
     if way == "open to others":
         folder.chmod(0o777)
@@ -251,9 +251,9 @@ def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monk
 @pytest.mark.skipif(os.name == "nt", reason="owners of POSIX")
 @pytest.mark.parametrize("way", ["of another user", "open to the group", "open to all"])
 def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, monkeypatch):
-    shared = Folder(places[0].path, True)
+    shared = CacheFolder(places[0].path, True)
     monkeypatch.setattr(cache, "folders", lambda: (shared, places[1]))
-    plant((shared,))
+    plant_foreign_kernel((shared,))
     shared.path.chmod(0o777)
     (path,) = kernels(shared)
     planted = path.read_bytes()
@@ -268,50 +268,50 @@ def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, m
     assert "other users" in caplog.messages[0] and str(shared.path) in caplog.messages[0]
     # Nor are they replaced, which their owners would do in turn: the next folder serves.
     assert path.read_bytes() == planted
-    if places_of_kernels._user() == os.getuid():
+    if places_of_kernels._get_user_id() == os.getuid():
         assert len(kernels(places[1])) == 1
 
 
 @NEEDS_JIT
 def test_files_of_root_in_a_named_folder_are_loaded(places, monkeypatch):
-    shared = Folder(places[0].path, True)
+    shared = CacheFolder(places[0].path, True)
     monkeypatch.setattr(cache, "folders", lambda: (shared,))
     compiled()(1)
     if kernels(shared)[0].stat().st_uid != 0:
         pytest.skip("needs a file of root's")
     monkeypatch.setattr(places_of_kernels, "_user", lambda: 12_345)
     again = compiled()
-    assert again(1) == 2 and hits(again) == 1
+    assert again(1) == 2 and count_cache_hits(again) == 1
 
 
 def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    first, last = folders.__wrapped__()
+    first, last = list_cache_folders.__wrapped__()
     assert first.path.is_relative_to(tmp_path) and first.user_defined
-    assert first.path.name == f"numba-{places_of_kernels.kernels_digest()}"
+    assert first.path.name == f"numba-{places_of_kernels.compute_kernels_digest()}"
     assert last.path.parent == Path(tempfile.gettempdir()) and not last.user_defined
-    assert last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.kernels_digest()}"
+    assert last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.compute_kernels_digest()}"
 
 
 def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    (only,) = folders.__wrapped__()
+    (only,) = list_cache_folders.__wrapped__()
     assert only.path.parent == Path(tempfile.gettempdir())
 
 
 def test_a_line_is_told_as_it_is(capsys, monkeypatch):
-    places_of_kernels.tell.cache_clear()
+    places_of_kernels.warn_once.cache_clear()
     logger = logging.getLogger(places_of_kernels.__name__)
     monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
     monkeypatch.setattr(logger, "propagate", False)
-    places_of_kernels.tell("one line")
-    places_of_kernels.tell("one line")
+    places_of_kernels.warn_once("one line")
+    places_of_kernels.warn_once("one line")
     assert capsys.readouterr().err == "one line\n"
 
 
-def run(folder, count=1):
+def run_processes(folder, count=1):
     """Return what processes say that run the script at once, with kernels kept in a folder."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(folder)
@@ -327,19 +327,19 @@ def run(folder, count=1):
 @NEEDS_JIT
 @pytest.mark.slow
 def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
-    told = run(tmp_path, 3)
+    told = run_processes(tmp_path, 3)
     assert {(err, code) for _, err, code in told} == {("", 0)}
     (numbers,) = {out.splitlines()[0] for out, *_ in told}
-    ((out, err, code),) = run(tmp_path)
+    ((out, err, code),) = run_processes(tmp_path)
     assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
     for path in tmp_path.rglob("*.nb*"):
         content = path.read_bytes()
-        path.write_bytes(flipped(0.5)(content))
-    ((out, err, code),) = run(tmp_path)
+        path.write_bytes(flip_bit(0.5)(content))
+    ((out, err, code),) = run_processes(tmp_path)
     assert (out.splitlines()[0], code) == (numbers, 0)
     (line,) = err.splitlines()
     assert str(tmp_path) in line
-    ((out, err, code),) = run(tmp_path)
+    ((out, err, code),) = run_processes(tmp_path)
     assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
 
 
@@ -353,7 +353,7 @@ def slow(x):
 
 kernel = keep(njit(slow))
 """
-AT_ONCE = f"""{KERNEL}
+CONCURRENT_PROGRAM = f"""{KERNEL}
 compile = kernel._compiler.compile
 def slowly(*parts):
     time.sleep(1.0)
@@ -366,7 +366,7 @@ print(input(), kernel(1), sum(kernel.stats.cache_hits.values()))
 @NEEDS_JIT
 def test_of_processes_that_start_together_one_compiles(tmp_path):
     script = tmp_path / "slow.py"
-    script.write_text(AT_ONCE)
+    script.write_text(CONCURRENT_PROGRAM)
     kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
     four = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
@@ -395,7 +395,7 @@ def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
     assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0)
 
 
-FAILS = f"""{KERNEL}
+FAILURES = f"""{KERNEL}
 if sys.argv[1:]:
     compile = kernel._compiler._compile_core
     def fail(*parts):
@@ -412,7 +412,7 @@ input()
 @NEEDS_JIT
 def test_nobody_waits_for_a_compilation_that_failed(tmp_path):
     script = tmp_path / "fails.py"
-    script.write_text(FAILS)
+    script.write_text(FAILURES)
     kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
     lives_on = subprocess.Popen([sys.executable, script, "fail"], **pipes)
@@ -425,8 +425,8 @@ def test_nobody_waits_for_a_compilation_that_failed(tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_to_holds_nobody_up(tmp_path, monkeypatch):
-    turns._opened.cache_clear()
+    cache_lock._open_lock_file.cache_clear()
     gone = tmp_path / "gone"
-    assert not turns.take(gone, "kernel")
-    assert turns.take(tmp_path, "kernel")
-    turns.leave(tmp_path, "kernel")
+    assert not cache_lock.acquire_lock(gone, "kernel")
+    assert cache_lock.acquire_lock(tmp_path, "kernel")
+    cache_lock.release_lock(tmp_path, "kernel")

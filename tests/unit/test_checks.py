@@ -8,20 +8,27 @@ import pickle
 import numpy as np
 import pytest
 
-from splits.arrays import numbers
-from splits.checks import in_range, number, one_of, refuse, suggestion, unknown_key
+from splits.core.arrays import check_named_numbers
+from splits.core.validation import (
+    check_range,
+    check_number,
+    check_choice,
+    invalid,
+    suggest_name,
+    unknown_key,
+)
 
 
 def test_a_refusal_names_key_value_range_and_hint():
-    error = refuse("depth_m", -1, "above 0", "think positive")
+    error = invalid("depth_m", -1, "above 0", "think positive")
     assert str(error) == "depth_m = -1: must be above 0 (think positive)"
-    assert str(refuse("depth_m", "x", "above 0")) == "depth_m = 'x': must be above 0"
+    assert str(invalid("depth_m", "x", "above 0")) == "depth_m = 'x': must be above 0"
     assert isinstance(error, ValueError)
 
 
 @pytest.mark.parametrize("value", [1, 1.5, np.float32(0.5), np.int64(3), -0.0])
 def test_real_numbers_pass_as_floats(value):
-    result = number("x", value)
+    result = check_number("x", value)
     assert type(result) is float
     assert result == float(value)
 
@@ -29,7 +36,7 @@ def test_real_numbers_pass_as_floats(value):
 @pytest.mark.parametrize("value", [True, None, "1", 1j, [1], math.nan, math.inf, np.bool_(True)])
 def test_anything_else_is_no_number(value):
     with pytest.raises(ValueError, match=r"^x = .*: must be a finite number"):
-        number("x", value)
+        check_number("x", value)
 
 
 @pytest.mark.parametrize(
@@ -45,50 +52,50 @@ def test_anything_else_is_no_number(value):
 def test_ranges_hold_their_limits_unless_open(limits, inside, outside, allowed):
     arguments = {"low": 0.0, "high": 1.0, "unit": "m", "hint": "look", **limits}
     for value in inside:
-        assert in_range("x", value, **arguments) == value
+        assert check_range("x", value, **arguments) == value
     for value in outside:
         with pytest.raises(ValueError, match=f"^x = {value}: must be {allowed}"):
-            in_range("x", value, **arguments)
+            check_range("x", value, **arguments)
 
 
 def test_the_hint_stands_at_the_end():
     with pytest.raises(ValueError, match=r"\[0, 1\] \(use less\)$"):
-        in_range("x", 2.0, 0.0, 1.0, hint="use less")
+        check_range("x", 2.0, 0.0, 1.0, hint="use less")
 
 
 def test_sequences_of_numbers():
-    assert numbers("x", [1, 2.5], ("low", "high")) == (1.0, 2.5)
-    assert numbers("x", np.array([1, 2]), ("low", "high")) == (1.0, 2.0)
-    assert numbers("x", (v for v in (1, 2)), ("low", "high")) == (1.0, 2.0)
+    assert check_named_numbers("x", [1, 2.5], ("low", "high")) == (1.0, 2.5)
+    assert check_named_numbers("x", np.array([1, 2]), ("low", "high")) == (1.0, 2.0)
+    assert check_named_numbers("x", (v for v in (1, 2)), ("low", "high")) == (1.0, 2.0)
 
 
 @pytest.mark.parametrize("value", [(1,), (1, 2, 3), "12", b"12", 7, None])
 def test_sequences_of_another_length_are_refused(value):
     with pytest.raises(ValueError, match=r"^x = .*must be 2 numbers \(low, high\)"):
-        numbers("x", value, ("low", "high"))
+        check_named_numbers("x", value, ("low", "high"))
 
 
 def test_the_bad_member_of_a_sequence_is_named():
     with pytest.raises(ValueError, match=r"^x \(high\) = 'y'"):
-        numbers("x", (1, "y"), ("low", "high"))
+        check_named_numbers("x", (1, "y"), ("low", "high"))
 
 
 def test_choices():
-    assert one_of("x", "b", ["b", "a"]) == "b"
+    assert check_choice("x", "b", ["b", "a"]) == "b"
     with pytest.raises(ValueError, match=r"^x = 'lobbe': must be one of lobe, mirrored \(did you"):
-        one_of("x", "lobbe", ["mirrored", "lobe"])
+        check_choice("x", "lobbe", ["mirrored", "lobe"])
     with pytest.raises(ValueError, match=r"^x = 3: must be one of a, b$"):
-        one_of("x", 3, ["b", "a"])
+        check_choice("x", 3, ["b", "a"])
 
 
 def test_suggestions_need_some_likeness():
-    assert suggestion("saturaton", ["density", "saturation"]) == "did you mean saturation?"
-    assert suggestion("qqq", ["density", "saturation"]) == ""
-    assert suggestion(7, ["density"]) == ""
+    assert suggest_name("saturaton", ["density", "saturation"]) == "did you mean saturation?"
+    assert suggest_name("qqq", ["density", "saturation"]) == ""
+    assert suggest_name(7, ["density"]) == ""
 
 
 def test_a_refusal_is_a_value_that_keeps_its_parts():
-    refused = refuse("depth_m", -1.0, "above 0", "in metres")
+    refused = invalid("depth_m", -1.0, "above 0", "in metres")
     assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
     inside = pickle.loads(pickle.dumps(refused)).within("medium", "not in cm")
     assert str(inside) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.colour import colours, lab, srgb, tristimulus
-from splits.figures import swatches
+from splits.analysis.colour import make_colour_table, to_cielab, to_srgb, compute_tristimulus
+from splits.plotting import colour
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 
@@ -24,23 +24,23 @@ def dataset(values, error=0.01, names=("a", "b")):
 
 
 def test_a_perfect_white_has_the_coordinates_of_d65():
-    xyz = tristimulus(WAVELENGTHS, np.ones(WAVELENGTHS.size))
+    xyz = compute_tristimulus(WAVELENGTHS, np.ones(WAVELENGTHS.size))
     # CIE 15: the white point of D65 for the 2° observer.
     np.testing.assert_allclose(xyz, [0.9504, 1.0, 1.0888], atol=5e-4)
-    np.testing.assert_allclose(lab(xyz), [100.0, 0.0, 0.0], atol=0.05)
-    np.testing.assert_allclose(srgb(xyz), 1.0, atol=2e-3)
+    np.testing.assert_allclose(to_cielab(xyz), [100.0, 0.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(to_srgb(xyz), 1.0, atol=2e-3)
 
 
 def test_grey_has_the_lightness_of_its_reflectance():
     for r in (0.05, 0.184, 0.5):
-        light, a, b = lab(tristimulus(WAVELENGTHS, np.full(WAVELENGTHS.size, r)))
+        light, a, b = to_cielab(compute_tristimulus(WAVELENGTHS, np.full(WAVELENGTHS.size, r)))
         assert light == pytest.approx(116.0 * np.cbrt(r) - 16.0, abs=0.05)
         assert abs(a) < 0.1 and abs(b) < 0.1
 
 
 def test_colours_name_every_point_with_errors():
     red = np.where(WAVELENGTHS > 600.0, 0.5, 0.05)
-    table = colours(dataset([0.3, red]))
+    table = make_colour_table(dataset([0.3, red]))
     assert table.medium.tolist() == ["a", "b"]
     assert table.a[1] > 20.0 > abs(table.a[0])
     assert table.red[1] > table.green[1] > 0.0
@@ -53,13 +53,13 @@ def test_colours_name_every_point_with_errors():
 def test_a_spectrum_that_leaves_out_visible_light_has_no_colour():
     for x in (np.arange(450.0, 781.0, 10.0), np.arange(400.0, 701.0, 10.0), [400.0, 780.0]):
         with pytest.raises(ValueError, match="400 to 780 nm"):
-            tristimulus(np.array(x), np.full(len(x), 0.5))
+            compute_tristimulus(np.array(x), np.full(len(x), 0.5))
 
 
 def test_swatches_show_every_point_and_refuse_three_parameters():
-    figure = swatches(dataset([0.3, 0.1]))
+    figure = colour(dataset([0.3, 0.1]))
     texts = [t.get_text() for t in figure.axes[0].texts]
     assert len(texts) == 2 and all("L*" in t for t in texts)
     deep = dataset([0.3, 0.1]).expand_dims(x=[1, 2], y=[1, 2])
     with pytest.raises(ValueError, match="one or two parameters"):
-        swatches(deep)
+        colour(deep)

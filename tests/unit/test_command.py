@@ -10,8 +10,8 @@ import yaml
 from chi2 import NEEDS_JIT
 
 import splits
-from splits import command
-from splits.transport.compiling import folders
+from splits import cli
+from splits.kernels.compiler import cache_folders
 
 SMALL = """
 title: Small
@@ -25,7 +25,7 @@ def test_accuracies_are_those_of_the_shipped_configuration(pytestconfig):
     shipped = yaml.safe_load((pytestconfig.rootpath / "config" / "config.yaml").read_text("utf-8"))
     ours = {
         name: {"max_stderr": absolute, "relative_stderr": relative}
-        for name, (absolute, relative) in command.ACCURACIES.items()
+        for name, (absolute, relative) in cli.ACCURACY_PRESETS.items()
     }
     assert ours == shipped["accuracies"]
 
@@ -61,37 +61,37 @@ def test_an_experiment_becomes_a_dataset_and_a_figure(tmp_path, capsys):
 def test_what_cannot_be_run_is_one_line(tmp_path, capsys, text, options, said):
     file = tmp_path / "bad.yaml"
     file.write_text(text, encoding="utf-8")
-    assert command.main(["run", str(file), "--output", str(tmp_path / "made"), *options]) == 1
+    assert cli.main(["run", str(file), "--output", str(tmp_path / "made"), *options]) == 1
     line = capsys.readouterr().err
     assert line.startswith("splits: ") and said in line and line.count("\n") == 1
     assert not (tmp_path / "made").exists()
 
 
 def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
-    assert command.main(["run", str(tmp_path / "none.yaml")]) == 1
+    assert cli.main(["run", str(tmp_path / "none.yaml")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic", None)
-    assert command.main(["run", str(tmp_path / "any.yaml")]) == 1
+    assert cli.main(["run", str(tmp_path / "any.yaml")]) == 1
     said = "experiment files need the package pydantic: pip install 'splits-optics[experiments]'"
     assert said in capsys.readouterr().err
 
 
 def test_versions_name_this_and_what_it_uses(capsys):
-    assert command.main(["versions"]) == 0
+    assert cli.main(["versions"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"splits-optics {splits.__version__} (commit ")
     assert {"numba", "xarray"} <= {line.split()[0] for line in lines}
 
 
 def test_kept_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
-    kept = folders.Folder(tmp_path / "kernels", True)
+    kept = cache_folders.CacheFolder(tmp_path / "kernels", True)
     kept.write("a.nbc", b"x" * 2000)
-    monkeypatch.setattr(folders, "folders", lambda: (kept,))
-    assert command.main(["cache"]) == 0
+    monkeypatch.setattr(cache_folders, "folders", lambda: (kept,))
+    assert cli.main(["cache"]) == 0
     assert capsys.readouterr().out == f"{kept.path}: 1 compiled kernels, 0.0 MB\n"
-    assert command.main(["cache", "--clear"]) == 0
+    assert cli.main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out.endswith("deleted 1\n")
     assert list(kept.path.iterdir()) == []

@@ -10,10 +10,10 @@ from contextlib import contextmanager, suppress
 import pytest
 
 import splits
-from splits.transport.compiling import notice as notices
-from splits.transport.compiling import turns
-from splits.transport.compiling.cache import KernelCache
-from splits.transport.compiling.notice import COMPILING, DONE, WAITING, notice
+from splits.core import compile_notice as notices
+from splits.kernels.compiler import cache_lock
+from splits.kernels.compiler.cache import KernelCache
+from splits.core.compile_notice import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
 
 openpty = getattr(os, "openpty", None)
 NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="no terminals here")
@@ -26,7 +26,7 @@ def soon(monkeypatch):
     monkeypatch.setattr(notices, "_STEP_S", 0.01)
     monkeypatch.setattr(notices, "_session", None)
     yield
-    wait_for_the_end()
+    wait_for_notices()
 
 
 @contextmanager
@@ -36,13 +36,13 @@ def terminal(monkeypatch):
     with open(theirs, "w", encoding="ascii") as errors:
         monkeypatch.setattr(sys, "stderr", errors)
         yield ours
-        wait_for_the_end()
+        wait_for_notices()
     monkeypatch.undo()
     with suppress(OSError):
         os.close(ours)
 
 
-def wait_for_the_end():
+def wait_for_notices():
     while notices._session is not None and not notices._session.is_over:
         time.sleep(0.01)
     time.sleep(0.1)
@@ -61,19 +61,19 @@ def heard():
 def test_two_lines_on_a_terminal_say_that_kernels_are_compiled(monkeypatch):
     with terminal(monkeypatch) as ours:
         for _ in range(2):
-            with notice(COMPILING):
+            with announce(COMPILING_MESSAGE):
                 time.sleep(0.2)
-        wait_for_the_end()
+        wait_for_notices()
         said = os.read(ours, 10_000).decode()
-    assert said.splitlines() == [f"splits: {COMPILING}", f"splits: {DONE}: 0 s"]
+    assert said.splitlines() == [f"splits: {COMPILING_MESSAGE}", f"splits: {DONE_MESSAGE}: 0 s"]
 
 
 @NEEDS_TERMINAL
 def test_what_is_compiled_at_once_needs_no_word(monkeypatch):
     with terminal(monkeypatch) as ours:
-        with notice(COMPILING):
+        with announce(COMPILING_MESSAGE):
             pass
-        wait_for_the_end()
+        wait_for_notices()
         os.set_blocking(ours, False)
         with pytest.raises(BlockingIOError):
             os.read(ours, 1)
@@ -83,33 +83,33 @@ def test_what_is_compiled_at_once_needs_no_word(monkeypatch):
 def test_a_terminal_that_was_closed_ends_nothing(monkeypatch):
     with terminal(monkeypatch) as ours:
         os.close(ours)
-        with notice(COMPILING):
+        with announce(COMPILING_MESSAGE):
             time.sleep(0.2)
 
 
 def test_where_nobody_sees_it_nothing_is_said(capfd):
-    with notice(COMPILING):
+    with announce(COMPILING_MESSAGE):
         time.sleep(0.2)
     assert notices._session is None
     assert capfd.readouterr() == ("", "")
 
 
 def test_bars_show_it_with_the_seconds(capsys):
-    with splits.ProgressBar("mine"), notice(COMPILING):
+    with splits.ProgressBar("mine"), announce(COMPILING_MESSAGE):
         time.sleep(0.3)
-    assert f"{COMPILING}: 0 s" in capsys.readouterr().err
+    assert f"{COMPILING_MESSAGE}: 0 s" in capsys.readouterr().err
     assert notices.listeners == []
 
 
 def test_a_listener_that_fails_ends_nothing(heard):
     notices.listeners.insert(0, lambda text: 1 / 0)
-    with notice(COMPILING):
+    with announce(COMPILING_MESSAGE):
         time.sleep(0.2)
     del notices.listeners[0]
     assert heard
 
 
-@pytest.mark.skipif(turns.fcntl is None, reason="no locks here")
+@pytest.mark.skipif(cache_lock.fcntl is None, reason="no locks here")
 def test_a_process_that_waits_for_another_says_so(heard, monkeypatch, tmp_path):
     begun = time.monotonic()
 
@@ -117,13 +117,13 @@ def test_a_process_that_waits_for_another_says_so(heard, monkeypatch, tmp_path):
         if time.monotonic() - begun < 0.3:
             raise BlockingIOError
 
-    monkeypatch.setattr(turns.fcntl, "lockf", lockf)
-    assert turns.take(tmp_path, "kernel")
-    assert heard[0] == f"{WAITING}: 0 s"
+    monkeypatch.setattr(cache_lock.fcntl, "lockf", lockf)
+    assert cache_lock.acquire_lock(tmp_path, "kernel")
+    assert heard[0] == f"{WAITING_MESSAGE}: 0 s"
 
 
 def test_compiling_a_kernel_says_so(heard):
     """Held without a kernel, which may lie compiled in a folder."""
     compiled = KernelCache.release_locks_on_failure(None, time.sleep)
     compiled(0.3)
-    assert heard[0] == f"{COMPILING}: 0 s"
+    assert heard[0] == f"{COMPILING_MESSAGE}: 0 s"

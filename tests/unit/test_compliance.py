@@ -9,29 +9,29 @@ from compliance import main, remarks
 import splits
 
 SNOW = splits.Snow(depth_m=0.01)
-GREY = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 100})
-PACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, readings="geometric")
+GREY_GROUND = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 100})
+SNOWPACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, readings="geometric")
 SKY = "midlatitude_winter"
-MADE = {
-    "profile": lambda: splits.profile(PACK, [500, 900], [0.002, 0.012], max_stderr=0.2),
+EXAMPLES = {
+    "profile": lambda: splits.irradiance_profile(SNOWPACK, [500, 900], [0.002, 0.012], max_stderr=0.2),
     "deep": lambda: splits.deep_transmittance(SNOW, [500], relative_stderr=0.5),
     "single": lambda: splits.single_scattering(SNOW, [500, 900], 8, 2000),
-    "spectra": lambda: splits.spectra({"clean": SNOW, "grey": GREY}, [500, 900], max_stderr=0.2),
+    "spectra": lambda: splits.spectra({"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2),
     "albedo": lambda: splits.albedo(
         SNOW, SKY, [600, 650, 700], max_stderr=0.2, bands={"red": (600, 700)}
     ),
     "hdrf": lambda: splits.hdrf(SNOW, SKY, [500], 0.5, polar_deg=[0, 30], azimuth_deg=[0, 180]),
-    "inside": lambda: splits.light_inside(
-        PACK, SKY, [0.002, 0.012], [500, 900, 1200], max_stderr=0.3, total_w_m2=300.0
+    "inside": lambda: splits.radiation_profile(
+        SNOWPACK, SKY, [0.002, 0.012], [500, 900, 1200], max_stderr=0.3, total_w_m2=300.0
     ),
 }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_a_dataset_follows_the_cf_conventions(name, tmp_path):
     path = tmp_path / f"{name}.nc"
-    splits.save(MADE[name](), path)
+    splits.save(EXAMPLES[name](), path)
     assert remarks([path]) == {path: []}
 
 

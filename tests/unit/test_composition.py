@@ -8,12 +8,16 @@ import re
 import numpy as np
 import pytest
 
-from splits.media.composition import coated_particle, coating_fraction, compose
+from splits.media.sand_composition import (
+    compute_coated_concentrations,
+    compute_coating_fraction,
+    make_composition,
+)
 
 # Table 2, written out again: kg/m³ of quartz, hematite, goethite, magnetite and kaolinite.
 Q, H, G, M, K = 2650.0, 5250.0, 4300.0, 5200.0, 2590.0
 DENSITY = {"quartz": Q, "hematite": H, "goethite": G, "magnetite": M, "kaolinite": K}
-COAT = 0.03373714131006917  # Eqs 13-14 at Ψ = 0.798, h' = 5/1200
+COATING = 0.03373714131006917  # Eqs 13-14 at Ψ = 0.798, h' = 5/1200
 LIMIT = {"hematite": 0.06469624868642761, "goethite": 0.05361699945633398}
 
 # Name: mass fraction (Table 3), particle density (Eq 15), volume fraction (Eq 18), volume of the
@@ -34,16 +38,16 @@ SAMPLES = {
     "10039240": ((0.05, 0.359, 0.0, (0.5, 0.0, 0.5)), TEC_10039240, 2707.2310861071),
     "13j9823": ((0.01, 0.498, 0.17, (0.0, 1.0, 0.0)), TEC_13J9823, 2902.5548165038),
 }
-OTHERS = {
+OTHER_SAMPLES = {
     "all eight types": (0.03, 0.3, 0.05, (0.4, 0.35, 0.25)),
     "no goethite": (0.03, 1.0, 0.05, (0.4, 0.35, 0.25)),
     "no hematite": (0.03, 0.0, 0.05, (0.4, 0.35, 0.25)),
     "no iron oxide": (0.0, 0.3, 0.05, (0.4, 0.35, 0.25)),
 }
-CASES = {**{name: case[0] for name, case in SAMPLES.items()}, **OTHERS}
+CASES = {**{name: case[0] for name, case in SAMPLES.items()}, **OTHER_SAMPLES}
 
 
-def minerals(made):
+def compute_mineral_masses(made):
     """Return the mass of every mineral per mass of sand."""
     return {
         m: math.fsum(t.mass_fraction * t.concentration.get(m, 0.0) for t in made.types)
@@ -56,16 +60,16 @@ def test_volume_of_a_coating():
     per_volume = 3.0 * (1.0 + math.asin(e) / (0.798**2 * e))
     assert per_volume == pytest.approx(8.37961828046923, rel=1e-14)
     layer = per_volume * 5.0 / 1200.0
-    assert coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(layer / (1.0 + layer), rel=1e-14)
-    assert coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(COAT, rel=1e-14)
+    assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(layer / (1.0 + layer), rel=1e-14)
+    assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(COATING, rel=1e-14)
     # Six faces' worth of surface per volume and diameter of a sphere.
-    assert coating_fraction(1.0, 0.01) == pytest.approx(0.06 / 1.06, rel=1e-14)
+    assert compute_coating_fraction(1.0, 0.01) == pytest.approx(0.06 / 1.06, rel=1e-14)
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_samples_of_table_5_by_hand(sample):
     arguments, expected, density = SAMPLES[sample]
-    made = compose(*arguments, COAT)
+    made = make_composition(*arguments, COATING)
     assert {t.name for t in made.particle_types} == set(expected)
     assert made.density_kg_m3 == pytest.approx(density, rel=1e-12)
     for particle, volume in zip(made.particle_types, made.volume_fractions, strict=True):
@@ -78,7 +82,7 @@ def test_samples_of_table_5_by_hand(sample):
 
 @pytest.mark.parametrize("case", CASES)
 def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
-    made = compose(*CASES[case], COAT)
+    made = make_composition(*CASES[case], COATING)
     assert math.fsum(t.mass_fraction for t in made.particle_types) == pytest.approx(1.0, abs=1e-14)
     assert math.fsum(made.volume_fractions) == pytest.approx(1.0, abs=1e-14)
     for particle in made.particle_types:
@@ -95,7 +99,7 @@ def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
 def test_every_mineral_has_the_mass_asked_for(case):
     """Eqs 8-9 have a solution where magnetite finds room among the pure particles."""
     iron, ratio, magnetite, _ = CASES[case]
-    found = minerals(compose(*CASES[case], COAT))
+    found = compute_mineral_masses(make_composition(*CASES[case], COATING))
     assert found["hematite"] == pytest.approx(ratio * iron, abs=1e-15)
     assert found["goethite"] == pytest.approx((1.0 - ratio) * iron, abs=1e-15)
     assert found["magnetite"] == pytest.approx(magnetite, abs=1e-15)
@@ -103,10 +107,10 @@ def test_every_mineral_has_the_mass_asked_for(case):
 
 @pytest.mark.parametrize("oxide", LIMIT)
 @pytest.mark.parametrize("iron", [0.0, 0.01, 0.05])
-@pytest.mark.parametrize("coat", [COAT, 0.2])
+@pytest.mark.parametrize("coat", [COATING, 0.2])
 def test_kaolinite_fills_the_coating(oxide, iron, coat):
     """Eqs 10-11 as a balance of volumes: coating to core as coat to 1 − coat."""
-    found = coated_particle(oxide, iron, coat)
+    found = compute_coated_concentrations(oxide, iron, coat)
     clay = (coat * (1 - iron) / Q - iron * (1 - coat) / DENSITY[oxide]) / (
         (1 - coat) / K + coat / Q
     )
@@ -119,34 +123,34 @@ def test_kaolinite_fills_the_coating(oxide, iron, coat):
 
 @pytest.mark.parametrize(("oxide", "printed"), [("hematite", "0.0647"), ("goethite", "0.0536")])
 def test_more_iron_oxide_than_the_coating_holds_is_refused_by_name(oxide, printed):
-    assert coated_particle(oxide, LIMIT[oxide] * (1 - 1e-12), COAT)["kaolinite"] >= 0.0
+    assert compute_coated_concentrations(oxide, LIMIT[oxide] * (1 - 1e-12), COATING)["kaolinite"] >= 0.0
     beyond = LIMIT[oxide] * 1.001
     ratio = 1.0 if oxide == "hematite" else 0.0
     with pytest.raises(ValueError, match=r"^iron_oxide = ") as caught:
-        compose(beyond, ratio, 0.0, (0.5, 0.0, 0.5), COAT)
+        make_composition(beyond, ratio, 0.0, (0.5, 0.0, 0.5), COATING)
     for part in (repr(beyond), printed, oxide, "relative_coating_thickness", "partition"):
         assert part in str(caught.value)
     # Without coated particles, or without any of that oxide, nothing has to be held.
-    compose(beyond, ratio, 0.0, (0.5, 0.5, 0.0), COAT)
+    make_composition(beyond, ratio, 0.0, (0.5, 0.5, 0.0), COATING)
     if oxide == "goethite":
-        compose(beyond, 1.0, 0.0, (0.5, 0.0, 0.5), COAT)
+        make_composition(beyond, 1.0, 0.0, (0.5, 0.0, 0.5), COATING)
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
 def test_the_limit_that_a_refusal_names_is_accepted(oxide):
     with pytest.raises(ValueError) as caught:
-        coated_particle(oxide, 0.5, COAT)
+        compute_coated_concentrations(oxide, 0.5, COATING)
     named = float(re.search(r"at most ([\d.]+)", str(caught.value))[1])
-    assert coated_particle(oxide, named, COAT)["kaolinite"] >= 0.0
+    assert compute_coated_concentrations(oxide, named, COATING)["kaolinite"] >= 0.0
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
 def test_a_full_coating_has_no_kaolinite(oxide):
-    core, iron = Q * (1.0 - COAT), DENSITY[oxide] * COAT
-    found = coated_particle(oxide, iron / (iron + core), COAT)
+    core, iron = Q * (1.0 - COATING), DENSITY[oxide] * COATING
+    found = compute_coated_concentrations(oxide, iron / (iron + core), COATING)
     assert found["kaolinite"] == pytest.approx(0.0, abs=1e-15)
     ratio = 1.0 if oxide == "hematite" else 0.0
-    made = compose(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COAT)
+    made = make_composition(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COATING)
     (particle,) = made.particle_types
     assert particle.is_coated and particle.iron_oxide == oxide
     assert particle.inclusion_fraction == pytest.approx(1.0, abs=1e-12)
@@ -167,22 +171,22 @@ def test_a_full_coating_has_no_kaolinite(oxide):
 def test_impossible_sands_are_refused(change, message):
     good = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
     with pytest.raises(ValueError, match=message):
-        compose(**{**good, **change}, coating_fraction=COAT)
+        make_composition(**{**good, **change}, coating_fraction=COATING)
 
 
 def test_types_without_mass_are_absent():
-    names = {case: {t.name for t in compose(*CASES[case], COAT).particle_types} for case in CASES}
+    names = {case: {t.name for t in make_composition(*CASES[case], COATING).particle_types} for case in CASES}
     everything = names["all eight types"]
     assert len(everything) == 8
     assert names["no goethite"] == {n for n in everything if "goethite" not in n}
     assert names["no hematite"] == {n for n in everything if "hematite" not in n}
     assert names["no iron oxide"] == everything - {"pure hematite", "pure goethite"}
-    bare = compose(*CASES["no iron oxide"], COAT)
+    bare = make_composition(*CASES["no iron oxide"], COATING)
     assert all(t.iron_oxide is None and t.inclusion_fraction == 0.0 for t in bare.particle_types)
     assert [t.is_coated for t in bare.particle_types].count(True) == 2
-    (only,) = compose(0.0, 0.5, 1.0, (0.0, 0.5, 0.5), COAT).particle_types
+    (only,) = make_composition(0.0, 0.5, 1.0, (0.0, 0.5, 0.5), COATING).particle_types
     assert (only.name, only.mass_fraction, only.density_kg_m3) == ("pure magnetite", 1.0, M)
-    assert {t.name for t in compose(1.0, 0.5, 0.0, (1, 0, 0), COAT).particle_types} == {
+    assert {t.name for t in make_composition(1.0, 0.5, 0.0, (1, 0, 0), COATING).particle_types} == {
         "pure hematite",
         "pure goethite",
     }
@@ -195,7 +199,7 @@ def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
     share = 0.4 - 0.4 * iron
 
     def masses(magnetite):
-        made = compose(iron, ratio, magnetite, partition, COAT, excess)
+        made = make_composition(iron, ratio, magnetite, partition, COATING, excess)
         return {t.name: t.mass_fraction for t in made.particle_types}
 
     below, at, beyond = (masses(share + step) for step in (-1e-9, 0.0, 1e-9))
@@ -208,14 +212,14 @@ def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
 
 def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left():
     iron, ratio, magnetite, pure, mixed, coated = 0.03, 0.3, 0.6, 0.4, 0.35, 0.25
-    made = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT)
+    made = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING)
     mass = {t.name: t.mass_fraction for t in made.particle_types}
     left = 1.0 - magnetite - iron * pure
     assert mass["pure magnetite"] == pytest.approx(magnetite, rel=1e-14)
     assert mass["pure hematite"] == pytest.approx(ratio * iron * pure, rel=1e-14)
     assert mass["quartz mixed with goethite"] == pytest.approx(0.7 * left * mixed / 0.6, rel=1e-14)
     assert mass["quartz coated by hematite"] == pytest.approx(0.3 * left * coated / 0.6, rel=1e-14)
-    clipped = compose(iron, ratio, magnetite, (pure, mixed, coated), COAT, "clipped")
+    clipped = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING, "clipped")
     total = magnetite + iron * pure + mixed + coated
     mass = {t.name: t.mass_fraction for t in clipped.particle_types}
     assert mass["pure magnetite"] == pytest.approx(magnetite / total, rel=1e-14)
@@ -224,7 +228,7 @@ def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left()
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_table_of_intermediates_is_complete(case):
-    made = compose(*CASES[case], COAT)
+    made = make_composition(*CASES[case], COATING)
     rows = made.to_rows()
     columns = {"particle_type", "mass_fraction", "density_kg_m3", "volume_fraction"}
     columns |= {f"{kind}_{m}" for kind in ("mass", "volume") for m in DENSITY}
@@ -236,4 +240,4 @@ def test_the_table_of_intermediates_is_complete(case):
         volume = np.array([row[f"volume_{m}"] for m in DENSITY])
         assert mass.sum() == pytest.approx(1.0) and volume.sum() == pytest.approx(1.0)
         np.testing.assert_allclose(volume * list(DENSITY.values()), mass * row["density_kg_m3"])
-        assert row["coating_fraction"] == (COAT if row["mass_kaolinite"] > 0.0 else 0.0)
+        assert row["coating_fraction"] == (COATING if row["mass_kaolinite"] > 0.0 else 0.0)

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
-from splits.experiments.load import read_yaml
+from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[2]
 MEDIA = ROOT / "config" / "media"
 SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
-BAD = [
+INVALID_FILES = [
     ("titel: x", "titel: unknown key.*did you mean title"),
     ("instrument: {wavelength: [500]}", r"instrument\.wavelength: unknown key.*wavelength_nm"),
     (
@@ -35,16 +35,16 @@ BAD = [
 ]
 
 
-def write(folder, name, text=""):
+def write_file(folder, name, text=""):
     path = folder / f"{name}.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"{text}\n", encoding="utf-8")
     return path
 
 
-@pytest.mark.parametrize(("text", "message"), BAD)
+@pytest.mark.parametrize(("text", "message"), INVALID_FILES)
 def test_bad_files_are_refused_with_file_key_and_value(tmp_path, text, message):
-    path = write(tmp_path, "wrong", text)
+    path = write_file(tmp_path, "wrong", text)
     with pytest.raises(ConfigError, match=message) as caught:
         load_experiment(path, MEDIA)
     assert str(caught.value).startswith(str(path))
@@ -61,25 +61,25 @@ def test_what_is_not_text_is_refused(tmp_path):
 
 
 def test_the_file_gives_the_name_unless_it_says_another(tmp_path):
-    assert load_experiment(write(tmp_path, "plain", "title: T")).name == "plain"
-    assert load_experiment(write(tmp_path, "Any name!", "name: other")).name == "other"
+    assert load_experiment(write_file(tmp_path, "plain", "title: T")).name == "plain"
+    assert load_experiment(write_file(tmp_path, "Any name!", "name: other")).name == "other"
 
 
 def test_a_medium_builds_upon_a_base(tmp_path):
-    path = write(tmp_path, "made", "medium: {base: splitsnow_table1, depth_m: 0.25}")
+    path = write_file(tmp_path, "made", "medium: {base: splitsnow_table1, depth_m: 0.25}")
     experiment = load_experiment(path, MEDIA)
     assert experiment.medium["depth_m"] == 0.25
     assert experiment.medium["density_kg_m3"] == 275
 
 
 def test_folders_are_searched_all_the_way_down(tmp_path):
-    write(tmp_path, "one", "title: T")
-    write(tmp_path / "deep" / "down", "two", "title: T")
+    write_file(tmp_path, "one", "title: T")
+    write_file(tmp_path / "deep" / "down", "two", "title: T")
     assert sorted(load_experiments(tmp_path)) == ["one", "two"]
 
 
 def test_a_name_used_twice_is_refused_with_both_files(tmp_path):
-    first, second = write(tmp_path, "a", "name: same"), write(tmp_path, "b", "name: same")
+    first, second = write_file(tmp_path, "a", "name: same"), write_file(tmp_path, "b", "name: same")
     with pytest.raises(ConfigError, match="name = 'same': already taken") as caught:
         load_experiments(tmp_path)
     assert str(first) in str(caught.value)
@@ -109,8 +109,8 @@ def test_bad_settings_are_refused(change, message):
 
 
 def test_a_grid_may_hold_whole_media(tmp_path):
-    write(tmp_path / "media", "mine", "kind: sand\niron_oxide: 0.02")
-    path = write(
+    write_file(tmp_path / "media", "mine", "kind: sand\niron_oxide: 0.02")
+    path = write_file(
         tmp_path,
         "several",
         "medium: {kind: sand, refractive_index: {water: segelstein_1981}}\n"
@@ -143,7 +143,7 @@ def test_a_grid_may_hold_whole_media(tmp_path):
     ],
 )
 def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
-    path = write(tmp_path, "wrong", f"{text}\ninstrument: {{wavelength_nm: [500]}}")
+    path = write_file(tmp_path, "wrong", f"{text}\ninstrument: {{wavelength_nm: [500]}}")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, MEDIA)
 
@@ -165,13 +165,13 @@ def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
 )  # fmt: skip
 def test_figures_that_cannot_be_drawn_are_refused(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message):
-        load_experiment(write(tmp_path, "wrong", text), MEDIA)
+        load_experiment(write_file(tmp_path, "wrong", text), MEDIA)
 
 
 def test_own_mineral_tables_are_known_to_the_workflow(tmp_path):
     table = tmp_path / "own.csv"
     table.write_text("wavelength_nm,n,k\n400,2.3,0.1\n1000,2.3,0.01\n", encoding="utf-8")
-    path = write(
+    path = write_file(
         tmp_path,
         "mine",
         f"medium: {{kind: sand, refractive_index: {{goethite: {table}}}}}\n"

@@ -8,12 +8,12 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.checks import keywords_taken
-from splits.dataset import attributes, provenance
-from splits.experiments.model import Experiment
+from splits.core.validation import list_keywords
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import MEDIA
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import MEDIUM_CLASSES
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
 LENS = {
@@ -42,26 +42,26 @@ def dataset():
             "up": ("up", [1, 2], {"units": "1"}),
             "down": ("down", [2.0, 1.0], {"units": "1"}),
         },
-        attributes({"title": "made up", **provenance("made by a test")}),
+        to_netcdf_attributes({"title": "made up", **make_provenance("made by a test")}),
     )
 
 
 @pytest.fixture(scope="module")
 def small_lens():
     """Return the dataset of an experiment that takes no time."""
-    return run(Experiment.model_validate(LENS), Accuracy(max_stderr=0.5))
+    return run(ExperimentConfig.model_validate(LENS), Accuracy(max_stderr=0.5))
 
 
 def test_every_parameter_has_a_long_name_and_units():
-    from splits.names import PARAMETERS
+    from splits.core.parameter_names import PARAMETERS
 
-    keywords = {name for medium in MEDIA.values() for name in keywords_taken(medium)}
+    keywords = {name for medium in MEDIUM_CLASSES.values() for name in list_keywords(medium)}
     assert set(PARAMETERS) == keywords | {"medium", "incidence_deg"}
     assert all(long_name and units for long_name, units in PARAMETERS.values())
 
 
 def test_ranges_have_means_to_interpolate_between():
-    experiment = Experiment.model_validate(
+    experiment = ExperimentConfig.model_validate(
         {
             "name": "sizes",
             "medium": {"kind": "snow", "depth_m": 0.01},
@@ -89,10 +89,10 @@ def test_grid_coordinates_have_units_if_they_are_numbers(small_lens):
 
 
 def test_units_of_labels_stand_in_their_long_name():
-    from splits.experiments.coordinates import grid_coordinates
+    from splits.experiments.config.grid import make_grid_coordinates
 
     grid = {"grain_size_um": {"100-200": [100, 200]}, "temperature_c": {"-1": -1, "-5": -5}}
-    sizes, means, degrees = grid_coordinates(grid).values()
+    sizes, means, degrees = make_grid_coordinates(grid).values()
     assert means[1].tolist() == [150.0]
     assert sizes[2]["long_name"].endswith("(um)")
     assert degrees[2]["units"] == "degC"

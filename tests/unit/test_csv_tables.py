@@ -12,11 +12,11 @@ import pytest
 import splits
 from splits.analysis.measured import read_measured
 from splits.experiments import load_experiment
-from splits.materials.tables import MAX_BYTES, user_table
-from splits.skies.bands import bands_of
+from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
+from splits.illumination.bands import as_bands
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = sorted((ROOT / "config" / "measured").glob("*.csv"))
+SHIPPED_TABLES = sorted((ROOT / "config" / "measured").glob("*.csv"))
 
 EXPERIMENTS = {
     "figure": "medium: {kind: snow, depth_m: 0.01}\ninstrument: {wavelength_nm: [400, 500]}\n"
@@ -30,7 +30,7 @@ EXPERIMENTS = {
 }
 
 
-def of_experiment(text):
+def read_experiment(text):
     def read(path):
         file = path.with_name("made.yaml")
         file.write_text(text, encoding="utf-8")
@@ -40,23 +40,23 @@ def of_experiment(text):
 
 
 READERS = {
-    **{name: ("reflectance", of_experiment(text)) for name, text in EXPERIMENTS.items()},
+    **{name: ("reflectance", read_experiment(text)) for name, text in EXPERIMENTS.items()},
     "ground": ("albedo", lambda path: splits.Snow(ground=path)),
     "sky": ("direct", lambda path: splits.sky(path, 50.0)),
     "index": ("n", lambda path: splits.Snow(refractive_index={"ice": path})),
-    "band": ("response", lambda path: bands_of({"mine": str(path)})),
+    "band": ("response", lambda path: as_bands({"mine": str(path)})),
     "impurity": (
         "absorption_m2_kg",
         lambda path: splits.Snow(impurities_ng_g={"mine": {"ng_g": 5, "table": str(path)}}),
     ),
 }
 """Ways to a table of a user, and the column that carries its values."""
-OTHERS = {"sky": ",diffuse", "index": ",k"}
+OTHER_READERS = {"sky": ",diffuse", "index": ",k"}
 """Columns that a way needs besides, all 0.1."""
 
-GOOD = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
-GOOD += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
-BAD = {
+VALID_TEXTS = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
+VALID_TEXTS += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
+INVALID_TEXTS = {
     "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a share"),
     "thousands": (("\n450", '\n"1,450"'), "line 3: wavelength_nm is 1,450; write decimals"),
     "footer": (("900,0.9\n", "900,0.9\nmean,0.9\n"), "line 13: wavelength_nm is mean"),
@@ -80,14 +80,14 @@ BAD = {
     "gap": (("\n450", "\n"), "line 3: wavelength_nm is a gap"),
     "quote without end": (("450,0.8", '450,"0.8'), "line 3: unexpected end of data"),
     "no text": (("450,0.8", "450,0.8\0"), "line 3: it is no text in UTF-8"),
-    "empty": ((GOOD, ""), "it has no rows"),
-    "header alone": ((GOOD.partition("\n")[2], ""), "it has no rows"),
+    "empty": ((VALID_TEXTS, ""), "it has no rows"),
+    "header alone": ((VALID_TEXTS.partition("\n")[2], ""), "it has no rows"),
 }  # fmt: skip
 
 
-def table(way, text=GOOD):
+def make_table_text(way, text=VALID_TEXTS):
     """Return the text of a table for a way, with all columns that it needs."""
-    value, more = READERS[way][0], OTHERS.get(way, "")
+    value, more = READERS[way][0], OTHER_READERS.get(way, "")
     if more and text:
         head, *rows = text.split("\n")
         text = "\n".join([head + more, *(row + ",0.1" if row else row for row in rows)])
@@ -97,7 +97,7 @@ def table(way, text=GOOD):
 @pytest.mark.parametrize("way", READERS)
 def test_a_sound_table_is_read_everywhere(tmp_path, way):
     path = tmp_path / "mine.csv"
-    text = "# Citation, in µm\n\n" + table(way).replace("0.8", " 0.8 ", 2)
+    text = "# Citation, in µm\n\n" + make_table_text(way).replace("0.8", " 0.8 ", 2)
     for content in (
         text.encode(),
         text.encode("utf-8-sig"),
@@ -109,16 +109,16 @@ def test_a_sound_table_is_read_everywhere(tmp_path, way):
         READERS[way][1](path)
 
 
-@pytest.mark.parametrize("what", BAD)
+@pytest.mark.parametrize("what", INVALID_TEXTS)
 @pytest.mark.parametrize("way", READERS)
 def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
-    (old, new), told = BAD[what]
-    if way in OTHERS:
+    (old, new), told = INVALID_TEXTS[what]
+    if way in OTHER_READERS:
         told = told.replace("3, in the header: 2", "4, in the header: 3")
         told = told.replace("1, in the header: 2", "2, in the header: 3").split("; a comma")[0]
     path = tmp_path / "mine.csv"
-    changed = GOOD.replace(old, new, -1 if what == "semicolons" else 1)
-    path.write_text(table(way, changed), encoding="utf-8")
+    changed = VALID_TEXTS.replace(old, new, -1 if what == "semicolons" else 1)
+    path.write_text(make_table_text(way, changed), encoding="utf-8")
     with pytest.raises(ValueError, match=told.replace("VALUE", READERS[way][0])) as caught:
         READERS[way][1](path)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
@@ -137,7 +137,7 @@ def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
 )
 def test_spectra_are_shares_over_increasing_nanometres(tmp_path, way, change, told):
     path = tmp_path / "mine.csv"
-    path.write_text(change(table(way)), encoding="utf-8")
+    path.write_text(change(make_table_text(way)), encoding="utf-8")
     with pytest.raises(ValueError, match=told):
         READERS[way][1](path)
 
@@ -145,7 +145,7 @@ def test_spectra_are_shares_over_increasing_nanometres(tmp_path, way, change, to
 def test_gaps_stay_gaps_in_figures_and_are_refused_in_fits_and_retrievals(tmp_path):
     path = tmp_path / "mine.csv"
     for gap in ("", "NaN", "n/a"):
-        path.write_text(table("figure").replace("0.9", gap, 1), encoding="utf-8")
+        path.write_text(make_table_text("figure").replace("0.9", gap, 1), encoding="utf-8")
         READERS["figure"][1](path)
         assert np.isnan(read_measured(path).reflectance[0])
         for way in ("fit", "retrieve"):
@@ -179,7 +179,7 @@ def test_a_number_sign_in_a_name_is_part_of_it(tmp_path):
     assert list(read_measured(path)) == ["wavelength_nm", "sample #1", "sample #2"]
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=[path.stem for path in SHIPPED])
+@pytest.mark.parametrize("path", SHIPPED_TABLES, ids=[path.stem for path in SHIPPED_TABLES])
 def test_shipped_tables_are_read_bit_by_bit_as_before(path):
     ours, theirs = read_measured(path), pd.read_csv(path, comment="#")
     assert list(ours) == list(theirs)
@@ -192,9 +192,9 @@ def test_large_files_and_long_cells_take_no_time(tmp_path):
     for cell in (200_000 * "1" + "x", 200_000 * "1" + "e", 100_000 * "1." + "1"):
         path.write_text(f"wavelength_nm,n\n400,{cell}\n", encoding="utf-8")
         with pytest.raises(ValueError, match="line 2"):
-            user_table("index", path, ("wavelength_nm", "n"))
+            read_user_table("index", path, ("wavelength_nm", "n"))
     with path.open("wb") as file:
-        file.truncate(MAX_BYTES + 1)
+        file.truncate(MAX_TABLE_BYTES + 1)
     with pytest.raises(ValueError, match="at most 32 MiB"):
-        user_table("index", path, ("wavelength_nm", "n"))
+        read_user_table("index", path, ("wavelength_nm", "n"))
     assert time.perf_counter() - begun < 10.0

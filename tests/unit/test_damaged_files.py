@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.dataset import attributes, provenance
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
 
 VALUES = np.linspace(0.1, 0.9, 24).reshape(2, 3, 4)
 
 
-def make(name="first"):
+def make_dataset(name="first"):
     """Return a dataset over texts, numbers out of order and wavelength."""
     return xr.Dataset(
         {
@@ -27,30 +27,30 @@ def make(name="first"):
             "depth_m": [3.0, 1.0, 2.0],
             "wavelength": ("wavelength", [500.0, 600.0, 700.0, 800.0], {"units": "nm"}),
         },
-        attributes({"title": f"made up: {name}", "experiment": name, **provenance()}),
+        to_netcdf_attributes({"title": f"made up: {name}", "experiment": name, **make_provenance()}),
     )
 
 
-def flip(path, place):
+def flip_bit(path, place):
     content = bytearray(path.read_bytes())
     content[place] ^= 0x10
     path.write_bytes(content)
 
 
 def flip_data(path):
-    flip(path, path.read_bytes().index(VALUES[0].tobytes()) + 6)
+    flip_bit(path, path.read_bytes().index(VALUES[0].tobytes()) + 6)
 
 
 def flip_header(path):
-    flip(path, 12)
+    flip_bit(path, 12)
 
 
 def flip_text(path):
-    flip(path, path.read_bytes().index(b"made up"))
+    flip_bit(path, path.read_bytes().index(b"made up"))
 
 
 def flip_label(path):
-    flip(path, path.read_bytes().index(b"beach"))
+    flip_bit(path, path.read_bytes().index(b"beach"))
 
 
 def truncate(path):
@@ -68,44 +68,44 @@ def zero_block(path):
     path.write_bytes(content)
 
 
-def empty(path):
+def empty_file(path):
     path.write_bytes(b"")
 
 
-def text(path):
+def write_text(path):
     path.write_text("this is no netCDF\n")
 
 
-def other_attribute(path):
+def change_attribute(path):
     with netCDF4.Dataset(path, "a") as file:
         file.title = "made up: second"
 
 
-def other_values(path):
+def change_values(path):
     with netCDF4.Dataset(path, "a") as file:
         file["reflectance"][0, 0, 0] += 1e-12
 
 
-def deleted_variable(path):
+def delete_variable(path):
     with xr.open_dataset(path) as file:
         fewer = file.load().drop_vars("rays")
     fewer.to_netcdf(path)
 
 
-WAYS = {
+DAMAGE_FUNCTIONS = {
     way.__name__: way
     for way in (
-        flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty, text,
-        other_attribute, other_values, deleted_variable,
+        flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty_file, write_text,
+        change_attribute, change_values, delete_variable,
     )
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", DAMAGE_FUNCTIONS)
 def test_damage_is_named_in_one_line(tmp_path, way):
     path = tmp_path / "made.nc"
-    splits.save(make(), path)
-    WAYS[way](path)
+    splits.save(make_dataset(), path)
+    DAMAGE_FUNCTIONS[way](path)
     with pytest.raises(ValueError, match="damaged") as error:
         splits.load(path)
     line = str(error.value)
@@ -116,54 +116,54 @@ def test_damage_is_named_in_one_line(tmp_path, way):
 
 def test_a_removed_checksum_is_named(tmp_path):
     path = tmp_path / "made.nc"
-    splits.save(make(), path)
+    splits.save(make_dataset(), path)
     with netCDF4.Dataset(path, "a") as file:
         file.delncattr("content_sha256")
     with pytest.warns(UserWarning, match=r"made\.nc: has no checksum") as warned:
         again = splits.load(path)
     assert len(warned) == 1
-    xr.testing.assert_identical(again, make().assign_attrs(again.attrs))
+    xr.testing.assert_identical(again, make_dataset().assign_attrs(again.attrs))
 
 
 def test_the_dataset_of_another_experiment_is_named(tmp_path):
-    from splits.checksum import damage
+    from splits.io.integrity import find_damage
 
     path = tmp_path / "first.nc"
-    splits.save(make("second"), path)
-    assert damage(path, "second") == ""
-    line = damage(path, "first")
+    splits.save(make_dataset("second"), path)
+    assert find_damage(path, "second") == ""
+    line = find_damage(path, "first")
     assert line.startswith(f"{path}: holds the dataset of experiment second, not of first")
     assert "\n" not in line
 
 
 def test_any_flipped_byte_is_found(tmp_path):
     path = tmp_path / "made.nc"
-    splits.save(make(), path)
+    splits.save(make_dataset(), path)
     sound = path.read_bytes()
     for place in np.random.default_rng(1).choice(len(sound), 300, replace=False):
-        flip(path, place)
+        flip_bit(path, place)
         with pytest.raises(ValueError, match=r"made\.nc: damaged, "):
             splits.load(path)
         path.write_bytes(sound)
 
 
 def test_the_checksum_is_of_the_content_and_not_of_how_it_is_stored(tmp_path):
-    from splits.checksum import CHECKSUM, check, seal
+    from splits.io.integrity import CHECKSUM_ATTRIBUTE, verify_checksums, write_checksums
 
     path, other = tmp_path / "made.nc", tmp_path / "other.nc"
-    splits.save(make(), path)
+    splits.save(make_dataset(), path)
     with xr.open_dataset(path) as file:
         content = file.load()
-    del content.attrs[CHECKSUM]
+    del content.attrs[CHECKSUM_ATTRIBUTE]
     compressed = {"zlib": True, "chunksizes": (1, 2, 2), "_FillValue": None}
     plain = {name: {"_FillValue": None} for name in content.variables}
     content.to_netcdf(other, encoding=plain | {"reflectance": compressed})
-    seal(other)
-    assert check(other)[CHECKSUM] == check(path)[CHECKSUM]
+    write_checksums(other)
+    assert verify_checksums(other)[CHECKSUM_ATTRIBUTE] == verify_checksums(path)[CHECKSUM_ATTRIBUTE]
 
 
 def test_what_was_loaded_and_changed_can_be_saved_again(tmp_path):
-    splits.save(make(), tmp_path / "made.nc")
+    splits.save(make_dataset(), tmp_path / "made.nc")
     part = splits.load(tmp_path / "made.nc").isel(medium=[1]).assign_attrs(note="a part")
     splits.save(part, tmp_path / "part.nc")
     xr.testing.assert_identical(splits.load(tmp_path / "part.nc"), part)
@@ -172,17 +172,17 @@ def test_what_was_loaded_and_changed_can_be_saved_again(tmp_path):
 def test_threads_save_and_load_at_once(tmp_path):
     def one(number):
         path = tmp_path / f"made{number % 4}.nc"
-        splits.save(make(), path)
+        splits.save(make_dataset(), path)
         return splits.load(path)
 
     with ThreadPoolExecutor(4) as pool:
         for again in pool.map(one, range(16)):
-            xr.testing.assert_equal(again, make())
+            xr.testing.assert_equal(again, make_dataset())
 
 
 def test_a_missing_right_is_no_damage(tmp_path, monkeypatch):
     path = tmp_path / "made.nc"
-    splits.save(make(), path)
+    splits.save(make_dataset(), path)
 
     def refuse(*_arguments):
         raise PermissionError(13, "Permission denied", str(path))

@@ -9,17 +9,17 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.dataset import (
-    CONVENTIONS,
-    VOLATILE,
-    at_points,
-    attributes,
-    provenance,
-    without_volatile,
+from splits.io.netcdf import (
+    CF_CONVENTIONS,
+    RUN_SPECIFIC_ATTRIBUTES,
+    select_points,
+    to_netcdf_attributes,
+    make_provenance,
+    drop_run_specific_attributes,
 )
 
 
-def make(**changes):
+def make_dataset(**changes):
     """Return a small dataset over a number, a label and wavelength."""
     values = {"reflectance": np.arange(12.0).reshape(2, 2, 3) / 12.0, **changes}
     return xr.Dataset(
@@ -32,35 +32,35 @@ def make(**changes):
             "incidence_deg": ["beam", "diffuse"],
             "wavelength": ("wavelength", [500.0, 600.0, 700.0], {"units": "nm"}),
         },
-        attributes({"title": "made up", "sizes": (300, 750), "flag": True, **provenance()}),
+        to_netcdf_attributes({"title": "made up", "sizes": (300, 750), "flag": True, **make_provenance()}),
     )
 
 
-def names(folder):
+def list_names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
 def test_round_trip(tmp_path):
-    dataset = make()
+    dataset = make_dataset()
     splits.save(dataset, tmp_path / "new" / "folder" / "made.nc")
     again = splits.load(tmp_path / "new" / "folder" / "made.nc")
     xr.testing.assert_equal(again, dataset)
     assert again.reflectance.attrs == dataset.reflectance.attrs
     assert set(again.attrs) == set(dataset.attrs)
     assert list(again.attrs["sizes"]) == [300, 750]
-    assert names(tmp_path / "new" / "folder") == ["made.nc"]
+    assert list_names(tmp_path / "new" / "folder") == ["made.nc"]
 
 
 def test_a_loaded_dataset_does_not_hold_its_file(tmp_path):
     path = tmp_path / "made.nc"
-    splits.save(make(), path)
+    splits.save(make_dataset(), path)
     loaded = splits.load(path)
     path.unlink()
     assert float(loaded.reflectance.sum()) == pytest.approx(5.5)
 
 
 def test_files_are_readable_by_others_as_any_new_file_is(tmp_path):
-    splits.save(make(), tmp_path / "made.nc")
+    splits.save(make_dataset(), tmp_path / "made.nc")
     (tmp_path / "plain").touch()
     modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("made.nc", "plain")}
     assert len(modes) == 1
@@ -70,7 +70,7 @@ def test_files_are_readable_by_others_as_any_new_file_is(tmp_path):
 def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
     path = tmp_path / "made.nc"
     if before:
-        splits.save(make(), path)
+        splits.save(make_dataset(), path)
 
     def fail(_dataset, target, **_options):
         with open(target, "wb") as file:
@@ -80,10 +80,10 @@ def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
     with monkeypatch.context() as patch:
         patch.setattr(xr.Dataset, "to_netcdf", fail)
         with pytest.raises(OSError, match="disk full"):
-            splits.save(make(reflectance=np.zeros((2, 2, 3))), path)
-    assert names(tmp_path) == (["made.nc"] if before else [])
+            splits.save(make_dataset(reflectance=np.zeros((2, 2, 3))), path)
+    assert list_names(tmp_path) == (["made.nc"] if before else [])
     if before:
-        xr.testing.assert_equal(splits.load(path), make())
+        xr.testing.assert_equal(splits.load(path), make_dataset())
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -91,8 +91,8 @@ def test_values_that_are_not_finite_are_refused_by_name(tmp_path, bad):
     values = np.zeros((2, 2, 3))
     values[1, 0, 2] = bad
     with pytest.raises(ValueError, match=r"made\.nc: transmittance holds values.*not finite"):
-        splits.save(make(transmittance=values), tmp_path / "made.nc")
-    assert names(tmp_path) == []
+        splits.save(make_dataset(transmittance=values), tmp_path / "made.nc")
+    assert list_names(tmp_path) == []
 
 
 def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
@@ -104,7 +104,7 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
     }
     dims = ("layers.0.depth_m", "layers.1.surface", "layers.2.ground")
     about = {"units": "1", "long_name": "reflectance"}
-    dataset = xr.Dataset({"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, provenance())
+    dataset = xr.Dataset({"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, make_provenance())
     path = tmp_path / "pack.nc"
     splits.save(dataset, path)
     with xr.open_dataset(path) as file:
@@ -121,14 +121,14 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
 @pytest.mark.parametrize("name", ["made.csv", "made", "made.nc.gz", "made.NC"])
 def test_other_suffixes_are_refused_with_a_hint(tmp_path, name):
     with pytest.raises(ValueError, match=r"^path = .*: must be a name that ends in \.nc, .*to_csv"):
-        splits.save(make(), tmp_path / name)
-    assert names(tmp_path) == []
+        splits.save(make_dataset(), tmp_path / name)
+    assert list_names(tmp_path) == []
 
 
 @pytest.mark.parametrize("name", ["made.nc", "made.nc4", "made.netcdf"])
 def test_suffixes_of_netcdf(tmp_path, name):
-    splits.save(make(), tmp_path / name)
-    xr.testing.assert_equal(splits.load(tmp_path / name), make())
+    splits.save(make_dataset(), tmp_path / name)
+    xr.testing.assert_equal(splits.load(tmp_path / name), make_dataset())
 
 
 def test_datasets_of_others_are_refused(tmp_path):
@@ -144,32 +144,32 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_provenance_names_program_versions_and_time():
-    facts = provenance("experiment sunny")
+    facts = make_provenance("experiment sunny")
     assert facts["history"].startswith(f"{facts['date_created']} splits ")
     assert facts["history"].endswith(": experiment sunny")
-    assert facts["Conventions"] == CONVENTIONS
+    assert facts["Conventions"] == CF_CONVENTIONS
     assert facts["source"] == f"splits {facts['splits_version']}"
     assert facts["date_created"].endswith("+00:00")
     assert {"splits_commit", "python_version", "numpy_version"} <= set(facts)
 
 
 def test_attributes_fit_netcdf():
-    facts = attributes({"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3})
+    facts = to_netcdf_attributes({"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3})
     assert [facts[key] for key in "abcef"] == ["none", "true", "false", "text", 3]
     assert facts["d"].tolist() == [1.0, 2.5]
 
 
 def test_without_volatile_keeps_numbers_and_other_attributes():
-    dataset = make().assign_attrs(dict.fromkeys(VOLATILE, 1))
-    copy = without_volatile(dataset)
-    assert not set(VOLATILE) & set(copy.attrs)
+    dataset = make_dataset().assign_attrs(dict.fromkeys(RUN_SPECIFIC_ATTRIBUTES, 1))
+    copy = drop_run_specific_attributes(dataset)
+    assert not set(RUN_SPECIFIC_ATTRIBUTES) & set(copy.attrs)
     assert copy.attrs["title"] == "made up"
-    assert set(VOLATILE) <= set(dataset.attrs), "the original keeps them"
+    assert set(RUN_SPECIFIC_ATTRIBUTES) <= set(dataset.attrs), "the original keeps them"
     xr.testing.assert_equal(copy, dataset)
 
 
 def test_at_points_takes_numbers_and_labels():
-    dataset = make()
-    part = at_points(dataset, {"depth_m": 0.12, "incidence_deg": "beam"})
+    dataset = make_dataset()
+    part = select_points(dataset, {"depth_m": 0.12, "incidence_deg": "beam"})
     np.testing.assert_array_equal(part.reflectance, dataset.reflectance[1, 0])
-    xr.testing.assert_equal(at_points(dataset, {}), dataset)
+    xr.testing.assert_equal(select_points(dataset, {}), dataset)

@@ -6,23 +6,34 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.directions import merged_cells, principal_plane
-from splits.instruments.cells import centres
-from splits.instruments.detail import PENALTY, SLOWEST, angles_of, finer, supported
-from splits.transport.sums.directions import basis_of, count_cells, evaluate_all, expand
-from splits.transport.sums.tally import (
+from splits.analysis.directions import merge_angular_bins, select_principal_plane
+from splits.instruments.angular_bins import compute_bin_centres
+from splits.instruments.angular_truncation import (
+    VARIANCE_PENALTY,
+    MAX_POWER_RATIO,
+    make_direction_grid,
+    estimate_truncation_error,
+    select_terms,
+)
+from splits.kernels.tallies.angular import (
+    make_basis,
+    tally_angular_bins,
+    evaluate_basis_at,
+    tally_expansion,
+)
+from splits.kernels.tallies.exits import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
     EXIT_ORDER,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    exit_rows,
+    allocate_exits,
 )
 
 DEGREE = 24
 
 
-def quadrature(polar=40, azimuth=64):
+def make_quadrature(polar=40, azimuth=64):
     """Return directions and weights that integrate over projected solid angle."""
     x, w = np.polynomial.legendre.leggauss(polar)
     mu, phi = np.meshgrid(
@@ -35,8 +46,8 @@ def quadrature(polar=40, azimuth=64):
 
 
 def test_polynomials_are_orthonormal_over_projected_solid_angle():
-    directions, weights = quadrature()
-    values = evaluate_all(basis_of(DEGREE), directions)
+    directions, weights = make_quadrature()
+    values = evaluate_basis_at(make_basis(DEGREE), directions)
     product = (values * weights[:, np.newaxis]).T @ values
     assert np.abs(product - np.eye(len(product))).max() < 1e-12
 
@@ -44,9 +55,9 @@ def test_polynomials_are_orthonormal_over_projected_solid_angle():
 def test_they_are_those_of_jacobi():
     from scipy.special import eval_jacobi
 
-    basis = basis_of(DEGREE)
-    directions, _ = quadrature(7, 5)
-    values = evaluate_all(basis, directions)
+    basis = make_basis(DEGREE)
+    directions, _ = make_quadrature(7, 5)
+    values = evaluate_basis_at(basis, directions)
     mu, phi = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
     row = 0
     for m, count in enumerate(basis.n_per_m):
@@ -61,15 +72,15 @@ def test_they_are_those_of_jacobi():
 
 
 def test_the_first_one_alone_integrates_to_anything():
-    directions, weights = quadrature()
-    values = evaluate_all(basis_of(DEGREE), directions)
+    directions, weights = make_quadrature()
+    values = evaluate_basis_at(make_basis(DEGREE), directions)
     integrals = weights @ values
     assert integrals[0] == pytest.approx(np.sqrt(np.pi), rel=1e-13)
     assert np.abs(integrals[1:]).max() < 1e-12
 
 
-def rows_of(directions, sides, orders, lengths):
-    rows = exit_rows(len(directions), 3)
+def make_exit_rows(directions, sides, orders, lengths):
+    rows = allocate_exits(len(directions), 3)
     rows[:, EXIT_SIDE] = sides
     rows[:, EXIT_ORDER] = orders
     rows[:, EXIT_WEIGHT] = 1.0
@@ -88,10 +99,10 @@ LENGTHS = np.array([0.0, 0.0, 0.01])
 
 
 def test_rays_are_summed_by_side_order_and_wavelength():
-    basis = basis_of(4)
-    rows = rows_of(UP, SIDES, ORDERS, LENGTHS)
-    sums, straight = expand(rows, ABSORPTION, np.array([2, 4, 100]), basis)
-    values = evaluate_all(basis, UP)
+    basis = make_basis(4)
+    rows = make_exit_rows(UP, SIDES, ORDERS, LENGTHS)
+    sums, straight = tally_expansion(rows, ABSORPTION, np.array([2, 4, 100]), basis)
+    values = evaluate_basis_at(basis, UP)
     passed = np.array([1.0, np.exp(-1.0)])
     assert straight == pytest.approx(np.array([passed, [0.0, 0.0]]))
     for j, (ray, side) in enumerate(((1, 0), (2, 1), (4, 0))):
@@ -100,8 +111,8 @@ def test_rays_are_summed_by_side_order_and_wavelength():
 
 
 def test_cells_are_of_equal_solid_angle_and_the_first_lies_ahead():
-    rows = rows_of(UP, SIDES, ORDERS, LENGTHS)
-    sums, straight = count_cells(rows, ABSORPTION, 5, 8, -1)
+    rows = make_exit_rows(UP, SIDES, ORDERS, LENGTHS)
+    sums, straight = tally_angular_bins(rows, ABSORPTION, 5, 8, -1)
     passed = np.array([1.0, np.exp(-1.0)])
     assert straight[0, 0] == pytest.approx(passed)
     assert straight[1, 0] == pytest.approx(passed**2)
@@ -110,12 +121,12 @@ def test_cells_are_of_equal_solid_angle_and_the_first_lies_ahead():
     assert sums[0, 0, :, 3, 0] == pytest.approx(passed)
     assert sums[1, 1, :, 4, 0] == pytest.approx(passed**2)
     assert sums[0].sum() == pytest.approx(3.0 * passed.sum())
-    polar, azimuth = centres((5, 8))
+    polar, azimuth = compute_bin_centres((5, 8))
     assert np.cos(np.radians(polar)) == pytest.approx([0.9, 0.7, 0.5, 0.3, 0.1])
     assert azimuth.tolist() == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0]
 
 
-def coefficients(signal, noise, groups=64, seed=1):
+def draw_coefficients(signal, noise, groups=64, seed=1):
     """Return coefficients of groups whose mean has that noise in each."""
     random = np.random.default_rng(seed)
     scatter = random.normal(size=(groups, signal.size)) * noise * np.sqrt(groups)
@@ -123,11 +134,11 @@ def coefficients(signal, noise, groups=64, seed=1):
 
 
 def test_noise_is_not_taken_for_structure():
-    basis = basis_of(DEGREE)
+    basis = make_basis(DEGREE)
     signal = np.zeros(basis.norms.size)
     signal[0] = 1.0
     kept = [
-        supported(coefficients(signal, 0.01, seed=seed), basis, False).sum() for seed in range(50)
+        select_terms(draw_coefficients(signal, 0.01, seed=seed), basis, False).sum() for seed in range(50)
     ]
     # Only the constant one and its neighbours, but for what a fluctuation lets in.
     assert np.median(kept) == 4
@@ -135,25 +146,25 @@ def test_noise_is_not_taken_for_structure():
 
 
 def test_what_stands_out_is_kept_and_a_normal_beam_has_no_azimuth():
-    basis = basis_of(DEGREE)
+    basis = make_basis(DEGREE)
     signal = np.zeros(basis.norms.size)
-    rows = {(m, i): row for row, (m, i) in enumerate(pairs(basis))}
+    rows = {(m, i): row for row, (m, i) in enumerate(list_pairs(basis))}
     for m, i in ((0, 0), (0, 3), (1, 1), (4, 0)):
         signal[rows[m, i]] = 1.0
-    found = coefficients(signal, 0.01)
-    keep = supported(found, basis, False)
+    found = draw_coefficients(signal, 0.01)
+    keep = select_terms(found, basis, False)
     assert all(keep[rows[pair]] for pair in ((0, 0), (0, 3), (1, 1), (4, 0)))
     assert keep.sum() < 40
-    alone = supported(found, basis, True)
+    alone = select_terms(found, basis, True)
     assert all(m == 0 for (m, _), row in rows.items() if alone[row])
-    assert PENALTY > 1.0
+    assert VARIANCE_PENALTY > 1.0
 
 
-def pairs(basis):
+def list_pairs(basis):
     return [(m, i) for m, count in enumerate(basis.n_per_m) for i in range(count)]
 
 
-def brdf_of(polar, azimuth):
+def evaluate_brdf(polar, azimuth):
     values = np.cos(np.radians(polar))[:, np.newaxis] + 0.01 * np.arange(len(azimuth))
     stderr = np.full(values.shape, 0.1)
     data = {"brdf": (("polar", "azimuth"), values), "brdf_stderr": (("polar", "azimuth"), stderr)}
@@ -161,19 +172,19 @@ def brdf_of(polar, azimuth):
 
 
 def test_the_principal_plane_runs_from_back_to_forward():
-    dataset = brdf_of(np.array([0.0, 30.0, 60.0]), np.array([0.0, 90.0, 180.0]))
-    plane = principal_plane(dataset)
+    dataset = evaluate_brdf(np.array([0.0, 30.0, 60.0]), np.array([0.0, 90.0, 180.0]))
+    plane = select_principal_plane(dataset)
     assert plane.angle.values.tolist() == [-60.0, -30.0, 0.0, 30.0, 60.0]
     cosine = np.cos(np.radians([60.0, 30.0, 0.0, 30.0, 60.0]))
     assert plane.brdf.values == pytest.approx(cosine + np.array([0.02, 0.02, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"azimuth_deg = .*with 0 and 180 degrees"):
-        principal_plane(dataset.isel(azimuth=[0, 1]))
+        select_principal_plane(dataset.isel(azimuth=[0, 1]))
 
 
 def test_merged_cells_hold_the_light_of_their_parts():
-    polar, azimuth = centres((6, 12))
-    dataset = brdf_of(polar, azimuth)
-    merged = merged_cells(dataset, 3)
+    polar, azimuth = compute_bin_centres((6, 12))
+    dataset = evaluate_brdf(polar, azimuth)
+    merged = merge_angular_bins(dataset, 3)
     weight = np.cos(np.radians(polar))[:, np.newaxis]
     assert merged.brdf.shape == (2, 4)
     first = (weight * dataset.brdf.values)[:3][:, [11, 0, 1]].sum() / (3.0 * weight[:3].sum())
@@ -181,27 +192,27 @@ def test_merged_cells_hold_the_light_of_their_parts():
     assert merged.azimuth.values.tolist() == [0.0, 90.0, 180.0, 270.0]
     assert (merged.brdf_stderr < 0.1).all()
     with pytest.raises(ValueError, match="factor = 2: must be odd"):
-        merged_cells(dataset, 2)
+        merge_angular_bins(dataset, 2)
 
 
-def detail(fall, per_noise, seed):
+def compute_truncated_power(fall, per_noise, seed):
     """Return the detail told beyond degree 24 where power falls by `fall` every four degrees.
 
     The power of the last four is `per_noise` times its noise.
     """
-    basis = basis_of(DEGREE)
-    angles = angles_of(np.array([0.0, 30.0, 60.0, 80.0]), np.array([0.0, 180.0]), basis)
+    basis = make_basis(DEGREE)
+    angles = make_direction_grid(np.array([0.0, 30.0, 60.0, 80.0]), np.array([0.0, 180.0]), basis)
     rng = np.random.default_rng(seed)
     amplitude = fall ** (0.5 * (basis.degrees / 4.0)) * rng.choice([-1.0, 1.0], basis.degrees.size)
     fine = basis.degrees > DEGREE - 4
     error = np.sqrt((amplitude[fine] ** 2).sum() / np.sqrt(2.0 * fine.sum()) / per_noise)
     groups = amplitude + 8.0 * error * rng.standard_normal((64, amplitude.size))
-    return finer(np.stack([groups, groups], axis=1), False, angles)
+    return estimate_truncation_error(np.stack([groups, groups], axis=1), False, angles)
 
 
 def test_noise_does_not_feign_detail_that_hardly_falls():
     seeds = range(40)
-    clear, noisy = ([detail(0.25, p, s).max() for s in seeds] for p in (1e6, 6.0))
+    clear, noisy = ([compute_truncated_power(0.25, p, s).max() for s in seeds] for p in (1e6, 6.0))
     assert 0.0 < np.mean(noisy) < 1.5 * np.mean(clear)
     # Detail that does not fall at all is told at once.
-    assert detail(1.0, 1e6, 0).max() > SLOWEST / (1.0 - SLOWEST)
+    assert compute_truncated_power(1.0, 1e6, 0).max() > MAX_POWER_RATIO / (1.0 - MAX_POWER_RATIO)

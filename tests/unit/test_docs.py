@@ -11,14 +11,14 @@ import pytest
 
 import splits
 from splits.experiments import load_settings
-from splits.experiments.instrument_section import Instrument
-from splits.experiments.model import Experiment
-from splits.experiments.retrieve_section import Noise, RetrieveSection
-from splits.experiments.sections import FigureSection, FitSection
-from splits.experiments.settings import Accuracy, Settings
-from splits.experiments.studies import SensitivityPair, Study
-from splits.experiments.yaml_files import read_yaml
-from splits.figures.gallery import BYTES, WIDTH, small, write_gallery
+from splits.experiments.config.instrument import InstrumentSection
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
+from splits.experiments.config.sections import FigureSection, FitSection
+from splits.experiments.config.settings import Accuracy, Settings
+from splits.experiments.config.study import SensitivityPair, Study
+from splits.core.yaml import read_yaml
+from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figure, write_gallery
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -49,11 +49,11 @@ def test_every_public_name_is_documented():
 @pytest.mark.parametrize(
     "model",
     [
-        Experiment,
-        Instrument,
+        ExperimentConfig,
+        InstrumentSection,
         FitSection,
         RetrieveSection,
-        Noise,
+        NoiseSection,
         FigureSection,
         Settings,
         Accuracy,
@@ -69,7 +69,7 @@ def test_every_key_of_a_model_has_a_meaning(model):
 
 
 def test_limits_and_defaults_of_keys_are_the_models():
-    fields = Instrument.model_fields
+    fields = InstrumentSection.model_fields
     assert configuration.allowed(fields["target"]) == "`brdf`, `btdf`"
     assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
     assert configuration.allowed(fields["cells"]) == "2 numbers"
@@ -111,9 +111,9 @@ def test_images_of_the_gallery_are_small_and_used():
     names = {page.image.name for page in gallery.pages()}
     for path in IMAGES.iterdir():
         assert path.name in names
-        assert path.stat().st_size <= BYTES
+        assert path.stat().st_size <= MAX_IMAGE_BYTES
         with image.open(path) as picture:
-            assert picture.width <= WIDTH
+            assert picture.width <= MAX_WIDTH_PX
 
 
 def test_index_of_the_gallery_shows_every_folder():
@@ -126,7 +126,7 @@ def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
     image = pytest.importorskip("PIL.Image")
     figures, folder = tmp_path / "figures", tmp_path / "images"
     figures.mkdir()
-    for name, width in {"wide": 2 * WIDTH, "narrow": 100}.items():
+    for name, width in {"wide": 2 * MAX_WIDTH_PX, "narrow": 100}.items():
         image.effect_noise((width, 50), 40).save(figures / f"{name}.png")
     with pytest.raises(ValueError, match=r"gone\.png'.*must be there"):
         write_gallery(figures, ["wide", "gone"], folder)
@@ -136,7 +136,7 @@ def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
         [],
     )
     with image.open(folder / "wide.webp") as copy:
-        assert copy.size == (WIDTH, 25)
+        assert copy.size == (MAX_WIDTH_PX, 25)
     assert write_gallery(figures, ["narrow"], folder) == ([], [folder / "wide.webp"])
     assert [path.name for path in folder.iterdir()] == ["narrow.webp"]
 
@@ -146,7 +146,7 @@ def test_a_figure_that_cannot_be_small_is_refused(tmp_path, monkeypatch):
     image.effect_noise((100, 100), 90).save(tmp_path / "noise.png")
     monkeypatch.setattr("splits.figures.gallery.BYTES", 100)
     with pytest.raises(ValueError, match="fits into 100 bytes"):
-        small(tmp_path / "noise.png")
+        compress_figure(tmp_path / "noise.png")
 
 
 # --- pages ----------------------------------------------------------------------------------------

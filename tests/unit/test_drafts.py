@@ -9,47 +9,47 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
 from numba.core.runtime import _nrt_python, rtsys
-from scenes import medium_scene, optics_at
+from scenes import make_medium_scene, compute_optics
 
 import splits
-from splits.transport.compiling import cache
-from splits.transport.compiling.folders import Folder
-from splits.transport.compiling.jit import entry, kernel, owner, part
-from splits.transport.grains import granular
-from splits.transport.sums.tally import exit_rows
+from splits.kernels.compiler import cache
+from splits.kernels.compiler.cache_folders import CacheFolder
+from splits.kernels.compiler.jit import entry_point, inline, inline_allocating, inline_only
+from splits.kernels.grains import history
+from splits.kernels.tallies.exits import allocate_exits
 
 
-@kernel
+@inline
 def square(x):
     """Return x²."""
     return x * x
 
 
-@part
+@inline_only
 def cube(x):
     """Return x³."""
     return x * square(x)
 
 
-def total(x):
+def compute_total(x):
     """Return x² + x³."""
     return square(x) + cube(x)
 
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    found = Folder(tmp_path / "numba", False)
+    found = CacheFolder(tmp_path / "numba", False)
     monkeypatch.setattr(cache, "folders", lambda: (found, found))
     return found.path
 
 
 @NEEDS_JIT
 def test_only_what_python_calls_is_made_and_kept(folder):
-    assert entry(total)(3.0) == 36.0
+    assert entry_point(compute_total)(3.0) == 36.0
     (kept,) = folder.rglob("*.nbc")
     assert "total" in kept.name
     # A function that is kept has within it all that it calls.
-    again = entry(total)
+    again = entry_point(compute_total)
     assert again(3.0) == 36.0 and sum(again.stats.cache_hits.values()) == 1
 
 
@@ -60,21 +60,21 @@ def test_python_calls_a_small_function_compiled_and_a_part_as_it_is_written(fold
     assert square.__doc__ == "Return x²."
 
 
-class Inner(NamedTuple):
+class InnerRecord(NamedTuple):
     """Something that may lack a part."""
 
     part: float | None
 
 
-class Outer(NamedTuple):
+class OuterRecord(NamedTuple):
     """What holds it."""
 
-    inner: Inner
+    inner: InnerRecord
     other: float | None
 
 
-@part
-def with_part(outer, x):
+@inline_only
+def compute_with_part(outer, x):
     """Return what takes both parts, and x without them; neither has a type without its part."""
     if outer.inner.part is not None:
         x = x + outer.inner.part.real
@@ -83,40 +83,40 @@ def with_part(outer, x):
     return (x, outer.other.real)
 
 
-def asked(outer, x):
-    """Return what `with_part` does."""
-    return with_part(outer, x)
+def call_with_part(outer, x):
+    """Return what `compute_with_part` does."""
+    return compute_with_part(outer, x)
 
 
 @NEEDS_JIT
 def test_what_a_named_tuple_lacks_is_never_looked_at(folder):
     """Numba by itself gives types to both branches, and refuses two kinds of results."""
-    compiled = entry(asked)
-    assert compiled(Outer(Inner(None), None), 1.0) == 1.0
-    assert compiled(Outer(Inner(2.0), None), 1.0) == 3.0
-    assert compiled(Outer(Inner(2.0), 4.0), 1.0) == (3.0, 4.0)
+    compiled = entry_point(call_with_part)
+    assert compiled(OuterRecord(InnerRecord(None), None), 1.0) == 1.0
+    assert compiled(OuterRecord(InnerRecord(2.0), None), 1.0) == 3.0
+    assert compiled(OuterRecord(InnerRecord(2.0), 4.0), 1.0) == (3.0, 4.0)
 
 
-@part
-def passed_on(values):
+@inline_only
+def return_array(values):
     """Return an array, in a named tuple, that nobody has counted."""
-    return Inner(values[1:])
+    return InnerRecord(values[1:])
 
 
-@owner
-def made(values):
+@inline_allocating
+def make_array(values):
     """Return a new array."""
     return values + 1.0
 
 
-@part
-def takes(values):
+@inline_only
+def use_array(values):
     """Return a number, by way of an array that would never be let go."""
-    return made(values)[0]
+    return make_array(values)[0]
 
 
-@part
-def perhaps(values):
+@inline_only
+def return_optional(values):
     """Return an array that nobody has counted, or None."""
     if values[0] > 0.0:
         return values
@@ -124,24 +124,24 @@ def perhaps(values):
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("function", [passed_on, takes, perhaps])
+@pytest.mark.parametrize("function", [return_array, use_array, return_optional])
 def test_functions_that_do_not_count_who_holds_an_array_pass_none_on(folder, function):
     def caller(values):
         function(values)
 
-    with pytest.raises(TypeError, match="makes or returns arrays, but is no `owner`"):
-        entry(caller)(np.ones(3))
+    with pytest.raises(TypeError, match="makes or returns arrays, but is no `inline_allocating`"):
+        entry_point(caller)(np.ones(3))
 
 
 @NEEDS_JIT
 def test_arrays_that_kernels_own_are_let_go(folder):
     def caller(values):
-        return made(made(values))[-1]
+        return make_array(make_array(values))[-1]
 
     _nrt_python.memsys_enable_stats()
     try:
         before = rtsys.get_allocation_stats()
-        assert entry(caller)(np.ones(3)) == 3.0
+        assert entry_point(caller)(np.ones(3)) == 3.0
         after = rtsys.get_allocation_stats()
     finally:
         _nrt_python.memsys_disable_stats()
@@ -149,9 +149,9 @@ def test_arrays_that_kernels_own_are_let_go(folder):
 
 
 def test_a_kernel_lets_go_of_the_arrays_of_its_scene():
-    scene, optics = medium_scene(splits.Snow(), analog=True), optics_at(splits.Snow(), 500.0)
-    exits = exit_rows(8, optics.n.size)
+    scene, optics = make_medium_scene(splits.Snow(), analog=True), compute_optics(splits.Snow(), 500.0)
+    exits = allocate_exits(8, optics.n.size)
     arrays = (*scene.layers, *scene.types, *optics, exits)
     before = [sys.getrefcount(array) for array in arrays]
-    granular.batch(1, np.array([0, 0, 8, 100]), scene, optics, exits, None, None)
+    history.trace_batch(1, np.array([0, 0, 8, 100]), scene, optics, exits, None, None)
     assert [sys.getrefcount(array) for array in arrays] == before

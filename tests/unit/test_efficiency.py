@@ -13,14 +13,22 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.analysis import efficiency
-from splits.analysis.efficiency import ADAPTIVE, LANES, MEASURED, METHODS, PARTLY, SCALED, UNIFORM
-from splits.figures.efficiency import speed_against_error
+from splits.experiments.papers import performance
+from splits.experiments.papers.performance import (
+    PAPER_ADAPTIVE,
+    VECTORIZED,
+    MEASURED,
+    METHODS,
+    MEASURED_PARTLY,
+    SCALED,
+    PAPER_UNIFORM,
+)
+from splits.experiments.papers.performance_figure import draw_speed_against_error
 
 PROGRAM = Path(__file__).parents[2] / "benchmarks" / "speed_against_error.py"
 
 
-def row(method, how, error, seconds, **facts):
+def make_row(method, how, error, seconds, **facts):
     given = {"medium": "snow", "deviation_largest": 0.01, "stderr_largest": error} | facts
     return {"method": method, "how": how, "error": error, "seconds": seconds} | given
 
@@ -28,24 +36,24 @@ def row(method, how, error, seconds, **facts):
 @pytest.fixture
 def table():
     rows = [
-        row(LANES, MEASURED, 0.002, 1.0),
-        row(LANES, MEASURED, 0.001, 4.0),
-        row(UNIFORM, PARTLY, 0.002, 50.0),
-        row(UNIFORM, SCALED, 0.001, 200.0),
-        row(ADAPTIVE, PARTLY, 0.002, 10.0),
-        row(ADAPTIVE, SCALED, 0.001, 40.0),
-        row(ADAPTIVE, PARTLY, 0.001, 44.0),
-        row("kz04", MEASURED, np.nan, 0.01, stderr_largest=np.nan),
+        make_row(VECTORIZED, MEASURED, 0.002, 1.0),
+        make_row(VECTORIZED, MEASURED, 0.001, 4.0),
+        make_row(PAPER_UNIFORM, MEASURED_PARTLY, 0.002, 50.0),
+        make_row(PAPER_UNIFORM, SCALED, 0.001, 200.0),
+        make_row(PAPER_ADAPTIVE, MEASURED_PARTLY, 0.002, 10.0),
+        make_row(PAPER_ADAPTIVE, SCALED, 0.001, 40.0),
+        make_row(PAPER_ADAPTIVE, MEASURED_PARTLY, 0.001, 44.0),
+        make_row("kz04", MEASURED, np.nan, 0.01, stderr_largest=np.nan),
     ]
     return pd.DataFrame(rows)
 
 
-def spectrum(shift=0.0, stderr=0.001, wavelength=(500.0, 1000.0, 1500.0)):
+def make_spectrum(shift=0.0, stderr=0.001, wavelength=(500.0, 1000.0, 1500.0)):
     reflectance = np.array([0.9, 0.6, 0.1])[: len(wavelength)] + shift
     transmittance = np.full(len(wavelength), 0.05)
     values = (reflectance, transmittance, 1.0 - reflectance - transmittance)
     variables = {}
-    for name, value in zip(efficiency.QUANTITIES, values, strict=True):
+    for name, value in zip(performance.QUANTITIES, values, strict=True):
         variables[name] = ("wavelength", value)
         variables[f"{name}_stderr"] = ("wavelength", np.full(len(wavelength), stderr))
     return xr.Dataset(variables, {"wavelength": list(wavelength)})
@@ -55,13 +63,13 @@ def test_time_goes_with_the_square_of_the_error():
     seconds, rays = np.array([1.0, 0.1]), np.array([1000.0, 4000.0])
     stderr = np.array([0.004, 0.002])
     # At 0.002 the first needs 4000 rays at 1 ms, the second 4000 at 25 µs.
-    uniform_s, uniform_rays, adaptive_s, adaptive_rays = efficiency.papers_times(
+    uniform_s, uniform_rays, adaptive_s, adaptive_rays = performance.scale_paper_times(
         seconds, rays, stderr, 0.002, 1
     )
     assert (uniform_rays, adaptive_rays) == (8000.0, 8000.0)
     assert uniform_s == pytest.approx(4.1)
     assert adaptive_s == pytest.approx(4.1)
-    uniform_s, _, adaptive_s, _ = efficiency.papers_times(
+    uniform_s, _, adaptive_s, _ = performance.scale_paper_times(
         seconds, rays, np.array([0.004, 0.001]), 0.002, 1
     )
     assert uniform_s == pytest.approx(4.1)
@@ -70,57 +78,57 @@ def test_time_goes_with_the_square_of_the_error():
 
 def test_no_wavelength_takes_fewer_rays_than_the_first_round():
     one = np.ones(2)
-    _, uniform_rays, _, adaptive_rays = efficiency.papers_times(one, one, one, 10.0, 100)
+    _, uniform_rays, _, adaptive_rays = performance.scale_paper_times(one, one, one, 10.0, 100)
     assert uniform_rays == adaptive_rays == 200.0
 
 
 def test_merits_compare_times_at_equal_error(table):
-    merits = efficiency.with_merits(table).set_index(["method", "how", "error"])
-    assert merits.loc[(LANES, MEASURED, 0.002), "over_uniform"] == pytest.approx(50.0)
+    merits = performance.add_figures_of_merit(table).set_index(["method", "how", "error"])
+    assert merits.loc[(VECTORIZED, MEASURED, 0.002), "over_uniform"] == pytest.approx(50.0)
     # Measured rather than scaled, where both are there.
-    assert merits.loc[(LANES, MEASURED, 0.001), "over_adaptive"] == pytest.approx(11.0)
-    assert merits.loc[(UNIFORM, PARTLY, 0.002), "over_uniform"] == 1.0
+    assert merits.loc[(VECTORIZED, MEASURED, 0.001), "over_adaptive"] == pytest.approx(11.0)
+    assert merits.loc[(PAPER_UNIFORM, MEASURED_PARTLY, 0.002), "over_uniform"] == 1.0
     # An error reached that is half of that asked for counts as it should.
     table.loc[0, "stderr_largest"] = 0.001
-    better = efficiency.with_merits(table)
+    better = performance.add_figures_of_merit(table)
     assert better.over_uniform[0] == pytest.approx(200.0)
 
 
 def test_theories_have_no_figure_of_merit(table):
-    last = efficiency.with_merits(table).iloc[-1]
+    last = performance.add_figures_of_merit(table).iloc[-1]
     assert last[["figure_of_merit", "over_uniform", "over_adaptive"]].isna().all()
 
 
 def test_headline(table):
-    assert efficiency.headline(table, "snow", 0.001, 211) == (
+    assert performance.format_headline(table, "snow", 0.001, 211) == (
         "snow, 211 wavelengths, error 0.001: lanes 4 s, papers' algorithm uniform 200 s (50), "
         "adaptive 44 s (11)"
     )
-    with pytest.raises(ValueError, match=LANES):
-        efficiency.headline(table[table.method != LANES], "snow", 0.001, 211)
+    with pytest.raises(ValueError, match=VECTORIZED):
+        performance.format_headline(table[table.method != VECTORIZED], "snow", 0.001, 211)
 
 
 def test_deviations_from_a_reference():
-    off = efficiency.deviations(spectrum(0.002), spectrum())
+    off = performance.compute_deviations(make_spectrum(0.002), make_spectrum())
     assert off["deviation_rms"] == pytest.approx(0.002)
     assert off["deviation_largest"] == pytest.approx(0.002)
     # Reflectance and absorptance are off by 0.002, transmittance not at all.
     assert off["deviation_z"] == pytest.approx(0.002 / np.hypot(0.001, 0.001) * np.sqrt(2.0 / 3.0))
-    few = efficiency.deviations(spectrum(0.002, wavelength=(500.0, 1000.0)), spectrum())
+    few = performance.compute_deviations(make_spectrum(0.002, wavelength=(500.0, 1000.0)), make_spectrum())
     assert few["deviation_largest"] == pytest.approx(0.002)
 
 
 def test_deviations_of_a_theory_have_no_standard_error():
-    theory = spectrum(0.01).drop_vars([f"{name}_stderr" for name in efficiency.QUANTITIES])
-    off = efficiency.deviations(theory, spectrum())
+    theory = make_spectrum(0.01).drop_vars([f"{name}_stderr" for name in performance.QUANTITIES])
+    off = performance.compute_deviations(theory, make_spectrum())
     assert off["deviation_largest"] == pytest.approx(0.01)
     assert np.isnan(off["deviation_z"])
 
 
 def test_stated_errors():
-    dataset = spectrum(stderr=0.001)
+    dataset = make_spectrum(stderr=0.001)
     dataset.reflectance_stderr[0] = 0.003
-    stated = efficiency.stated_errors(dataset)
+    stated = performance.summarize_stated_errors(dataset)
     assert stated["stderr_largest"] == pytest.approx(0.003)
     assert stated["stderr_rms"] == pytest.approx(0.001 * np.sqrt(11.0 / 3.0))
 
@@ -130,20 +138,20 @@ def test_repeated_runs_count_by_their_largest_or_their_mean_square():
         {"deviation_largest": 0.03, "deviation_rms": 3.0},
         {"deviation_largest": 0.01, "deviation_rms": 4.0},
     ]
-    assert efficiency.combined(runs) == {
+    assert performance.combine_runs(runs) == {
         "deviation_largest": 0.03,
         "deviation_rms": pytest.approx(12.5**0.5),
     }
-    assert efficiency.combined([]) == {}
+    assert performance.combine_runs([]) == {}
 
 
 def test_figure_has_a_panel_per_medium_and_opens_what_is_scaled(table):
     both = pd.concat([table, table.assign(medium="sand")])
-    figure = speed_against_error(both)
+    figure = draw_speed_against_error(both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) snow", "(b) sand"]
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[-1] == "scaled"
-    assert METHODS[LANES] in texts and METHODS["one_by_one"] not in texts
+    assert METHODS[VECTORIZED] in texts and METHODS["one_by_one"] not in texts
     open_markers = [
         line
         for line in figure.axes[0].lines
@@ -173,7 +181,7 @@ def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_
 
     def measure(medium, wavelengths, error, **named):
         calls.append(named)
-        dataset = spectrum(wavelength=wavelengths[:3])
+        dataset = make_spectrum(wavelength=wavelengths[:3])
         return dataset.assign_attrs(splits_version="0", stopped_by="error")
 
     monkeypatch.setattr(program, "measure", measure)

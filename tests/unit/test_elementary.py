@@ -13,13 +13,13 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.transport.numerics import arithmetic, elementary
+from splits.kernels.math import arithmetic, elementary
 
 pytestmark = NEEDS_JIT
 single = np.float32
 
 
-def looped(function):
+def compile_loop(function):
     """Return a compiled loop that writes the function's values of x into an array."""
 
     @njit
@@ -30,15 +30,15 @@ def looped(function):
     return loop
 
 
-_logarithms = looped(elementary.logarithm)
-_exponentials = looped(elementary.exponential)
-_half_circles = looped(elementary.half_circle)
-_circles = looped(elementary.circle)
-_reciprocal_roots = looped(arithmetic.reciprocal_root)
-_roots = looped(arithmetic.root)
+_logarithms = compile_loop(elementary.log)
+_exponentials = compile_loop(elementary.exp_float32)
+_half_circles = compile_loop(elementary.sample_half_circle)
+_circles = compile_loop(elementary.sample_circle)
+_reciprocal_roots = compile_loop(arithmetic.rsqrt)
+_roots = compile_loop(arithmetic.sqrt)
 
 
-def evaluated(loop, x, width=1):
+def evaluate(loop, x, width=1):
     """Return the values in the order of x, shape (len(x), width), as float64."""
     x = np.ascontiguousarray(x, dtype=single)
     out = np.empty((x.size, width) if width > 1 else x.size, dtype=single)
@@ -47,14 +47,14 @@ def evaluated(loop, x, width=1):
     return out.astype(float)
 
 
-def every(low, high, step):
+def list_floats(low, high, step):
     """Return every `step`-th float32 from low to high, both included."""
     first, last = np.array([low, high], dtype=single).view(np.int32)
     bits = np.append(np.arange(first, last, step, dtype=np.int64), last)
     return bits.astype(np.int32).view(single)
 
 
-def around(*values, count=200):
+def list_neighbours(*values, count=200):
     """Return the float32 numbers next to some values, on both sides."""
     bits = np.array(values, dtype=single).view(np.int32)[:, np.newaxis]
     return (bits + np.arange(-count, count + 1, dtype=np.int32)).ravel().view(single)
@@ -65,19 +65,19 @@ def around(*values, count=200):
 LOG_RANGE = (1e-30, 1e30)
 
 
-def logarithm_allowed(exact):
+def compute_allowed_log_error(exact):
     return 2e-7 * np.abs(exact) + 1e-7
 
 
-def inside(x, low, high):
+def select_within(x, low, high):
     return x[(x >= single(low)) & (x <= single(high))]
 
 
 LOG_ARGUMENTS = {
-    "its range": lambda: every(*LOG_RANGE, 997),
-    "every number from ½ to 2": lambda: every(0.5, 2.0, 1),
-    "steps of the exponent": lambda: around(*(2.0 ** np.arange(-99, 99))),
-    "steps of the significand": lambda: around(*(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))),
+    "its range": lambda: list_floats(*LOG_RANGE, 997),
+    "every number from ½ to 2": lambda: list_floats(0.5, 2.0, 1),
+    "steps of the exponent": lambda: list_neighbours(*(2.0 ** np.arange(-99, 99))),
+    "steps of the significand": lambda: list_neighbours(*(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))),
     "random numbers": lambda: (np.arange(2**16) + 0.5) / 2**16,
     "their lower tail": lambda: (np.arange(2**16) + 0.5) * 2.0**-46,
 }
@@ -85,45 +85,45 @@ LOG_ARGUMENTS = {
 
 @pytest.mark.parametrize("arguments", LOG_ARGUMENTS)
 def test_logarithm(arguments):
-    x = inside(np.asarray(LOG_ARGUMENTS[arguments](), dtype=single), *LOG_RANGE)
+    x = select_within(np.asarray(LOG_ARGUMENTS[arguments](), dtype=single), *LOG_RANGE)
     exact = np.log(x.astype(float))
-    error = np.abs(evaluated(_logarithms, x) - exact)
-    part = error / logarithm_allowed(exact)
+    error = np.abs(evaluate(_logarithms, x) - exact)
+    part = error / compute_allowed_log_error(exact)
     print(f"{x.size} arguments, worst {part.max():.2f} of the error allowed at {x[part.argmax()]}")
     assert (part <= 1.0).all()
 
 
 def test_logarithm_at_the_ends_and_at_1():
     ends = np.array([*LOG_RANGE, 1.0], dtype=single)
-    for x, value in zip(ends, evaluated(_logarithms, ends), strict=True):
+    for x, value in zip(ends, evaluate(_logarithms, ends), strict=True):
         exact = float(mp.log(mp.mpf(float(x))))
-        assert abs(value - exact) <= logarithm_allowed(exact)
-    assert evaluated(_logarithms, [1.0])[0] == 0.0
+        assert abs(value - exact) <= compute_allowed_log_error(exact)
+    assert evaluate(_logarithms, [1.0])[0] == 0.0
 
 
 def test_logarithm_never_falls():
-    values = evaluated(_logarithms, every(1e-10, 1.0, 499))
+    values = evaluate(_logarithms, list_floats(1e-10, 1.0, 499))
     assert np.diff(values).min() >= 0.0
 
 
 # --- exponential ------------------------------------------------------------------------------
 
-LEAST = -87.0
+SMALLEST_EXPONENT = -87.0
 EXP_ARGUMENTS = {
-    "its range": lambda: -every(1e-38, -LEAST, 997),
-    "every number from -2 to -1": lambda: -every(1.0, 2.0, 1),
-    "evenly": lambda: np.linspace(LEAST, 0.0, 2_000_001),
-    "steps of the exponent": lambda: around(*(-math.log(2.0) * np.arange(0.5, 125.0))),
-    "between two steps": lambda: around(*(-math.log(2.0) * np.arange(1.0, 125.0))),
-    "the least": lambda: around(LEAST),
+    "its range": lambda: -list_floats(1e-38, -SMALLEST_EXPONENT, 997),
+    "every number from -2 to -1": lambda: -list_floats(1.0, 2.0, 1),
+    "evenly": lambda: np.linspace(SMALLEST_EXPONENT, 0.0, 2_000_001),
+    "steps of the exponent": lambda: list_neighbours(*(-math.log(2.0) * np.arange(0.5, 125.0))),
+    "between two steps": lambda: list_neighbours(*(-math.log(2.0) * np.arange(1.0, 125.0))),
+    "the least": lambda: list_neighbours(SMALLEST_EXPONENT),
 }
 
 
 @pytest.mark.parametrize("arguments", EXP_ARGUMENTS)
 def test_exponential(arguments):
     x = np.asarray(EXP_ARGUMENTS[arguments](), dtype=single)
-    values = evaluated(_exponentials, x)
-    served = x > single(LEAST)
+    values = evaluate(_exponentials, x)
+    served = x > single(SMALLEST_EXPONENT)
     exact = np.exp(x[served].astype(float))
     error = np.abs(values[served] / exact - 1.0)
     print(f"{x.size} arguments, worst {error.max():.2e} at {x[served][error.argmax()]}")
@@ -133,16 +133,16 @@ def test_exponential(arguments):
 
 
 def test_exponential_at_the_ends():
-    assert evaluated(_exponentials, [0.0, -0.0]).tolist() == [1.0, 1.0]
-    below = [np.nextafter(single(LEAST), single(-np.inf)), -88.0, -1e3, -1e38, -np.inf]
-    assert (evaluated(_exponentials, below) == 0.0).all()
-    x = np.nextafter(single(LEAST), single(0.0))
+    assert evaluate(_exponentials, [0.0, -0.0]).tolist() == [1.0, 1.0]
+    below = [np.nextafter(single(SMALLEST_EXPONENT), single(-np.inf)), -88.0, -1e3, -1e38, -np.inf]
+    assert (evaluate(_exponentials, below) == 0.0).all()
+    x = np.nextafter(single(SMALLEST_EXPONENT), single(0.0))
     exact = float(mp.exp(mp.mpf(float(x))))
-    assert evaluated(_exponentials, [x])[0] == pytest.approx(exact, rel=2e-7, abs=0.0)
+    assert evaluate(_exponentials, [x])[0] == pytest.approx(exact, rel=2e-7, abs=0.0)
 
 
 def test_exponential_never_exceeds_1_nor_rises():
-    values = evaluated(_exponentials, np.concatenate([-every(1e-38, 87.0, 997)[::-1], [0.0]]))
+    values = evaluate(_exponentials, np.concatenate([-list_floats(1e-38, 87.0, 997)[::-1], [0.0]]))
     assert values.max() == 1.0 and np.diff(values).min() >= 0.0
 
 
@@ -151,9 +151,9 @@ def test_exponential_never_exceeds_1_nor_rises():
 UNITS = {
     "evenly": lambda: np.linspace(0.0, 1.0, 2_000_001),
     "what lanes draw": lambda: (np.arange(2**21, dtype=single) + single(0.5)) * single(2.0**-21),
-    "near 0": lambda: every(1e-30, 1e-3, 4999),
-    "near 1": lambda: 1.0 - every(2.0**-24, 1e-3, 49),
-    "quarters": lambda: around(0.25, 0.5, 0.75),
+    "near 0": lambda: list_floats(1e-30, 1e-3, 4999),
+    "near 1": lambda: 1.0 - list_floats(2.0**-24, 1e-3, 49),
+    "quarters": lambda: list_neighbours(0.25, 0.5, 0.75),
 }
 
 
@@ -161,23 +161,23 @@ UNITS = {
 def test_half_circle(arguments):
     u = np.asarray(UNITS[arguments](), dtype=single)
     angle = np.pi * (u.astype(float) - 0.5)
-    error = np.abs(evaluated(_half_circles, u, 2) - np.column_stack([np.cos(angle), np.sin(angle)]))
+    error = np.abs(evaluate(_half_circles, u, 2) - np.column_stack([np.cos(angle), np.sin(angle)]))
     print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 3e-7
 
 
 def test_half_circle_at_the_ends_and_in_the_middle():
     for u in (0.0, 2.0**-22, 0.5, 1.0 - 2.0**-22, 1.0):
-        cosine, sine = evaluated(_half_circles, [u], 2)[0]
+        cosine, sine = evaluate(_half_circles, [u], 2)[0]
         assert abs(sine - float(mp.sin(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
         assert abs(cosine - float(mp.cos(mp.pi * (mp.mpf(u) - 0.5)))) <= 3e-7
-    assert evaluated(_half_circles, [0.5], 2).tolist() == [[1.0, 0.0]]
+    assert evaluate(_half_circles, [0.5], 2).tolist() == [[1.0, 0.0]]
 
 
 @pytest.mark.parametrize("arguments", UNITS)
 def test_circle(arguments):
     u = np.asarray(UNITS[arguments](), dtype=single)
-    points = evaluated(_circles, u, 2)
+    points = evaluate(_circles, u, 2)
     # Which angle a number stands for is the circle's own affair: twice that of `half_circle`.
     angle = 2.0 * np.pi * (u.astype(float) - 0.5)
     error = np.abs(points - np.column_stack([np.cos(angle), np.sin(angle)]))
@@ -200,11 +200,11 @@ def test_logarithm_and_circles_in_double_precision_are_those_of_the_library():
 
 
 def test_roots_over_their_range():
-    x = every(1e-36, 1e30, 1009)
+    x = list_floats(1e-36, 1e30, 1009)
     reference = np.sqrt(x.astype(float))
-    assert np.abs(evaluated(_reciprocal_roots, x) * reference - 1.0).max() <= 2e-7
-    assert np.abs(evaluated(_roots, x) / reference - 1.0).max() <= 3e-7
-    assert evaluated(_roots, np.zeros(1))[0] == 0.0
+    assert np.abs(evaluate(_reciprocal_roots, x) * reference - 1.0).max() <= 2e-7
+    assert np.abs(evaluate(_roots, x) / reference - 1.0).max() <= 3e-7
+    assert evaluate(_roots, np.zeros(1))[0] == 0.0
 
 
 def test_roots_in_double_precision_are_those_of_the_library():

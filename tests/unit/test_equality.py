@@ -10,55 +10,55 @@ import numpy as np
 import pytest
 
 import splits
-from splits.materials import refractive_index
+from splits.materials import lookup
 from splits.media.ground import Ground
-from splits.skies.bands import Band
+from splits.illumination.bands import SpectralBand
 
-ENDS = [200.0, 3000.0]
-SOOT = {"ng_g": 5.0, "wavelength_nm": np.array(ENDS), "absorption_m2_kg": np.array([2.0, 1.0])}
+END_LAYERS = [200.0, 3000.0]
+SOOT = {"ng_g": 5.0, "wavelength_nm": np.array(END_LAYERS), "absorption_m2_kg": np.array([2.0, 1.0])}
 WAVES = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
 ROUGH = {"rms_height_m": 0.01, "correlation": "spectrum", "spectrum": WAVES}
 LAW = {"cosine": np.array([-1.0, 0.5, 1.0]), "density": np.array([1.0, 1.0, 2.0])}
-OWN_INDEX = {"wavelength_nm": ENDS, "n": [1.3, 1.3], "k": [0.0, 1e-5]}
+USER_INDEX = {"wavelength_nm": END_LAYERS, "n": [1.3, 1.3], "k": [0.0, 1e-5]}
 
 
-def stack(**changes):
-    return splits.Stack([splits.Snow(depth_m=0.1), splits.Snow(), splits.Layer(bottom_albedo=None)],
+def make_stack(**changes):
+    return splits.Stack([splits.Snow(depth_m=0.1), splits.Snow(), splits.ParticleLayer(bottom_albedo=None)],
                         **changes)  # fmt: skip
 
 
-MADE = {
+OBJECT_FACTORIES = {
     "snow": splits.Snow,
-    "snow, own ice": lambda: splits.Snow(refractive_index={"ice": OWN_INDEX}, ground="black"),
+    "snow, own ice": lambda: splits.Snow(refractive_index={"ice": USER_INDEX}, ground="black"),
     "snow, own impurity": lambda: splits.Snow(impurities_ng_g={"mine": SOOT}),
     "snow, soot": lambda: splits.Snow(impurities_ng_g={"black_carbon": 3}),
     "snow as it lies": lambda: splits.Snow.natural(optical_radius_um=100, depth_m=1),
     "sand": splits.Sand,
     "sand, oil": lambda: splits.Sand(pores={"oil": 0.1}, refractive_index={"oil": 1.5}),
-    "layer": splits.Layer,
-    "layer, own phase function": lambda: splits.Layer(phase_function=LAW),
-    "layer, rough": lambda: splits.Layer(surface=ROUGH),
-    "stack": lambda: stack(ground=0.3),
-    "stack, other readings": lambda: stack(readings="geometric"),
+    "layer": splits.ParticleLayer,
+    "layer, own phase function": lambda: splits.ParticleLayer(phase_function=LAW),
+    "layer, rough": lambda: splits.ParticleLayer(surface=ROUGH),
+    "stack": lambda: make_stack(ground=0.3),
+    "stack, other readings": lambda: make_stack(readings="geometric"),
     "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
     "ground": lambda: Ground.from_input(0.3),
-    "ground, table": lambda: Ground.from_input({"wavelength_nm": ENDS, "albedo": [0.1, 0.2]}),
-    "readings": splits.Readings,
-    "sand's readings": lambda: splits.SandReadings(mixing="linear"),
+    "ground, table": lambda: Ground.from_input({"wavelength_nm": END_LAYERS, "albedo": [0.1, 0.2]}),
+    "readings": splits.Interpretation,
+    "sand's readings": lambda: splits.SandInterpretation(mixing="linear"),
     "composition": lambda: splits.Sand().composition,
     "sizes": lambda: splits.Sand().size_distribution,
-    "index": lambda: refractive_index("ice"),
-    "index, scaled": lambda: refractive_index("ice", {"k_factor": 2.0}),
-    "index, oscillators": lambda: refractive_index("goethite"),
-    "index, constant": lambda: refractive_index("ice", 1.3 + 1e-7j),
-    "index, own": lambda: refractive_index("ice", OWN_INDEX),
+    "index": lambda: lookup("ice"),
+    "index, scaled": lambda: lookup("ice", {"k_factor": 2.0}),
+    "index, oscillators": lambda: lookup("goethite"),
+    "index, constant": lambda: lookup("ice", 1.3 + 1e-7j),
+    "index, own": lambda: lookup("ice", USER_INDEX),
     "sky": splits.sky,
     "sky, own": lambda: splits.sky(
-        {"wavelength_nm": ENDS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
+        {"wavelength_nm": END_LAYERS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
     ),
-    "band": lambda: Band.from_limits(400.0, 700.0),
+    "band": lambda: SpectralBand.from_limits(400.0, 700.0),
 }
-WAYS = {
+COPY_FUNCTIONS = {
     "made again": lambda one, make: make(),
     "copied": lambda one, make: copy.copy(one),
     "copied deeply": lambda one, make: copy.deepcopy(one),
@@ -67,11 +67,11 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("way", COPY_FUNCTIONS)
+@pytest.mark.parametrize("name", OBJECT_FACTORIES)
 def test_what_holds_the_same_is_equal(name, way):
-    one = MADE[name]()
-    other = WAYS[way](one, MADE[name])
+    one = OBJECT_FACTORIES[name]()
+    other = COPY_FUNCTIONS[way](one, OBJECT_FACTORIES[name])
     assert one == other
     assert hash(one) == hash(other)
     assert other in [None, one] and [None, one].index(other) == 1
@@ -79,7 +79,7 @@ def test_what_holds_the_same_is_equal(name, way):
 
 
 def test_what_holds_something_else_is_not():
-    made = [make() for make in MADE.values()]
+    made = [make() for make in OBJECT_FACTORIES.values()]
     assert all(one != other for i, one in enumerate(made) for other in made[:i])
     assert len(set(made)) == len(made)
     assert splits.Snow() != "snow" and splits.sky() != "midlatitude_winter"

@@ -7,20 +7,31 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.analysis.colour import colours, gradient, lab, tristimulus
-from splits.analysis.errors import band, band_error, difference, error_parts, weighted_error
-from splits.analysis.trends import band_mean, steps
-from splits.experiments.model import Experiment
+from splits.analysis.colour import (
+    make_colour_table,
+    compute_cielab_gradient,
+    to_cielab,
+    compute_tristimulus,
+)
+from splits.core.uncertainty import (
+    make_band_weights,
+    compute_band_error,
+    compute_difference,
+    compute_error_parts,
+    compute_weighted_error,
+)
+from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
-from splits.instruments.ensemble import GROUPS, scaled
+from splits.experiments.config.settings import Accuracy
+from splits.simulation.tally import N_BATCHES, rescale_deviations
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 RED = WAVELENGTHS >= 600.0
 ERROR = 0.01
 
 
-def dataset(groups=None, bound=0.0, **dimensions):
+def make_dataset(groups=None, bound=0.0, **dimensions):
     """Return a grey spectrum with an error of 0.01, from these groups and a bound besides."""
     shape = (*(len(v) for v in dimensions.values()), len(WAVELENGTHS))
     dims = (*dimensions, "wavelength")
@@ -34,63 +45,63 @@ def dataset(groups=None, bound=0.0, **dimensions):
     return xr.Dataset(variables, {**dimensions, "wavelength": WAVELENGTHS})
 
 
-def two_nodes():
+def make_two_node_batches():
     """Return groups of two independent sets of paths: one below 600 nm, one from there on."""
-    groups = np.zeros((GROUPS, len(WAVELENGTHS)))
+    groups = np.zeros((N_BATCHES, len(WAVELENGTHS)))
     groups[0, ~RED] = ERROR
     groups[1, RED] = ERROR
     return groups
 
 
 def test_wavelengths_of_one_node_go_together_and_those_of_two_do_not():
-    ds = dataset(two_nodes())
-    assert float(band_error(ds, "reflectance", 400, 590)) == pytest.approx(ERROR)
-    assert float(band_error(ds, "reflectance", 600, 780)) == pytest.approx(ERROR)
-    difference = band(ds, 600, 780) - band(ds, 400, 590)
-    error = float(weighted_error(ds, "reflectance", difference))
+    ds = make_dataset(make_two_node_batches())
+    assert float(compute_band_error(ds, "reflectance", 400, 590)) == pytest.approx(ERROR)
+    assert float(compute_band_error(ds, "reflectance", 600, 780)) == pytest.approx(ERROR)
+    difference = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
+    error = float(compute_weighted_error(ds, "reflectance", difference))
     assert error == pytest.approx(np.sqrt(2.0) * ERROR)
     share = RED.mean()
-    mean = float(band_error(ds, "reflectance", 400, 780))
+    mean = float(compute_band_error(ds, "reflectance", 400, 780))
     assert mean == pytest.approx(ERROR * np.hypot(share, 1.0 - share))
 
 
 def test_what_interpolation_misses_goes_alike_along_a_stretch_of_one_sign():
-    ds = dataset(two_nodes(), bound=0.004)
-    weights = band(ds, 600, 780) - band(ds, 400, 590)
-    scatter, missed = error_parts(ds, "reflectance", weights)
+    ds = make_dataset(make_two_node_batches(), bound=0.004)
+    weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
+    scatter, missed = compute_error_parts(ds, "reflectance", weights)
     assert float(scatter) == pytest.approx(np.sqrt(2.0) * ERROR)
     assert float(missed) == pytest.approx(np.sqrt(2.0) * 0.004, rel=1e-4)
-    apart = band(ds, 400, 500) + band(ds, 700, 780)
-    assert float(error_parts(ds, "reflectance", apart)[1]) == pytest.approx(0.008, rel=1e-4)
-    error = float(weighted_error(ds, "reflectance", weights))
+    apart = make_band_weights(ds, 400, 500) + make_band_weights(ds, 700, 780)
+    assert float(compute_error_parts(ds, "reflectance", apart)[1]) == pytest.approx(0.008, rel=1e-4)
+    error = float(compute_weighted_error(ds, "reflectance", weights))
     assert error == pytest.approx(np.hypot(float(scatter), float(missed)))
 
 
 def test_without_groups_errors_are_upper_bounds():
-    ds = dataset()
-    weights = band(ds, 600, 780) - band(ds, 400, 590)
-    scatter, missed = error_parts(ds, "reflectance", weights)
+    ds = make_dataset()
+    weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
+    scatter, missed = compute_error_parts(ds, "reflectance", weights)
     assert float(scatter) == pytest.approx(2.0 * ERROR)
     assert float(missed) == 0.0
 
 
-@pytest.mark.parametrize("groups", [None, two_nodes()])
+@pytest.mark.parametrize("groups", [None, make_two_node_batches()])
 def test_an_unknown_value_is_not_taken_for_an_exact_one(groups):
-    ds = dataset(groups).astype(float)
+    ds = make_dataset(groups).astype(float)
     for values in ds.data_vars.values():
         values[..., RED] = np.nan
     for low, high, known in ((400, 590, True), (400, 780, False), (600, 780, False)):
-        assert bool(band_error(ds, "reflectance", low, high).notnull()) == known
-        assert bool(band_mean(ds, "reflectance", low, high).notnull()) == known
+        assert bool(compute_band_error(ds, "reflectance", low, high).notnull()) == known
+        assert bool(compute_band_mean(ds, "reflectance", low, high).notnull()) == known
     if groups is not None:
-        ds = dataset(groups)
+        ds = make_dataset(groups)
         ds.reflectance_stderr[5] = np.nan
-        assert band_error(ds, "reflectance", 400, 590).isnull()
+        assert compute_band_error(ds, "reflectance", 400, 590).isnull()
 
 
 def test_what_two_media_share_cancels_in_their_difference():
     chance = np.random.default_rng(5)
-    shared, own = chance.normal(size=(2, GROUPS, 1, 2))
+    shared, own = chance.normal(size=(2, N_BATCHES, 1, 2))
     groups = np.concatenate([shared, shared + 0.1 * own], axis=1)
     bounds = np.array([[0.3, 0.2], [0.2, 0.2]])
     dims = ("medium", "wavelength")
@@ -102,27 +113,27 @@ def test_what_two_media_share_cancels_in_their_difference():
         },
         {"medium": ["clean", "dirty"], "wavelength": [500.0, 600.0]},
     )
-    change, stderr = difference(made, "reflectance", "dirty", "clean")
+    change, stderr = compute_difference(made, "reflectance", "dirty", "clean")
     np.testing.assert_allclose(change, [-0.4, -0.2])
     scatter = 0.01 * (own[:, 0] ** 2).sum(axis=0)
     np.testing.assert_allclose(stderr, np.sqrt(scatter + np.array([0.1, 0.0]) ** 2), atol=1e-6)
-    back, same = difference(made, "reflectance", "clean", "dirty")
+    back, same = compute_difference(made, "reflectance", "clean", "dirty")
     np.testing.assert_allclose(back, -change)
     np.testing.assert_allclose(same, stderr)
 
 
 def test_a_band_without_wavelengths_is_refused():
-    for function in (band_mean, band_error):
+    for function in (compute_band_mean, compute_band_error):
         with pytest.raises(ValueError, match=r"wavelength = .*some in 1200 to 1300 nm"):
-            function(dataset(two_nodes()), "reflectance", 1200, 1300)
+            function(make_dataset(make_two_node_batches()), "reflectance", 1200, 1300)
 
 
 def test_a_colour_scatters_as_its_nodes_do():
-    table = colours(dataset(two_nodes(), medium=["a"]))
+    table = make_colour_table(make_dataset(make_two_node_batches(), medium=["a"]))
     random = np.random.default_rng(1)
     draws = np.where(RED, *random.normal(0.0, ERROR, (2, 4000, 1)))
-    basis = np.stack([tristimulus(WAVELENGTHS, unit) for unit in np.eye(len(WAVELENGTHS))])
-    scatter = lab((0.3 + draws) @ basis).std(axis=0)
+    basis = np.stack([compute_tristimulus(WAVELENGTHS, unit) for unit in np.eye(len(WAVELENGTHS))])
+    scatter = to_cielab((0.3 + draws) @ basis).std(axis=0)
     stated = table[["L_stderr", "a_stderr", "b_stderr"]].to_numpy()[0]
     # 4000 draws: a standard deviation is known to 1.1 %; colours bend a little.
     np.testing.assert_allclose(scatter, stated, rtol=0.05)
@@ -132,12 +143,12 @@ def test_a_colour_scatters_as_its_nodes_do():
 def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
     for xyz in ([0.95, 1.0, 1.09], [0.2, 0.18, 0.1], [0.002, 0.002, 0.001]):
         step = 1e-3 * np.array([0.5, -0.2, 0.9]) * min(xyz)
-        far = lab(np.array(xyz) + step) - lab(np.array(xyz) - step)
-        np.testing.assert_allclose(gradient(np.array(xyz)) @ (2.0 * step), far, rtol=1e-4)
+        far = to_cielab(np.array(xyz) + step) - to_cielab(np.array(xyz) - step)
+        np.testing.assert_allclose(compute_cielab_gradient(np.array(xyz)) @ (2.0 * step), far, rtol=1e-4)
 
 
 def test_steps_of_a_grid_use_the_groups():
-    step, error = steps(dataset(two_nodes(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780)
+    step, error = compute_steps(make_dataset(make_two_node_batches(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780)
     assert step.shape == error.shape == (2,)
     share = RED.mean()
     np.testing.assert_allclose(error, np.sqrt(2.0) * ERROR * np.hypot(share, 1.0 - share))
@@ -145,11 +156,11 @@ def test_steps_of_a_grid_use_the_groups():
 
 def test_scaled_groups_hold_the_variance_and_keep_correlations():
     random = np.random.default_rng(2)
-    raw = random.normal(size=(GROUPS, 3, 5))
+    raw = random.normal(size=(N_BATCHES, 3, 5))
     raw -= raw.mean(axis=0)
     raw[:, 2, 4] = 0.0
     variance = random.uniform(1e-4, 1e-2, (3, 5))
-    groups = scaled(raw, variance)
+    groups = rescale_deviations(raw, variance)
     square = (groups**2).sum(axis=0)
     np.testing.assert_allclose(square.ravel()[:-1], variance.ravel()[:-1], rtol=1e-12)
     assert square[2, 4] == 0.0
@@ -174,7 +185,7 @@ def test_groups_are_no_more_than_the_standard_error(estimator):
 
 
 def test_groups_survive_grids_and_files(tmp_path):
-    experiment = Experiment.model_validate(
+    experiment = ExperimentConfig.model_validate(
         {
             "name": "mine",
             "medium": {"kind": "snow"},
@@ -187,4 +198,4 @@ def test_groups_survive_grids_and_files(tmp_path):
     splits.save(ds, tmp_path / "mine.nc")
     again = splits.load(tmp_path / "mine.nc")
     xr.testing.assert_identical(again.reflectance_groups, ds.reflectance_groups)
-    assert (band_error(again, "reflectance", 400, 600) > 0.0).all()
+    assert (compute_band_error(again, "reflectance", 400, 600) > 0.0).all()

@@ -14,8 +14,8 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.analysis.tables import write_table
-from splits.escaping import (
+from splits.experiments.papers.paper_tables import write_table
+from splits.core.escaping import (
     escape_cell,
     escape_json,
     escape_markdown,
@@ -23,13 +23,13 @@ from splits.escaping import (
     escape_rst,
 )
 from splits.experiments import ConfigError, load_experiments, load_settings
-from splits.figures import sensitivity_bars, spectra
-from splits.figures.chosen_bands import chosen_bands
-from splits.figures.shifts import shifts
-from splits.figures.sobol import sobol
-from splits.figures.style import parameter_label, style, value_label
-from splits.figures.surface_area import fitted_spectra
-from splits.lookup.formats import write_csv
+from splits.plotting import draw_sensitivity_bars, spectra
+from splits.plotting.sensitivity import draw_band_selection
+from splits.plotting.interpretation_shifts import draw_shifts
+from splits.plotting.sensitivity import draw_sobol_indices
+from splits.plotting.style import format_parameter, use_style, format_value
+from splits.plotting.surface_area import draw_fitted_spectra
+from splits.tables.export import write_csv
 
 WORDS = [
     "</script><script>alert(1)</script>", "<!-- <script>", "<img src=x onerror=alert(1)>",
@@ -46,7 +46,7 @@ DIRECTIVES = [
 ]  # fmt: skip
 
 
-def shown_by_rst(source):
+def render_rst(source):
     """Return the paragraphs that docutils makes, as text."""
     core = pytest.importorskip("docutils.core")
     writer = importlib.import_module("docutils.writers").get_writer_class("html")()
@@ -64,11 +64,11 @@ def test_captions_are_paragraphs_of_words(text):
     assert "<" not in source
     source = source.replace("&lt;", "\\<")
     words = [" ".join(part.split()) for part in re.split(r"\n\s*\n", text.strip())]
-    assert shown_by_rst(source) == words
+    assert render_rst(source) == words
     # As the template of figures has title and caption.
     first = words[0] if len(words) > 1 else f"{words[0]} And more."
     caption = f"**{escape_rst(words[0])}.** {source}\nAnd more.".replace("&lt;", "\\<")
-    assert " ".join(shown_by_rst(caption)[0].split()) == f"{words[0]}. {first}"
+    assert " ".join(render_rst(caption)[0].split()) == f"{words[0]}. {first}"
 
 
 @pytest.mark.parametrize("text", WORDS)
@@ -120,9 +120,9 @@ def test_look_up_tables_hold_no_formulas(tmp_path):
 # --- figures ----------------------------------------------------------------------------------
 
 
-def printed(text):
+def render_mathtext(text):
     """Return what matplotlib prints of a text, or fail if it takes it for a formula."""
-    with style():
+    with use_style():
         made = matplotlib.text.Text(0, 0, text, figure=Figure())
         plain, is_formula = made._preprocess_math(text)
     assert not is_formula
@@ -131,13 +131,13 @@ def printed(text):
 
 @pytest.mark.parametrize("text", WORDS)
 def test_figures_print_words(text):
-    assert printed(escape_mathtext(text)) == text
-    assert printed(" · ".join([escape_mathtext(text)] * 2)) == f"{text} · {text}"
-    assert printed(value_label(text)) == text.replace("_", " ")
-    assert printed(parameter_label(text)) == text.replace("_", " ")
+    assert render_mathtext(escape_mathtext(text)) == text
+    assert render_mathtext(" · ".join([escape_mathtext(text)] * 2)) == f"{text} · {text}"
+    assert render_mathtext(format_value(text)) == text.replace("_", " ")
+    assert render_mathtext(format_parameter(text)) == text.replace("_", " ")
 
 
-def drawn_dataset(labels, dim="ground"):
+def make_drawn_dataset(labels, dim="ground"):
     shape = (len(labels), 3)
     found = {
         "reflectance": ((dim, "wavelength"), np.full(shape, 0.5), {"long_name": "part_$b^$ of it"}),
@@ -146,14 +146,14 @@ def drawn_dataset(labels, dim="ground"):
     return xr.Dataset(found, {dim: labels, "wavelength": [500.0, 600.0, 700.0]})
 
 
-def texts_of(figure):
+def list_figure_texts(figure):
     figure.canvas.draw()
-    return [printed(one.get_text()) for one in figure.findobj(matplotlib.text.Text)]
+    return [render_mathtext(one.get_text()) for one in figure.findobj(matplotlib.text.Text)]
 
 
 def test_labels_that_are_no_formulas_are_drawn_as_they_are():
     labels = [r"$\frac$", "a_$b^$", "$x$"]
-    found = texts_of(spectra(drawn_dataset(labels)))
+    found = list_figure_texts(spectra(make_drawn_dataset(labels)))
     assert {label.replace("_", " ") for label in labels} <= set(found)
     assert "part_$b^$ of\nit" in found or "part_$b^$ of it" in found
 
@@ -161,13 +161,13 @@ def test_labels_that_are_no_formulas_are_drawn_as_they_are():
 @pytest.mark.parametrize("before", range(18, 24))
 def test_a_dollar_sign_at_the_end_of_a_line_is_no_formula(before):
     label = "x" * before + "$" + "y" * 5 + r"$\frac$"
-    data = drawn_dataset(["default", label])
+    data = make_drawn_dataset(["default", label])
     labels = ("wavelength (nm)", ["reflectance"])
-    found = texts_of(shifts(data, ["reflectance"], "ground", "wavelength", labels))
+    found = list_figure_texts(draw_shifts(data, ["reflectance"], "ground", "wavelength", labels))
     assert any(label in text.replace("\n", "") for text in found)
 
 
-def bands_dataset(word):
+def make_bands_dataset(word):
     row = ("step", [1.0, 2.0])
     return xr.Dataset(
         {
@@ -178,20 +178,20 @@ def bands_dataset(word):
     )  # fmt: skip
 
 
-def sobol_dataset(word):
+def make_sobol_dataset(word):
     row = (("parameter", "wavelength"), [[0.5, 0.2]])
     names = ("first_order", "first_order_stderr", "total", "total_stderr")
     found = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
     return xr.Dataset(found, {"parameter": [word], "wavelength": [500.0, 600.0]})
 
 
-def sensitivity_dataset(word):
+def make_sensitivity_dataset(word):
     row = (("quantity", "parameter"), [[0.5], [0.2]])
     found = {"msi": row, "msi_stderr": row}
     return xr.Dataset(found, {"quantity": ["reflectance", "transmittance"], "parameter": [word]})
 
 
-def spectra_table(word):
+def make_spectra_table(word):
     columns = ("measured", "model", "stderr", "difference", "area")
     table = pd.DataFrame({"wavelength_nm": [500.0, 600.0], **dict.fromkeys(columns, 0.5)})
     return table.assign(spectrum=f"{word}@30", fitted=True)
@@ -200,20 +200,20 @@ def spectra_table(word):
 @pytest.mark.parametrize(
     "figure_of",
     [
-        lambda word: chosen_bands({word: bands_dataset(word)}, f"known {word}"),
-        lambda word: sobol({word: sobol_dataset(word)}),
-        lambda word: sensitivity_bars(sensitivity_dataset(word), f"ranges: {word}"),
-        lambda word: fitted_spectra(spectra_table(word)),
+        lambda word: draw_band_selection({word: make_bands_dataset(word)}, f"known {word}"),
+        lambda word: draw_sobol_indices({word: make_sobol_dataset(word)}),
+        lambda word: draw_sensitivity_bars(make_sensitivity_dataset(word), f"ranges: {word}"),
+        lambda word: draw_fitted_spectra(make_spectra_table(word)),
     ],
     ids=["bands", "sobol", "sensitivity", "surface area"],
 )
 def test_names_of_samples_tables_and_parameters_are_no_formulas(figure_of):
     word = r"a$\frac$b"
-    assert any(word in text for text in texts_of(figure_of(word)))
+    assert any(word in text for text in list_figure_texts(figure_of(word)))
 
 
 def test_labels_are_not_handed_to_tex():
-    with matplotlib.rc_context({"text.usetex": True}), style():
+    with matplotlib.rc_context({"text.usetex": True}), use_style():
         assert not matplotlib.rcParams["text.usetex"]
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from splits import Snow
-from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
-from splits.experiments.grids import label_of
-from splits.experiments.instrument_section import WavelengthGrid
-from splits.experiments.load import read_yaml
-from splits.experiments.model import RULES
+from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
+from splits.experiments.config.grid import make_label
+from splits.experiments.config.instrument import WavelengthGrid
+from splits.experiments.config.load import read_yaml
+from splits.experiments.config.experiment import RESERVED_NAMES
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
@@ -23,30 +23,30 @@ SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measure
 
 
 def points(**content):
-    return list(Experiment(name="made", **content).iter_points())
+    return list(ExperimentConfig(name="made", **content).iter_points())
 
 
 def test_names_of_rules_are_known():
     files = [ROOT / "Snakefile", *sorted((ROOT / "workflow" / "rules").glob("*.smk"))]
     text = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(RULES)
+    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(RESERVED_NAMES)
 
 
-@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("name", RESERVED_NAMES)
 def test_names_of_rules_are_taken(name):
     with pytest.raises(ValueError, match=f"name = '{name}': must be none of"):
-        Experiment(name=name)
+        ExperimentConfig(name=name)
 
 
 @pytest.mark.parametrize("name", ["", "A", "1a", "a-b", "a/b", "a b", "../a", "é", "a" * 65])
 def test_names_are_file_names(name):
     with pytest.raises(ValueError, match="lower-case letters, digits and underscores"):
-        Experiment(name=name)
-    assert Experiment(name="a" * 64).name == "a" * 64
+        ExperimentConfig(name=name)
+    assert ExperimentConfig(name="a" * 64).name == "a" * 64
 
 
 def test_an_experiment_needs_no_more_than_a_name():
-    experiment = Experiment(name="made")
+    experiment = ExperimentConfig(name="made")
     ((labels, medium, incidence),) = experiment.iter_points()
     assert (labels, incidence) == ({}, 0.0)
     assert medium.describe() == Snow().describe()
@@ -64,12 +64,12 @@ def test_an_experiment_needs_no_more_than_a_name():
     ],
 )  # fmt: skip
 def test_labels(value, label):
-    assert label_of("parameter", value) == label
+    assert make_label("parameter", value) == label
 
 
 def test_a_mapping_needs_a_name_as_label():
     with pytest.raises(ValueError, match=r"grid\.readings = .*a mapping from labels"):
-        Experiment(name="made", grid={"readings": [{"entry": "projected"}]})
+        ExperimentConfig(name="made", grid={"readings": [{"entry": "projected"}]})
 
 
 def test_a_grid_runs_all_combinations():
@@ -121,7 +121,7 @@ def test_readings_on_a_grid_add_to_those_of_the_medium():
 )
 def test_what_cannot_be_run_is_refused(content, message):
     with pytest.raises(ValueError, match=message):
-        Experiment(name="made", **content)
+        ExperimentConfig(name="made", **content)
 
 
 def test_wavelength_grids_hold_both_ends_and_single_ones():
@@ -137,16 +137,16 @@ def test_wavelength_grids_hold_both_ends_and_single_ones():
 
 
 def test_words_and_figures_do_not_decide_the_numbers():
-    plain = Experiment(name="made")
-    worded = Experiment(name="made", title="T", caption="C", figure={"quantity": "transmittance"})
+    plain = ExperimentConfig(name="made")
+    worded = ExperimentConfig(name="made", title="T", caption="C", figure={"quantity": "transmittance"})
     assert worded.dump_simulation() == plain.dump_simulation()
-    assert Experiment(name="made", medium={"depth_m": 1}).dump_simulation() != plain.dump_simulation()
+    assert ExperimentConfig(name="made", medium={"depth_m": 1}).dump_simulation() != plain.dump_simulation()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_a_workflow_hands_on_is_the_same_experiment(name):
     experiment = SHIPPED[name]
-    handed = Experiment.model_validate(experiment.dump_simulation())
+    handed = ExperimentConfig.model_validate(experiment.dump_simulation())
     assert handed.dump_simulation() == experiment.dump_simulation()
     assert experiment.title and experiment.caption
 

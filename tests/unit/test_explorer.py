@@ -10,10 +10,10 @@ import pytest
 import xarray as xr
 from browser import NEEDS_BROWSER, page_of
 
-from splits.checks import Refusal
-from splits.explorer import page
-from splits.explorer.page import Shown, colour_weights, write_page
-from splits.lookup.reading import Table
+from splits.core.validation import InvalidValue
+from splits.plotting.explorer import page
+from splits.plotting.explorer.page import ExplorerTable, compute_colour_weights, write_explorer
+from splits.tables.table import Table
 
 AXES = {
     "optical_radius_um": np.array([30.0, 80.0, 200.0, 500.0, 1000.0, 2000.0]),
@@ -57,21 +57,21 @@ def directions():
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     path = tmp_path_factory.mktemp("explorer") / "explorer.html"
-    shown = {"snow": Shown(table(), "results/data/a.nc", "Snow", directions()), "</script>": Shown(
+    shown = {"snow": ExplorerTable(table(), "results/data/a.nc", "Snow", directions()), "</script>": ExplorerTable(
         table("none"), "b.nc", "An awkward name")}  # fmt: skip
-    write_page(shown, path)
+    write_explorer(shown, path)
     return path
 
 
 def test_the_page_is_one_file_that_asks_nobody(written):
     text = written.read_text(encoding="utf-8")
-    assert len(text) < page.LARGEST_BYTES
+    assert len(text) < page.MAX_PAGE_BYTES
     assert "{{" not in text
     assert not re.findall(r"(?:src|href)\s*=\s*[\"']?(?:https?:)?//|@import|fetch\(|XMLHttp", text)
     assert text.count("</script>") == 2
 
 
-AT = [
+FIXED = [
     (30.0, 0.0, 0.0, 0.0),
     (277.0, 25.0, 120.0, 0.05),
     (1830.0, 69.0, 1400.0, 0.1),
@@ -79,25 +79,25 @@ AT = [
 ]
 
 
-def shown(written, folder, number, at):
+def render_page(written, folder, number, at):
     """Return the page as a browser has it at a place."""
     return page_of(f"{written.as_uri()}#{'/'.join(map(str, [number, *at]))}", folder)
 
 
-def told(text, name):
+def read_numbers(text, name):
     """Return the numbers that an element of a page holds."""
     return np.array(re.search(rf'data-{name}="([^"]*)"', text)[1].split(), dtype=float)
 
 
 @NEEDS_BROWSER
 @pytest.mark.parametrize("number", [0, 1])
-@pytest.mark.parametrize("at", AT, ids=str)
+@pytest.mark.parametrize("at", FIXED, ids=str)
 def test_a_browser_reads_what_python_reads(written, tmp_path, number, at):
     expected = table(*(["none"] if number else [])).interp(
         **dict(zip(list(AXES)[:-1], at, strict=True))
     )
-    text = shown(written, tmp_path, number, at)
-    found = {name: told(text, name) for name in ("values", "errors")}
+    text = render_page(written, tmp_path, number, at)
+    found = {name: read_numbers(text, name) for name in ("values", "errors")}
     np.testing.assert_allclose(found["values"], expected.reflectance, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(found["errors"], expected.reflectance_stderr, rtol=0.0, atol=2e-6)
     assert f'"optical_radius_um": {at[0]:g}' in text
@@ -123,12 +123,12 @@ def test_a_browser_shows_words_as_they_are(tmp_path):
         name = f"own_{number}"
         made.dataset[axes[0]].attrs = {"long_name": word, "units": word}
         renamed = Table(made.dataset.rename({axes[0]: name}))
-        given[word] = Shown(renamed, f"{word}.nc", word)
-    write_page(given, path)
+        given[word] = ExplorerTable(renamed, f"{word}.nc", word)
+    write_explorer(given, path)
     source = path.read_text(encoding="utf-8")
     assert source.count("</script>") == 2 and source.count("<!--") == 0
     for number, word in enumerate(WORDS):
-        text = shown(path, tmp_path / "browser", number, (30.0, 40.0, 3.0, 0.021))
+        text = render_page(path, tmp_path / "browser", number, (30.0, 40.0, 3.0, 0.021))
         said, escaped = text.replace("&nbsp;", "\u00a0"), html.escape(word, quote=False)
         assert "<title>SPLITS explorer</title>" in said
         labels = re.findall(r'<input type="radio" name="medium"[^>]*> (.*?)</label>', said, re.S)
@@ -136,14 +136,14 @@ def test_a_browser_shows_words_as_they_are(tmp_path):
         assert f"<span>{escaped}</span>" in said
         assert f'<p id="about">{escaped}</p>' in said
         assert f"40 {escaped}</output>" in said
-        assert len(told(said, "values")) == AXES["wavelength"].size
+        assert len(read_numbers(said, "values")) == AXES["wavelength"].size
 
 
 @NEEDS_BROWSER
 @pytest.mark.parametrize(("size", "beam"), [(60.0, 0.0), (277.0, 25.0), (1830.0, 69.0)])
 def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
-    text = shown(written, tmp_path, 0, (size, beam, 0.0, 0.0))
-    found = told(text, "factors").reshape(17, 19)
+    text = render_page(written, tmp_path, 0, (size, beam, 0.0, 0.0))
+    found = read_numbers(text, "factors").reshape(17, 19)
     # The wavelength that is read at first, 620 nm, is nearer to 450 than to 1030.
     given = directions().reflectance_factor.sel(wavelength=450.0)
     given = given.sel(polar=np.arange(0.0, 81.0, 5.0), azimuth=np.arange(0.0, 181.0, 10.0))
@@ -168,8 +168,8 @@ def test_directions_over_other_axes_are_refused(tmp_path):
         (table(), directions().sel(polar=some), "every 5° to 80°"),
         (Table(few), directions(), "a table with incidence_deg"),
     ):
-        with pytest.raises(Refusal, match=rf"^explorer = .*must be .*{line}"):
-            write_page({"a": Shown(given, "a.nc", "", where)}, tmp_path / "a.html")
+        with pytest.raises(InvalidValue, match=rf"^explorer = .*must be .*{line}"):
+            write_explorer({"a": ExplorerTable(given, "a.nc", "", where)}, tmp_path / "a.html")
 
 
 def test_what_reading_between_directions_misses_is_said():
@@ -180,7 +180,7 @@ def test_what_reading_between_directions_misses_is_said():
     bent["reflectance_factor"] = even.reflectance_factor * (
         1.0 + 0.1 * (even.optical_radius_um == 240.0)
     )
-    found = [page._directions(ds, list(AXES)) for ds in (even, bent)]
+    found = [page._serialize_directions(ds, list(AXES)) for ds in (even, bent)]
     assert (found[0]["error"], found[0]["typical"]) == pytest.approx((0.04, 0.02))
     # A node that stands out by a tenth: half-way to it a quarter of that is missed.
     missed = 0.25 * np.log(1.1)
@@ -189,21 +189,21 @@ def test_what_reading_between_directions_misses_is_said():
 
 
 def test_colours_are_those_of_the_analysis():
-    from splits.analysis.colour import tristimulus
+    from splits.analysis.colour import compute_tristimulus
 
     w = np.arange(400.0, 781.0, 20.0)
     spectrum = 0.2 + 0.6 * (w - 400.0) / 380.0
     fine = np.arange(400.0, 781.0, 5.0)
-    expected = tristimulus(fine, np.interp(fine, w, spectrum))
-    np.testing.assert_allclose(colour_weights(w) @ spectrum, expected, rtol=1e-9)
-    assert colour_weights(w)[1].sum() == pytest.approx(1.0)
+    expected = compute_tristimulus(fine, np.interp(fine, w, spectrum))
+    np.testing.assert_allclose(compute_colour_weights(w) @ spectrum, expected, rtol=1e-9)
+    assert compute_colour_weights(w)[1].sum() == pytest.approx(1.0)
 
 
 def test_what_a_page_cannot_show_is_refused(tmp_path, monkeypatch):
     texts = table().dataset.assign_coords(saturation=["dry", "wet"])
-    with pytest.raises(Refusal, match=r"^explorer = 'saturation': must be an axis of at least two"):
-        write_page({"a": Shown(Table(texts), "a.nc", "")}, tmp_path / "a.html")
+    with pytest.raises(InvalidValue, match=r"^explorer = 'saturation': must be an axis of at least two"):
+        write_explorer({"a": ExplorerTable(Table(texts), "a.nc", "")}, tmp_path / "a.html")
     monkeypatch.setattr(page, "LARGEST_BYTES", 1000)
-    with pytest.raises(Refusal, match=r"^explorer = '\d+ bytes': must be small enough"):
-        write_page({"a": Shown(table(), "a.nc", "")}, tmp_path / "a.html")
+    with pytest.raises(InvalidValue, match=r"^explorer = '\d+ bytes': must be small enough"):
+        write_explorer({"a": ExplorerTable(table(), "a.nc", "")}, tmp_path / "a.html")
     assert not list(tmp_path.iterdir())

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.dataset import at_points
-from splits.experiments import Experiment
-from splits.experiments.coordinates import coordinate_values
-from splits.experiments.grids import label_at, labelled
+from splits.io.netcdf import select_points
+from splits.experiments import ExperimentConfig
+from splits.experiments.config.grid import to_coordinate_values
+from splits.experiments.config.grid import find_label, label_grid
 
-CROSSED = {"0.1": 1.0, "1": 0.1}
+CROSSED_GRID = {"0.1": 1.0, "1": 0.1}
 
 
-def shown(grid, **at):
+def resolve_fixed_values(grid, **at):
     """Return what the figure of an experiment holds fixed, and the grid's coordinates."""
-    experiment = Experiment(name="made", grid=grid, figure={"at": at})
+    experiment = ExperimentConfig(name="made", grid=grid, figure={"at": at})
     return experiment.resolve_figure()["at"], experiment.grid
 
 
@@ -25,9 +25,9 @@ def shown(grid, **at):
     [
         ([0.99999, 1.0], 1.0, "1"),
         ([0.99999, 1.0], 0.99999, "0.99999"),
-        (CROSSED, "0.1", "0.1"),
-        (CROSSED, 0.1, "1"),
-        (CROSSED, 1, "0.1"),
+        (CROSSED_GRID, "0.1", "0.1"),
+        (CROSSED_GRID, 0.1, "1"),
+        (CROSSED_GRID, 1, "0.1"),
         ({"dry": 0, "wet": 1}, "wet", "wet"),
         ({"dry": 0, "wet": 1}, 1, "wet"),
         ([[100, 200], [300, 400]], "300-400", "300-400"),
@@ -37,27 +37,27 @@ def shown(grid, **at):
     ],
 )
 def test_text_is_a_label_and_a_number_a_value(values, given, label):
-    values = labelled({"x": values})["x"]
-    assert label_at("x", values, given) == label
+    values = label_grid({"x": values})["x"]
+    assert find_label("x", values, given) == label
 
 
 @pytest.mark.parametrize("given", [0.5, 0.999999999, "1.0", "moist", 0.09999])
 def test_what_is_not_on_the_grid_is_refused(given):
     with pytest.raises(ValueError, match=r"figure\.at\.saturation = .*: must be one of 0\.1, 1"):
-        shown({"saturation": CROSSED}, saturation=given)
+        resolve_fixed_values({"saturation": CROSSED_GRID}, saturation=given)
 
 
 def test_the_drawing_names_the_coordinate_of_the_dataset():
-    at, grid = shown({"saturation": CROSSED}, saturation="0.1")
+    at, grid = resolve_fixed_values({"saturation": CROSSED_GRID}, saturation="0.1")
     assert at == {"saturation": 1.0}
-    assert coordinate_values(grid["saturation"]).tolist() == [1.0, 0.1]
-    at, _ = shown({"saturation": {"dry": 0, "wet": 1}}, saturation="wet")
+    assert to_coordinate_values(grid["saturation"]).tolist() == [1.0, 0.1]
+    at, _ = resolve_fixed_values({"saturation": {"dry": 0, "wet": 1}}, saturation="wet")
     assert at == {"saturation": 1.0}
     grid = {"incidence_deg": {"beam": 60, "sky": "diffuse"}}
-    assert shown(grid, incidence_deg="diffuse")[0] == {"incidence_deg": "sky"}
+    assert resolve_fixed_values(grid, incidence_deg="diffuse")[0] == {"incidence_deg": "sky"}
     grid = {"polarized": [True, False]}
     layer = {"kind": "layer"}
-    experiment = Experiment(
+    experiment = ExperimentConfig(
         name="made", medium=layer, grid=grid, instrument={"wavelength_nm": [500, 550]},
         figure={"at": {"polarized": True}},
     )  # fmt: skip
@@ -67,29 +67,29 @@ def test_the_drawing_names_the_coordinate_of_the_dataset():
 def test_datasets_are_cut_at_the_nearest_only_up_to_rounding():
     x = np.array([0.99999, 1.0, 0.1 * 3])
     dataset = xr.Dataset({"y": ("x", np.arange(3.0))}, {"x": x})
-    assert float(at_points(dataset, {"x": 1.0}).y) == 1.0
-    assert float(at_points(dataset, {"x": 0.3}).y) == 2.0
+    assert float(select_points(dataset, {"x": 1.0}).y) == 1.0
+    assert float(select_points(dataset, {"x": 0.3}).y) == 2.0
     for bad in (0.999995, "beam", np.nan):
         with pytest.raises(ValueError, match=r"^at\.x = "):
-            at_points(dataset, {"x": bad})
+            select_points(dataset, {"x": bad})
     with pytest.raises(ValueError, match=r"^at = 'z': must be one of x"):
-        at_points(dataset, {"z": 1.0})
+        select_points(dataset, {"z": 1.0})
 
 
 def test_start_stop_and_step_are_evenly_spaced_values():
-    grid = labelled({"incidence_deg": {"start": 0, "stop": 80, "step": 10}})
+    grid = label_grid({"incidence_deg": {"start": 0, "stop": 80, "step": 10}})
     assert list(grid["incidence_deg"].values()) == [0, 10, 20, 30, 40, 50, 60, 70, 80]
-    grid = labelled({"saturation": {"start": 0, "stop": 0.3, "step": 0.1}})
+    grid = label_grid({"saturation": {"start": 0, "stop": 0.3, "step": 0.1}})
     assert grid["saturation"] == {"0": 0.0, "0.1": 0.1, "0.2": 0.2, "0.3": 0.3}
     for missing in ("start", "stop", "step"):
         steps = {"start": 0, "stop": 80, "step": 10}
         del steps[missing]
         with pytest.raises(ValueError, match=rf"grid\.incidence_deg\.{missing} = None: must be"):
-            labelled({"incidence_deg": steps})
+            label_grid({"incidence_deg": steps})
     media = {"start": {"saturation": 0}, "stop": {"saturation": 1}}
-    assert labelled({"medium": media}) == {"medium": media}
+    assert label_grid({"medium": media}) == {"medium": media}
 
 
 def test_two_labels_of_one_number_are_refused():
     with pytest.raises(ValueError, match=r"grid\.saturation = .*: must be different values"):
-        labelled({"saturation": {"a": 0.1, "b": 0.1}})
+        label_grid({"saturation": {"a": 0.1, "b": 0.1}})

@@ -6,14 +6,20 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.figures import collectors, hemispheres, lobes, polarization, principal_planes
-from splits.figures.style import ONE_COLUMN, TWO_COLUMNS
+from splits.plotting import (
+    draw_bin_sizes,
+    hemispheres,
+    lobes,
+    polarization,
+    draw_principal_planes,
+)
+from splits.plotting.style import ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES
 
 POLAR = np.arange(0.0, 90.0, 5.0)
 AZIMUTH = np.arange(0.0, 360.0, 30.0)
 
 
-def dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH):
+def make_dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH):
     """Return BRDFs that lean forward, and BTDFs of half their size."""
     coords = {
         **{k: np.array(v) for k, v in (grid or {}).items()},
@@ -35,13 +41,13 @@ PLANE = {"azimuth": np.array([0.0, 90.0, 180.0, 270.0])}
 """Directions that no map can show."""
 
 
-def maps(figure):
+def list_map_axes(figure):
     """Return the panels that are maps."""
     return [axes for axes in figure.axes if axes.get_xlabel().startswith("forward")]
 
 
 def test_beams_are_explained():
-    figure = principal_planes(dataset())
+    figure = draw_principal_planes(make_dataset())
     polar = figure.axes[0]
     beam = polar.lines[-1]
     np.testing.assert_allclose(beam.get_xdata(), np.radians(-40.0))
@@ -51,15 +57,15 @@ def test_beams_are_explained():
 
 
 def test_several_beams_have_the_colours_of_their_lines():
-    made = dataset({"incidence_deg": [0.0, 30.0, 60.0]}, **PLANE)
-    polar, flat = principal_planes(made).axes
+    made = make_dataset({"incidence_deg": [0.0, 30.0, 60.0]}, **PLANE)
+    polar, flat = draw_principal_planes(made).axes
     *_, one, two, three = polar.lines
     assert np.degrees(two.get_xdata()[0]) == pytest.approx(-30.0)
     assert [b.get_color() for b in (one, two, three)] == [c.get_color() for c in flat.lines]
 
 
 def test_transmitted_light_goes_down():
-    up, down = principal_planes(dataset(**PLANE), ["brdf", "btdf"]).axes[::2]
+    up, down = draw_principal_planes(make_dataset(**PLANE), ["brdf", "btdf"]).axes[::2]
     for polar, sign in ((up, 1.0), (down, -1.0)):
         angle, radius = polar.lines[0].get_data()
         # Angles count from the top of the plot, clockwise.
@@ -75,24 +81,24 @@ def test_transmitted_light_goes_down():
 
 
 def test_every_quantity_asked_for_has_its_panels():
-    figure = principal_planes(dataset(**PLANE), ["brdf", "btdf"])
+    figure = draw_principal_planes(make_dataset(**PLANE), ["brdf", "btdf"])
     assert [axes.get_ylabel() for axes in figure.axes[1::2]] == ["BRDF (sr⁻¹)", "BTDF (sr⁻¹)"]
     brdf, btdf = (axes.lines[0].get_ydata() for axes in figure.axes[1::2])
     np.testing.assert_allclose(btdf, 0.5 * brdf)
 
 
 def test_where_nothing_is_transmitted_the_panels_say_so():
-    made = dataset(**PLANE)
+    made = make_dataset(**PLANE)
     made["btdf"] = 0.0 * made.btdf
-    figure = principal_planes(made, ["btdf"])
+    figure = draw_principal_planes(made, ["btdf"])
     for axes in figure.axes:
         said = "nothing transmitted\nwithin 0.002 sr⁻¹"
         assert said in [text.get_text() for text in axes.texts]
         assert not axes.collections, "no band fills the panel"
     made["btdf_stderr"] = 0.0 * made.btdf
-    flat = principal_planes(made, ["btdf"]).axes[1]
+    flat = draw_principal_planes(made, ["btdf"]).axes[1]
     assert [text.get_text() for text in flat.texts] == ["nothing transmitted"]
-    for axes in principal_planes(made).axes:
+    for axes in draw_principal_planes(made).axes:
         assert not any("nothing" in text.get_text() for text in axes.texts)
 
 
@@ -100,22 +106,22 @@ CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 
 def test_lines_of_cells_do_not_cross_the_zenith():
-    made = dataset(polar=CELLS, estimator="cells", **PLANE)
-    for figure in (principal_planes(made), polarization(made)):
+    made = make_dataset(polar=CELLS, estimator="cells", **PLANE)
+    for figure in (draw_principal_planes(made), polarization(made)):
         for axes in figure.axes:
             angle, value = axes.lines[0].get_data()
             gap = np.flatnonzero(np.isnan(value))
             assert gap.size == 1 and angle[gap[0]] == 0.0
     for estimator in ("expansion", "local"):
-        line = principal_planes(dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
+        line = draw_principal_planes(make_dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
         assert np.isfinite(line.get_ydata()).all()
 
 
 def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
-    fine = dataset(polar=CELLS, estimator="cells", azimuth=np.arange(0.0, 360.0, 10.0))
-    figure = collectors(fine)
+    fine = make_dataset(polar=CELLS, estimator="cells", azimuth=np.arange(0.0, 360.0, 10.0))
+    figure = draw_bin_sizes(fine)
     axes = figure.axes[0]
-    assert len(axes.lines) == len(maps(figure)) == 3
+    assert len(axes.lines) == len(list_map_axes(figure)) == 3
     for line in axes.lines:
         angle, value = line.get_data()
         assert np.isnan(value[angle == 0.0]).all() and np.isfinite(value[angle != 0.0]).all()
@@ -124,12 +130,12 @@ def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
 
 
 def test_a_cell_at_the_zenith_leaves_no_gap():
-    line = principal_planes(dataset(estimator="cells")).axes[1].lines[0]
+    line = draw_principal_planes(make_dataset(estimator="cells")).axes[1].lines[0]
     assert np.isfinite(line.get_ydata()).all()
 
 
 def test_a_sample_that_sends_nothing_back_has_lobes_without_extent():
-    dark = dataset()
+    dark = make_dataset()
     dark["brdf"] = 0.0 * dark.brdf
     figure = lobes(dark)
     assert figure.axes[0].get_xlim() == (-1.0, 1.0)
@@ -137,7 +143,7 @@ def test_a_sample_that_sends_nothing_back_has_lobes_without_extent():
 
 def test_titles_of_lobes_do_not_overlap():
     grid = {"grain_size_um": ["100-200", "800-1200"], "iron_oxide": [0.01, 0.02, 0.03]}
-    figure = lobes(dataset(grid, wavelength=(600.0, 1300.0)))
+    figure = lobes(make_dataset(grid, wavelength=(600.0, 1300.0)))
     figure.draw_without_rendering()
     titles = [axes._left_title for axes in figure.axes if ":" in axes.get_title(loc="left")]
     assert len(titles) == 12
@@ -151,7 +157,7 @@ def test_titles_of_lobes_do_not_overlap():
 
 
 def test_degrees_of_polarization_are_left_out_in_the_dark():
-    made = dataset()
+    made = make_dataset()
     made["brdf"] = made.brdf.where(made.polar < 60.0, 0.0)
     right = polarization(made).axes[1]
     angle, degree = right.lines[0].get_data()
@@ -161,7 +167,7 @@ def test_degrees_of_polarization_are_left_out_in_the_dark():
 
 def test_many_directions_leave_their_panels_free():
     grid = {"incidence_deg": np.arange(0.0, 90.0, 10.0), "density_kg_m3": [200.0, 400.0]}
-    figure = principal_planes(dataset(grid))
+    figure = draw_principal_planes(make_dataset(grid))
     figure.draw_without_rendering()
     (legend,) = figure.legends
     assert len(legend.get_texts()) == 1 + 9 + 1 + 2
@@ -173,20 +179,20 @@ def test_many_directions_leave_their_panels_free():
 def test_few_points_have_maps_beside_and_many_do_not():
     for count, expected in ((1, 1), (4, 4), (5, 0)):
         grid = {"density_kg_m3": 100.0 * np.arange(1, count + 1)}
-        figure = principal_planes(dataset(grid))
-        assert len(maps(figure)) == expected
-        assert figure.get_figwidth() == TWO_COLUMNS
+        figure = draw_principal_planes(make_dataset(grid))
+        assert len(list_map_axes(figure)) == expected
+        assert figure.get_figwidth() == TWO_COLUMNS_INCHES
         figure.draw_without_rendering()
-    assert not maps(principal_planes(dataset(**PLANE)))
+    assert not list_map_axes(draw_principal_planes(make_dataset(**PLANE)))
 
 
 @pytest.mark.parametrize("count", [1, 5, 24])
 def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
-    made = dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
+    made = make_dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
     figure = hemispheres(made)
     figure.draw_without_rendering()
-    assert figure.get_figwidth() == (ONE_COLUMN if count == 1 else TWO_COLUMNS)
-    shown = maps(figure)
+    assert figure.get_figwidth() == (ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES)
+    shown = list_map_axes(figure)
     assert len(shown) == count
     assert len({axes.collections[0].norm for axes in shown}) == 1
     for axes in shown:
@@ -198,7 +204,7 @@ def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
 
 
 def test_a_map_shows_what_goes_forward_on_the_right():
-    mesh = maps(hemispheres(dataset()))[0].collections[0]
+    mesh = list_map_axes(hemispheres(make_dataset()))[0].collections[0]
     around = mesh.get_coordinates()[..., 0]
     middle = 0.5 * (around[1:, 1:] + around[1:, :-1])
     values = mesh.get_array()
@@ -206,9 +212,9 @@ def test_a_map_shows_what_goes_forward_on_the_right():
 
 
 def test_light_of_a_reading_is_shown_as_shifts_from_the_default():
-    made = dataset({"readings": ["a", "default", "b"]})
+    made = make_dataset({"readings": ["a", "default", "b"]})
     made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="readings")
-    figure = principal_planes(made)
+    figure = draw_principal_planes(made)
     default, one, other = figure.axes
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) default", "(b) a", "(c) b"]
     assert default.lines[0].get_ydata().max() > 0.3

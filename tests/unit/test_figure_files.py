@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from test_figure_directions import dataset as directions
+from test_figure_directions import make_dataset as directions
 
-from splits.figures import draw, save_figure
+from splits.plotting import draw, save_figure
 
 SECTION = {
     "kind": "spectra", "quantity": ["reflectance"], "at": {}, "legend": None, "ylim": None,

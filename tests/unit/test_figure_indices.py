@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from splits.figures import refractive_indices
+from splits.plotting import draw_refractive_indices
 
 
-def dataset(materials):
+def make_dataset(materials):
     """Return indices, given n for each material."""
     n = np.array([[index, index] for index in materials.values()]).T
     axes = {"wavelength": [500.0, 900.0], "material": list(materials)}
@@ -16,9 +16,9 @@ def dataset(materials):
     return xr.Dataset({"n": (dims, n), "k": (dims, np.full(n.shape, 1e-6))}, axes)
 
 
-def shown(materials):
+def list_legend_labels(materials):
     """Return the labels of the legend."""
-    figure = refractive_indices(dataset(materials))
+    figure = draw_refractive_indices(make_dataset(materials))
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
@@ -29,14 +29,14 @@ def test_a_material_that_layers_share_is_shown_once():
         "layers.1.ice": 1.31,
         "layers.1.water": 1.33,
     }
-    assert shown(stack) == ["ice", "water"]
+    assert list_legend_labels(stack) == ["ice", "water"]
 
 
 def test_materials_that_differ_between_layers_are_told_apart():
-    assert shown({"layers.0.ice": 1.3, "layers.1.ice": 1.4}) == [
+    assert list_legend_labels({"layers.0.ice": 1.3, "layers.1.ice": 1.4}) == [
         "layer 0: ice", "layer 1: ice",
     ]  # fmt: skip
 
 
 def test_nothing_to_show_is_an_empty_figure_without_legend():
-    assert shown({"layers.0.air": 1.0, "layers.0.matrix": 1.5}) == []
+    assert list_legend_labels({"layers.0.air": 1.0, "layers.0.matrix": 1.5}) == []

@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.figures import draw, points, spectra, spread
-from splits.figures.lines import DASHES, Lines
-from splits.figures.style import colours, value_label
+from splits.plotting import draw, points, spectra, beam_spread
+from splits.plotting.lines import DASHES, PlotLines
+from splits.plotting.style import pick_colours, format_value
 
 X = np.linspace(400.0, 1000.0, 13)
 
 
-def dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):
+def make_dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):
     """Return constant spectra over a grid, 0.01 apart."""
     coords = {**{k: np.array(v) for k, v in grid.items()}, "wavelength": np.array(wavelength)}
     shape = tuple(len(v) for v in coords.values())
@@ -27,11 +27,11 @@ def dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):
     return xr.Dataset(variables, coords)
 
 
-def lines(grid, **options):
-    return Lines(dataset(grid), list(grid), **options)
+def make_plot_lines(grid, **options):
+    return PlotLines(make_dataset(grid), list(grid), **options)
 
 
-def entries(legend):
+def list_legend_entries(legend):
     return [text.get_text() for text in legend.get_texts()]
 
 
@@ -63,7 +63,7 @@ def entries(legend):
     ],
 )
 def test_values_are_named_as_print_has_them(value, parameter, text):
-    assert value_label(value, parameter) == text
+    assert format_value(value, parameter) == text
 
 
 @pytest.mark.parametrize(
@@ -72,53 +72,53 @@ def test_values_are_named_as_print_has_them(value, parameter, text):
 def test_no_two_lines_look_the_same(sizes):
     grid = {f"p{i}": np.arange(float(n)) for i, n in enumerate(sizes)}
     for dashed in (False, True):
-        looks = [(one.colour, one.dash) for one in lines(grid, dashed=dashed).lines]
+        looks = [(one.colour, one.dash) for one in make_plot_lines(grid, dashed=dashed).lines]
         assert len(set(looks)) == len(looks) == np.prod(sizes, dtype=int)
 
 
 def test_many_names_without_order_have_safe_colours_and_dashes():
-    made = lines({"readings": [f"r{i}" for i in range(13)]}).lines
+    made = make_plot_lines({"readings": [f"r{i}" for i in range(13)]}).lines
     assert len({(one.colour, one.dash) for one in made}) == 13
-    assert {one.colour for one in made} == set(colours(10, "readings"))
+    assert {one.colour for one in made} == set(pick_colours(10, "readings"))
     assert {one.dash for one in made} == set(DASHES[:2])
 
 
 def test_colours_of_ordered_values_get_lighter():
     for count in (2, 5, 12):
-        light = [0.2126 * r + 0.7152 * g + 0.0722 * b for r, g, b in colours(count)]
+        light = [0.2126 * r + 0.7152 * g + 0.0722 * b for r, g, b in pick_colours(count)]
         assert (np.diff(light) > 0.0).all()
         assert light[-1] < 0.75, "the lightest is still seen on white"
 
 
 def test_the_default_is_black_and_on_top():
-    made = lines({"readings": ["a", "default", "b"]}).lines
+    made = make_plot_lines({"readings": ["a", "default", "b"]}).lines
     default, others = made[1], (made[0], made[2])
     assert default.colour == "black" and default.is_default
     assert all(one.zorder < default.zorder and one.colour != "black" for one in others)
     assert all(one.to_plot_style()["lw"] < default.to_plot_style()["lw"] for one in others)
-    assert [one.colour for one in others] == colours(2, "readings")
+    assert [one.colour for one in others] == pick_colours(2, "readings")
 
 
 def test_few_lines_have_their_legend_on_free_axes():
-    figure = spectra(dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
+    figure = spectra(make_dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
     (axes,) = figure.axes
     assert not figure.legends
-    assert entries(axes.get_legend()) == ["no bottom", "10⁻⁵", "0.5"]
+    assert list_legend_entries(axes.get_legend()) == ["no bottom", "10⁻⁵", "0.5"]
     assert axes.get_legend().get_title().get_text() == "bottom albedo"
 
 
 def test_a_legend_that_would_cover_lines_stands_beside():
-    zigzag = dataset({"saturation": [0.0, 0.5, 1.0]})
+    zigzag = make_dataset({"saturation": [0.0, 0.5, 1.0]})
     zigzag["reflectance"] = xr.where(np.arange(X.size) % 2 == 0, 1.0, 0.01) + 0.0 * (
         zigzag.reflectance
     )
     figure = spectra(zigzag)
     assert figure.axes[0].get_legend() is None
     (legend,) = figure.legends
-    assert entries(legend) == ["0", "0.5", "1"]
+    assert list_legend_entries(legend) == ["0", "0.5", "1"]
 
 
-def whole(figure):
+def is_legend_clear(figure):
     """Return whether legends are within the figure and not on its axes."""
     figure.draw_without_rendering()
     boxes = [legend.get_window_extent() for legend in figure.legends]
@@ -132,43 +132,43 @@ def whole(figure):
 
 
 def test_many_lines_of_two_parameters_name_each_value_once():
-    figure = spectra(dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]}))
+    figure = spectra(make_dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]}))
     (legend,) = figure.legends
     names = [str(i) for i in range(9)]
-    assert entries(legend) == ["density (kg m⁻³)", *names, "depth (m)", "0.1", "0.2", "0.3"]
-    assert whole(figure)
+    assert list_legend_entries(legend) == ["density (kg m⁻³)", *names, "depth (m)", "0.1", "0.2", "0.3"]
+    assert is_legend_clear(figure)
     assert figure.axes[0].get_window_extent().height > 0.6 * figure.bbox.height
 
 
 def test_very_many_values_have_a_colour_bar():
     grid = {"grain_size_um": [f"{i}00-{i + 1}00" for i in range(1, 25)], "depth_m": [0.1, 0.2]}
-    figure = spectra(dataset(grid))
+    figure = spectra(make_dataset(grid))
     axes, bar = figure.axes
     assert bar.get_ylabel() == "grain size (µm)"
     ticks = [text.get_text() for text in bar.get_yticklabels()]
     assert 5 <= len(ticks) <= 10 and ticks[0] == "100–200"
     assert len(axes.lines) == 48
-    assert entries(figure.legends[0]) == ["depth (m)", "0.1", "0.2"]
-    assert whole(figure)
+    assert list_legend_entries(figure.legends[0]) == ["depth (m)", "0.1", "0.2"]
+    assert is_legend_clear(figure)
 
 
 def test_forty_readings_fit_beside():
-    figure = spectra(dataset({"readings": [f"reading number {i}" for i in range(40)]}))
-    assert len(entries(figure.legends[0])) == 40
-    assert whole(figure)
+    figure = spectra(make_dataset({"readings": [f"reading number {i}" for i in range(40)]}))
+    assert len(list_legend_entries(figure.legends[0])) == 40
+    assert is_legend_clear(figure)
 
 
 def test_measured_values_are_in_the_legend():
     table = pd.DataFrame({"wavelength_nm": [500.0], "reflectance": [0.5]})
-    figure = spectra(dataset({}, value=0.2), measured=table)
-    assert entries(figure.axes[0].get_legend()) == ["model", "measured"]
+    figure = spectra(make_dataset({}, value=0.2), measured=table)
+    assert list_legend_entries(figure.axes[0].get_legend()) == ["model", "measured"]
 
 
 SECTION = {"kind": "points", "at": {}, "legend": None}
 
 
 def test_points_draw_every_quantity():
-    made = dataset(
+    made = make_dataset(
         {"density_kg_m3": [100.0, 200.0]}, [500.0, 600.0, 700.0],
         quantities=("reflectance", "transmittance"),
     )  # fmt: skip
@@ -179,12 +179,12 @@ def test_points_draw_every_quantity():
         drawn = [one.lines[0].get_xdata() for one in axes.containers]
         np.testing.assert_array_equal(drawn, made[name].transpose("wavelength", ...))
     assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["100", "200"]
-    assert entries(figure.legends[0]) == ["500", "600", "700"]
-    assert whole(figure)
+    assert list_legend_entries(figure.legends[0]) == ["500", "600", "700"]
+    assert is_legend_clear(figure)
 
 
 def test_points_show_what_is_asked_of_grains_at_one_wavelength():
-    made = dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
+    made = make_dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
     long_name = {"long_name": "mean distance"}
     made["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)
     (axes,) = points(made).axes
@@ -195,7 +195,7 @@ def test_points_show_what_is_asked_of_grains_at_one_wavelength():
 
 
 def test_points_are_shifts_from_the_default_which_is_stated():
-    made = dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
+    made = make_dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
     axes = points(made).axes[0]
     for one in axes.containers:
         np.testing.assert_allclose(one.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
@@ -203,12 +203,12 @@ def test_points_are_shifts_from_the_default_which_is_stated():
         half = [0.5 * (high - low) for low, high in ends]
         np.testing.assert_allclose(half, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
     assert axes.get_xlabel().splitlines()[1] == "default: 0.510 (500 nm), 0.510 (600 nm)"
-    absolute = points(dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
+    absolute = points(make_dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
     np.testing.assert_allclose(absolute.containers[0].lines[0].get_xdata(), [0.5, 0.51])
 
 
 def test_spectra_are_shifts_from_the_default_a_panel_each():
-    made = dataset({"readings": ["a", "default", "b"], "depth_m": [0.1]})
+    made = make_dataset({"readings": ["a", "default", "b"], "depth_m": [0.1]})
     figure = spectra(made)
     default, one, other = figure.axes
     np.testing.assert_allclose(default.lines[0].get_ydata(), 0.51)
@@ -218,7 +218,7 @@ def test_spectra_are_shifts_from_the_default_a_panel_each():
     cut = spectra(made, ylim=(0.2, 0.8))
     assert cut.axes[0].get_ylim() == (0.2, 0.8)
     assert cut.axes[1].get_ylim() == one.get_ylim()
-    crossed = dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
+    crossed = make_dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
     assert len(spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 
 
@@ -235,6 +235,6 @@ def test_beams_of_many_wavelengths_have_their_legend_beside():
             {"wavelength": x, "side": side, "radius": radius, "x": np.arange(3.0),
              "y": np.arange(3.0)},
         )  # fmt: skip
-        figure = spread(made)
+        figure = beam_spread(made)
         assert len(figure.legends) == (count == 5)
-        assert whole(figure)
+        assert is_legend_clear(figure)

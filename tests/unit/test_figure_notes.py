@@ -7,28 +7,28 @@ import pandas as pd
 import pytest
 import xarray as xr
 from test_figure_directions import CELLS
-from test_figure_directions import dataset as directions
+from test_figure_directions import make_dataset as directions
 from test_figure_lines import X
-from test_figure_lines import dataset as spectral
+from test_figure_lines import make_dataset as spectral
 
-from splits.analysis.sensitivity_tables import ranges_said
-from splits.experiments import Experiment
-from splits.figures import (
-    area_law,
-    conditions,
+from splits.experiments.papers.sensitivity_table import describe_ranges
+from splits.experiments import ExperimentConfig
+from splits.plotting import (
+    draw_area_law,
+    annotations,
     draw,
-    fits,
-    fitted_spectra,
-    measured_albedo,
-    readings_shifts,
-    sensitivity_bars,
+    sand_fit,
+    draw_fitted_spectra,
+    draw_measured_albedo,
+    draw_interpretation_shifts,
+    draw_sensitivity_bars,
 )
-from splits.figures.efficiency import speed_against_error
-from splits.figures.nodes import coarse_nodes
-from splits.figures.notes import letter
-from splits.figures.style import ONE_COLUMN, SMALLEST, TWO_COLUMNS
+from splits.experiments.papers.performance_figure import draw_speed_against_error
+from splits.plotting.nodes import find_coarse_nodes
+from splits.plotting.annotations import format_panel_letter
+from splits.plotting.style import ONE_COLUMN_INCHES, SMALL_FONT_PT, TWO_COLUMNS_INCHES
 
-FACTS = {
+ATTRIBUTES = {
     "medium": "snow", "instrument": "spectrophotometer", "snow_grain_size_um": np.array([300, 750]),
     "snow_density_kg_m3": 275.0, "snow_saturation": 0.05, "snow_depth_m": 0.12,
     "snow_ground": "open", "snow_refractive_index_water": "hale_querry_1973",
@@ -41,13 +41,13 @@ SECTION = {
 INFRARED = np.arange(1000.0, 2001.0, 10.0)
 
 
-def foot(figure):
+def read_notes(figure):
     """Return the notes of a figure on one line."""
     text = next(one.get_text() for one in figure.texts if one.get_gid() == "foot")
     return text.replace("\n", " ").replace("\u00a0", " ")
 
 
-def beam():
+def make_beam_dataset():
     radius, side = np.geomspace(1e-4, 1e-1, 8), ["reflected", "transmitted"]
     shape = (1, 2, 8)
     return xr.Dataset(
@@ -61,19 +61,19 @@ def beam():
     )  # fmt: skip
 
 
-def many_cells():
+def make_many_bins_dataset():
     around = np.arange(0.0, 360.0, 10.0)
     return directions(polar=CELLS, estimator="cells", azimuth=around)
 
 
-def found():
+def make_surface_areas_table():
     made = spectral({"refractive_index": ["as modelled", "other"]}).expand_dims(sample=["a", "b"])
     made["measured"] = made.reflectance + 0.01
     made["rmse"] = made.reflectance.mean("wavelength")
     return made
 
 
-def minerals():
+def make_minerals_dataset():
     shape = (X.size, 2)
     index = {name: (("wavelength", "material"), np.full(shape, 0.1)) for name in "nk"}
     return xr.Dataset(index, {"wavelength": X, "material": ["ice", "water"]})
@@ -85,7 +85,7 @@ def surface_areas():
     return pd.DataFrame([row | {"wavelength_nm": x} for x in X])
 
 
-def statements():
+def make_statements():
     rows = [
         {"combination": number, "readings": f"entry: {word}", "set": name, "statement": said,
          "place": "Fig 1", "nearest_water": True, "ours": value, "stderr": 0.01, "bar": 0.1,
@@ -98,7 +98,7 @@ def statements():
     return pd.DataFrame(rows)
 
 
-def indices():
+def make_indices():
     over = ("quantity", "parameter")
     return xr.Dataset(
         {name: (over, np.full((2, 2), 0.1)) for name in ("msi", "msi_stderr")},
@@ -118,37 +118,37 @@ SPEED = pd.DataFrame(
 )  # fmt: skip
 
 
-def drawn(kind, made, **section):
+def draw_kind(kind, made, **section):
     return lambda: draw(made(), SECTION | {"kind": kind} | section)
 
 
 FIGURES = {
-    "spectra": drawn("spectra", lambda: spectral({"saturation": [0.0, 1.0]})),
-    "many spectra": drawn("spectra", lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
-    "facets": drawn("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
+    "spectra": draw_kind("spectra", lambda: spectral({"saturation": [0.0, 1.0]})),
+    "many spectra": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
+    "facets": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
                                                  "depth_m": [0.1, 0.2]})),
-    "colour bar": drawn("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
-    "shifts": drawn("spectra", lambda: spectral({"readings": ["default", "a"]})),
-    "points": drawn("points", lambda: spectral({"depth_m": [0.1, 0.2]}, [500.0])),
-    "points of many": drawn("points", lambda: spectral({"depth_m": [0.1, 0.2]}, X)),
-    "swatches": drawn("swatches", lambda: spectral({"depth_m": [0.1, 0.2]},
+    "colour bar": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
+    "shifts": draw_kind("spectra", lambda: spectral({"readings": ["default", "a"]})),
+    "points": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, [500.0])),
+    "points of many": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, X)),
+    "swatches": draw_kind("swatches", lambda: spectral({"depth_m": [0.1, 0.2]},
                                                    np.arange(400.0, 781.0, 10.0))),
-    "refractive_index": drawn("refractive_index", minerals),
-    "principal_plane": drawn("principal_plane", directions, quantity=["brdf", "btdf"]),
-    "plane of two": drawn("principal_plane", lambda: directions({"depth_m": [0.1, 0.2]})),
-    "hemisphere": drawn("hemisphere", directions),
-    "hemispheres": drawn("hemisphere", lambda: directions({"depth_m": [0.1, 0.2]})),
-    "lobes": drawn("lobes", directions),
-    "cells": drawn("cells", many_cells),
-    "polarization": drawn("polarization", directions),
-    "spread": drawn("spread", beam),
-    "fit": lambda: fits(found()),
-    "measured": lambda: measured_albedo(ALBEDO),
-    "surface area": lambda: fitted_spectra(surface_areas()),
-    "law": lambda: area_law(LAW),
-    "readings": lambda: readings_shifts(statements()),
-    "sensitivity": lambda: sensitivity_bars(indices()),
-    "speed": lambda: speed_against_error(SPEED),
+    "refractive_index": draw_kind("refractive_index", make_minerals_dataset),
+    "principal_plane": draw_kind("principal_plane", directions, quantity=["brdf", "btdf"]),
+    "plane of two": draw_kind("principal_plane", lambda: directions({"depth_m": [0.1, 0.2]})),
+    "hemisphere": draw_kind("hemisphere", directions),
+    "hemispheres": draw_kind("hemisphere", lambda: directions({"depth_m": [0.1, 0.2]})),
+    "lobes": draw_kind("lobes", directions),
+    "cells": draw_kind("cells", make_many_bins_dataset),
+    "polarization": draw_kind("polarization", directions),
+    "spread": draw_kind("spread", make_beam_dataset),
+    "fit": lambda: sand_fit(make_surface_areas_table()),
+    "measured": lambda: draw_measured_albedo(ALBEDO),
+    "surface area": lambda: draw_fitted_spectra(surface_areas()),
+    "law": lambda: draw_area_law(LAW),
+    "readings": lambda: draw_interpretation_shifts(make_statements()),
+    "sensitivity": lambda: draw_sensitivity_bars(make_indices()),
+    "speed": lambda: draw_speed_against_error(SPEED),
 }  # fmt: skip
 
 
@@ -156,12 +156,12 @@ FIGURES = {
 def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
     figure = FIGURES[kind]()
     figure.draw_without_rendering()
-    assert figure.get_figwidth() in (ONE_COLUMN, TWO_COLUMNS)
+    assert figure.get_figwidth() in (ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES)
     texts = [one for one in figure.findobj(lambda a: hasattr(a, "get_fontsize")) if one.get_text()]
-    assert min(one.get_fontsize() for one in texts) >= SMALLEST
+    assert min(one.get_fontsize() for one in texts) >= SMALL_FONT_PT
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     letters = [title[:3] for title in titles if title.startswith("(")]
-    assert sorted(letters) == [f"({letter(i)})" for i in range(len(letters))]
+    assert sorted(letters) == [f"({format_panel_letter(i)})" for i in range(len(letters))]
     bars = [axes for axes in figure.axes if hasattr(axes, "_colorbar") or axes.get_label() ==
             "<colorbar>"]  # fmt: skip
     panels = [axes for axes in figure.axes if axes.get_visible() and axes not in bars]
@@ -170,22 +170,22 @@ def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
 
 
 def test_letters_go_on_after_z():
-    assert [letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
+    assert [format_panel_letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
 
 
 def test_conditions_say_what_is_held_fixed():
-    made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(FACTS)
-    assert conditions(made).replace("\u00a0", " ") == (
+    made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(ATTRIBUTES)
+    assert annotations(made).replace("\u00a0", " ") == (
         "Snow, grains 300–750 µm, density 275 kg m⁻³, water saturation 0.05, depth 0.12 m, "
         "incidence 30°, 600 nm, bands: 2 standard errors; standard error ≤ 0.002"
     )
     at = {"depth_m": 0.02, "saturation": 0.0, "incidence_deg": "diffuse", "medium": "dune"}
-    said = conditions(made, at, "").replace("\u00a0", " ")
+    said = annotations(made, at, "").replace("\u00a0", " ")
     assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
-    assert conditions(spectral({})) == ""
+    assert annotations(spectral({})) == ""
     opaque = {"medium": "layer", "layer_opaque": "true", "layer_refractive_index": 1.5,
               "layer_optical_thickness": 10.0}  # fmt: skip
-    said = conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
+    said = annotations(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
     assert said.startswith("Layer, index 1.5, nothing below the surface")
     assert "thickness" not in said
 
@@ -197,10 +197,10 @@ def test_notes_overlap_nothing(kind, count):
     directed = kind in ("hemisphere", "principal_plane")
     made = directions(grid) if directed else spectral(grid, INFRARED[::10])
     long = "a sentence that is far longer than a line of a figure of one column can be " * 2
-    figure = draw(made.assign_attrs(FACTS), SECTION | {"kind": kind, "note": long})
+    figure = draw(made.assign_attrs(ATTRIBUTES), SECTION | {"kind": kind, "note": long})
     figure.draw_without_rendering()
     text = next(one for one in figure.texts if one.get_gid() == "foot")
-    assert long.strip() in foot(figure)
+    assert long.strip() in read_notes(figure)
     box = text.get_window_extent()
     assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= figure.bbox.x1
     others = [*figure.legends, *figure.axes]
@@ -208,25 +208,25 @@ def test_notes_overlap_nothing(kind, count):
 
 
 def test_rows_of_coarse_tables_are_marked():
-    made = spectral({}, INFRARED).assign_attrs(FACTS)
-    nodes = coarse_nodes(made)
+    made = spectral({}, INFRARED).assign_attrs(ATTRIBUTES)
+    nodes = find_coarse_nodes(made)
     assert list(nodes) == ["water (Hale & Querry 1973)", "ice (Warren & Brandt 2008)"]
     np.testing.assert_allclose(nodes["water (Hale & Querry 1973)"], np.arange(1000, 2001, 200))
     assert (np.diff(nodes["ice (Warren & Brandt 2008)"]) > 0.0).all()
     figure = draw(made, SECTION | {"kind": "spectra"})
     (marks, _) = (one for one in figure.axes[0].lines if one.get_marker() == "|")
     np.testing.assert_allclose(marks.get_xdata(), np.arange(1000, 2001, 200))
-    assert "water (Hale & Querry 1973, red)" in foot(figure)
+    assert "water (Hale & Querry 1973, red)" in read_notes(figure)
 
 
 def test_rows_of_tables_that_change_nothing_are_not_marked():
-    dry = spectral({}, INFRARED).assign_attrs(FACTS | {"snow_saturation": 0.0})
-    assert "water (Hale & Querry 1973)" not in coarse_nodes(dry)
-    rough = spectral({}, INFRARED[::20]).assign_attrs(FACTS)
-    assert coarse_nodes(rough) == {}
+    dry = spectral({}, INFRARED).assign_attrs(ATTRIBUTES | {"snow_saturation": 0.0})
+    assert "water (Hale & Querry 1973)" not in find_coarse_nodes(dry)
+    rough = spectral({}, INFRARED[::20]).assign_attrs(ATTRIBUTES)
+    assert find_coarse_nodes(rough) == {}
     own = {"snow_refractive_index_water": "my.csv", "snow_refractive_index_ice": "1.3+0j"}
-    assert coarse_nodes(spectral({}, INFRARED).assign_attrs(FACTS | own)) == {}
-    assert coarse_nodes(spectral({}, [500.0]).assign_attrs(FACTS)) == {}
+    assert find_coarse_nodes(spectral({}, INFRARED).assign_attrs(ATTRIBUTES | own)) == {}
+    assert find_coarse_nodes(spectral({}, [500.0]).assign_attrs(ATTRIBUTES)) == {}
 
 
 def test_ranges_that_a_paper_does_not_state_are_said():
@@ -234,16 +234,16 @@ def test_ranges_that_a_paper_does_not_state_are_said():
         "grain_size": {"low": "100-200", "high": "900-1000", "range": "stated"},
         "density": {"low": 100, "high": 500, "range": "chosen"},
     }
-    said = ranges_said(pairs)
+    said = describe_ranges(pairs)
     assert said == (
         "Ranges stated by the paper: grain size 100-200 to 900-1000; "
         "chosen here, not stated: density 100 to 500."
     )
-    assert said in foot(sensitivity_bars(indices(), said))
+    assert said in read_notes(draw_sensitivity_bars(make_indices(), said))
 
 
 def test_readings_are_shifts_from_the_default_set():
-    default, other = readings_shifts(statements()).axes
+    default, other = draw_interpretation_shifts(make_statements()).axes
     assert default.get_title(loc="left") == "(a) default"
     np.testing.assert_allclose(default.containers[0].lines[0].get_xdata(), 1.0)
     np.testing.assert_allclose(other.containers[0].lines[0].get_xdata(), 1.0)
@@ -254,7 +254,7 @@ def test_readings_are_shifts_from_the_default_set():
 
 def experiment(**given):
     instrument = {"kind": "goniophotometer", "wavelength_nm": [600]} | given
-    return Experiment(name="made", instrument=instrument, figure={"kind": "hemisphere"})
+    return ExperimentConfig(name="made", instrument=instrument, figure={"kind": "hemisphere"})
 
 
 def test_maps_need_directions_all_around():

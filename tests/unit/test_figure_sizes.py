@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.experiments import ConfigError, Experiment, load_experiment
-from splits.figures import draw, save_figure, spectra
-from splits.panels import MOST_LINES, MOST_PANELS, MOST_ROWS, facets
+from splits.experiments import ConfigError, ExperimentConfig, load_experiment
+from splits.plotting import draw, save_figure, spectra
+from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 X = np.linspace(400.0, 1000.0, 13)
 
 
-def dataset(grid, quantities=("reflectance",)):
+def make_dataset(grid, quantities=("reflectance",)):
     coords = {**{k: np.array(v) for k, v in grid.items()}, "wavelength": X}
     shape = tuple(len(v) for v in coords.values())
     values = np.linspace(0.1, 0.9, int(np.prod(shape))).reshape(shape)
@@ -27,13 +27,13 @@ def dataset(grid, quantities=("reflectance",)):
     return xr.Dataset(variables, coords)
 
 
-def load(tmp_path, text):
+def load_text(tmp_path, text):
     path = tmp_path / "mine.yaml"
     path.write_text(text, encoding="utf-8")
     return load_experiment(path, MEDIA)
 
 
-def grid_of(*sizes):
+def make_grid(*sizes):
     names = ("saturation", "density_kg_m3", "depth_m", "temperature_c")
     lows = (0.0, 200.0, 0.1, -20.0)
     highs = (1.0, 800.0, 2.0, -1.0)
@@ -43,59 +43,59 @@ def grid_of(*sizes):
 
 
 def test_a_panel_for_all_or_panels_for_the_others():
-    assert facets({"a": 5, "b": 12}) == []
-    assert facets({"a": 40, "b": 2}) == ["b"]
-    assert facets({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
+    assert choose_panel_parameters({"a": 5, "b": 12}) == []
+    assert choose_panel_parameters({"a": 40, "b": 2}) == ["b"]
+    assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
         with pytest.raises(ValueError, match=r"^figure\.at = {}: must be with values of so many"):
-            facets(sizes)
+            choose_panel_parameters(sizes)
 
 
 @pytest.mark.parametrize(
     ("text", "count"),
     [
-        (grid_of(20, 40), "800"),
-        ("figure: {quantity: [reflectance, transmittance]}\n" + grid_of(20, 16), "320"),
-        ("figure: {kind: points}\ninstrument: {wavelength_nm: [500]}\n" + grid_of(20, 16), "320"),
-        ("instrument: {wavelength_nm: [500]}\n" + grid_of(20, 40), "800"),
-        ("figure: {kind: swatches}\n" + grid_of(4, 100), "100"),
-        ("figure: {kind: swatches}\n" + grid_of(100, 4), "100"),
+        (make_grid(20, 40), "800"),
+        ("figure: {quantity: [reflectance, transmittance]}\n" + make_grid(20, 16), "320"),
+        ("figure: {kind: points}\ninstrument: {wavelength_nm: [500]}\n" + make_grid(20, 16), "320"),
+        ("instrument: {wavelength_nm: [500]}\n" + make_grid(20, 40), "800"),
+        ("figure: {kind: swatches}\n" + make_grid(4, 100), "100"),
+        ("figure: {kind: swatches}\n" + make_grid(100, 4), "100"),
         ("figure: {kind: lobes}\ninstrument: {kind: goniophotometer, wavelength_nm: [500]}\n"
-         + grid_of(100), "100"),
-        ("instrument: {kind: goniophotometer, wavelength_nm: [500]}\n" + grid_of(100), "100"),
+         + make_grid(100), "100"),
+        ("instrument: {kind: goniophotometer, wavelength_nm: [500]}\n" + make_grid(100), "100"),
     ],
 )  # fmt: skip
 def test_what_no_figure_shows_is_refused_before_anything_runs(tmp_path, text, count):
     with pytest.raises(
         ConfigError, match=rf"figure\.at = {{}}: must be .* left of {count}"
     ) as told:
-        load(tmp_path, text)
+        load_text(tmp_path, text)
     assert "\n" not in str(told.value) and "figure: none" in str(told.value)
     lines = [line for line in text.splitlines() if not line.startswith("figure")]
-    made = load(tmp_path, "\n".join(["figure: none", *lines]))
+    made = load_text(tmp_path, "\n".join(["figure: none", *lines]))
     assert made.figure.kind == "none"
 
 
 def test_maps_of_several_points_need_no_figure(tmp_path):
-    beam = "instrument: {kind: bssrdf, wavelength_nm: [500], half_width_m: 0.1}\n" + grid_of(2)
+    beam = "instrument: {kind: bssrdf, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(2)
     with pytest.raises(ConfigError, match=r"figure\.at"):
-        load(tmp_path, beam)
-    made = load(tmp_path, "figure: none\n" + beam)
-    again = Experiment.model_validate({**made.simulation(), "figure": "none"})
+        load_text(tmp_path, beam)
+    made = load_text(tmp_path, "figure: none\n" + beam)
+    again = ExperimentConfig.model_validate({**made.simulation(), "figure": "none"})
     assert again.dump_simulation() == made.simulation()
 
 
 def test_more_wavelengths_than_series_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"wavelength_nm = '211 wavelengths': must be at most 60"):
-        load(tmp_path, "figure: {kind: points}\n" + grid_of(2))
+        load_text(tmp_path, "figure: {kind: points}\n" + make_grid(2))
 
 
 def test_a_table_within_the_limits_is_taken(tmp_path):
-    assert load(tmp_path, grid_of(40, 4, 5)).resolve_figure()["kind"] == "spectra"
-    held = "figure: {at: {depth_m: 0.1}}\n" + grid_of(20, 4, 50)
-    assert load(tmp_path, held).figure.at == {"depth_m": 0.1}
-    rows = "instrument: {wavelength_nm: [500]}\n" + grid_of(MOST_ROWS)
-    assert load(tmp_path, rows).resolve_figure()["kind"] == "points"
+    assert load_text(tmp_path, make_grid(40, 4, 5)).resolve_figure()["kind"] == "spectra"
+    held = "figure: {at: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
+    assert load_text(tmp_path, held).figure.at == {"depth_m": 0.1}
+    rows = "instrument: {wavelength_nm: [500]}\n" + make_grid(MAX_ROWS)
+    assert load_text(tmp_path, rows).resolve_figure()["kind"] == "points"
 
 
 def test_no_figure_is_said_in_one_way(tmp_path):
@@ -105,9 +105,9 @@ def test_no_figure_is_said_in_one_way(tmp_path):
         ("figure: {kind: none, legend: a}", r"figure\.kind = 'none': must be left out with legend"),
     ):
         with pytest.raises(ConfigError, match=message):
-            load(tmp_path, text)
+            load_text(tmp_path, text)
     with pytest.raises(ValueError, match=r"figure\.kind = 'none'"):
-        draw(dataset({}), load(tmp_path, "figure: none").resolve_figure())
+        draw(make_dataset({}), load_text(tmp_path, "figure: none").resolve_figure())
 
 
 @pytest.mark.parametrize(
@@ -120,12 +120,12 @@ def test_no_figure_is_said_in_one_way(tmp_path):
     ],
 )  # fmt: skip
 def test_many_lines_have_several_panels(grid, quantities, panels, tmp_path):
-    made = dataset(grid, quantities)
+    made = make_dataset(grid, quantities)
     figure = spectra(made, quantities)
     shown = [axes for axes in figure.axes if axes.lines]
-    assert len(shown) == panels <= MOST_PANELS
+    assert len(shown) == panels <= MAX_PANELS
     first = len(grid["saturation"])
-    assert all(len(axes.lines) == first <= MOST_LINES for axes in shown)
+    assert all(len(axes.lines) == first <= MAX_LINES for axes in shown)
     drawn = np.stack([line.get_ydata() for axes in shown for line in axes.lines])
     order = made.transpose(*list(grid)[1:], "saturation", "wavelength")
     expected = [order[name].values.reshape(-1, X.size) for name in quantities]

@@ -7,24 +7,29 @@ import pytest
 from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
-from splits.experiments.fit import Effort, central, check_measured, fit
-from splits.experiments.parameters import RANGES, Cube, checked_ranges
-from splits.retrieval.coordinates import Free, Widest
-from splits.retrieval.search import Aim, descend
+from splits.retrieval.sand_fit import (
+    Effort,
+    compute_central_differences,
+    check_measured_reflectance,
+    fit,
+)
+from splits.retrieval.sand_parameters import DEFAULT_RANGES, UnitCube, resolve_ranges
+from splits.retrieval.state_vector import StateVector, ParameterRange
+from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
-LITTLE = Effort(
+SMALL_EFFORT = Effort(
     points=32,
     starts=(2, 1),
     evaluations=(20, 20),
     rays=(512, 512, 8192),
     max_stderr=0.002,
 )
-LEAST = Effort(points=8, starts=(1,), evaluations=(10,), rays=(128, 128), max_stderr=0.02)
+MIN_EFFORT = Effort(points=8, starts=(1,), evaluations=(10,), rays=(128, 128), max_stderr=0.02)
 
 
 def test_every_place_in_the_cube_is_a_sand_within_the_ranges():
-    cube = Cube({})
+    cube = UnitCube({})
     places = np.random.default_rng(1).random((500, len(cube.names)))
     # Faces, edges and corners too, where rounding could lead outside.
     places[250:] = np.clip(np.round(3.0 * places[250:] - 1.0, 1), 0.0, 1.0)
@@ -40,8 +45,8 @@ def test_every_place_in_the_cube_is_a_sand_within_the_ranges():
 
 
 def test_the_corners_of_the_cube_are_the_ends_of_the_ranges():
-    cube = Cube({"porosity": 0.4}, {"iron_oxide": (0.001, 0.02), "pure": (0.1, 0.5)})
-    low, high = (cube.to_keywords(np.full(len(RANGES), end)) for end in (0.0, 1.0))
+    cube = UnitCube({"porosity": 0.4}, {"iron_oxide": (0.001, 0.02), "pure": (0.1, 0.5)})
+    low, high = (cube.to_keywords(np.full(len(DEFAULT_RANGES), end)) for end in (0.0, 1.0))
     assert low["iron_oxide"] == 0.001
     assert high["iron_oxide"] == pytest.approx(0.02)
     assert low["partition"] == (0.1, 0.9, 0.0)
@@ -52,7 +57,7 @@ def test_the_corners_of_the_cube_are_the_ends_of_the_ranges():
 
 
 def test_a_geometric_coordinate_has_its_middle_at_the_geometric_mean():
-    middle = Cube({}).to_parameters(np.full(len(RANGES), 0.5))
+    middle = UnitCube({}).to_parameters(np.full(len(DEFAULT_RANGES), 0.5))
     assert middle["iron_oxide"] == pytest.approx(0.005)
     assert 0.02 < middle["magnetite"] < 0.04
     assert middle["hematite_ratio"] == 0.5
@@ -72,27 +77,27 @@ def test_a_geometric_coordinate_has_its_middle_at_the_geometric_mean():
 )
 def test_bad_ranges_are_refused(ranges, message):
     with pytest.raises(ValueError, match=message):
-        checked_ranges(ranges)
+        resolve_ranges(ranges)
 
 
 def test_what_sand_does_not_allow_is_refused():
     with pytest.raises(ValueError, match=r"ranges: .*iron_oxide.*coating"):
-        Cube({"relative_coating_thickness": 0.001})
+        UnitCube({"relative_coating_thickness": 0.001})
     with pytest.raises(ValueError, match=r"iron_oxide = 0.01: must be left out"):
-        Cube({"iron_oxide": 0.01})
+        UnitCube({"iron_oxide": 0.01})
     with pytest.raises(ValueError, match="porosity"):
-        Cube({"porosity": 1.5})
+        UnitCube({"porosity": 1.5})
 
 
 def test_bad_measurements_are_refused():
     with pytest.raises(ValueError, match=r"measured.*13 numbers"):
         fit({}, WAVELENGTHS, np.full(12, 0.3), 10.0)
     with pytest.raises(ValueError, match=r"measured = 1.2: must be in \[0, 1\]"):
-        check_measured([0.1, 1.2], np.array([500.0, 600.0]))
+        check_measured_reflectance([0.1, 1.2], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="measured"):
-        check_measured([0.1, np.nan], np.array([500.0, 600.0]))
+        check_measured_reflectance([0.1, np.nan], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="measured"):
-        check_measured(["dark", "bright"], np.array([500.0, 600.0]))
+        check_measured_reflectance(["dark", "bright"], np.array([500.0, 600.0]))
     with pytest.raises(ValueError, match="9 wavelengths at least"):
         fit({}, WAVELENGTHS[:7], np.full(7, 0.3), 10.0)
     with pytest.raises(ValueError, match="seed = -1"):
@@ -103,7 +108,7 @@ def test_bad_measurements_are_refused():
         Effort(starts=(1,))
 
 
-def smooth(x):
+def evaluate_smooth_spectrum(x):
     """Return a spectrum that bends, of three coordinates of which the last does nothing."""
     t = np.linspace(0.0, 1.0, 12)
     return np.exp(-(x[0] ** 2) * t) + 0.5 * x[1] * t**2
@@ -111,23 +116,23 @@ def smooth(x):
 
 @pytest.mark.parametrize("truth", [(0.4, 0.7), (0.9, 0.0), (1.0, 1.0)])
 def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
-    wanted = smooth(np.array([*truth, 0.0]))
+    wanted = evaluate_smooth_spectrum(np.array([*truth, 0.0]))
     calls = []
 
     class Smooth:
-        free = Free.from_ranges(("a", "b", "c"), None, dict.fromkeys("abc", Widest(0.0, 1.0, "itself")))
+        free = StateVector.from_ranges(("a", "b", "c"), None, dict.fromkeys("abc", ParameterRange(0.0, 1.0, "itself")))
         margin = 0.0
 
         def values(self, place, stage):
             calls.append(place)
             assert (place >= 0.0).all() and (place <= 1.0).all()
-            return smooth(place)
+            return evaluate_smooth_spectrum(place)
 
         def slopes(self, place, stage):
-            return central(lambda x: self.values(x, stage), place)
+            return compute_central_differences(lambda x: self.values(x, stage), place)
 
-    aim = Aim.least_squares(wanted, Smooth.free)
-    cost, place = descend(Smooth(), 1, np.full(3, 0.5), aim, 60, 0.3)
+    aim = Objective.least_squares(wanted, Smooth.free)
+    cost, place = minimize_gauss_newton(Smooth(), 1, np.full(3, 0.5), aim, 60, 0.3)
     assert np.sqrt(cost / len(wanted)) < 1e-3
     assert len(calls) < 100
     np.testing.assert_allclose(place[:2], truth, atol=0.02)
@@ -141,7 +146,7 @@ def test_a_known_sand_is_met():
     wanted = spectrophotometer(sand, WAVELENGTHS, 10.0, max_stderr=0.002, seed=9).reflectance
     ranges = {"iron_oxide": (0.005, 0.05), "magnetite": (0.01, 0.1), "clay": (1e-4, 0.005)}
     lines = []
-    # A search of `LITTLE` ends at 0.002 to 0.008 with other seeds, one of this length below 0.004.
+    # A search of `SMALL_EFFORT` ends at 0.002 to 0.008 with other seeds, one of this length below 0.004.
     effort = Effort(
         points=64, starts=(3, 1), evaluations=(30, 40), rays=(512, 1024, 16_384), max_stderr=0.002
     )
@@ -167,7 +172,7 @@ def test_a_known_sand_is_met():
 @NEEDS_JIT
 def test_the_same_seed_gives_the_same_sand_on_any_number_of_threads():
     wanted = np.linspace(0.1, 0.4, len(WAVELENGTHS))
-    one, two = (fit({}, WAVELENGTHS, wanted, 10.0, threads=t, effort=LEAST) for t in (1, 2))
+    one, two = (fit({}, WAVELENGTHS, wanted, 10.0, threads=t, effort=MIN_EFFORT) for t in (1, 2))
     np.testing.assert_array_equal(one.coordinates, two.coordinates)
     np.testing.assert_array_equal(one.modelled, two.modelled)
     np.testing.assert_array_equal(one.correlation, two.correlation)

@@ -14,13 +14,13 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits import command
-from splits.analysis.tables import write_table
-from splits.archive import pack
-from splits.dataset import attributes, provenance
-from splits.figures.style import save_figure
-from splits.files import check_writable
-from splits.lookup.large import write_by_blocks
+from splits import cli
+from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.archive import pack_archive
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.plotting.style import save_figure
+from splits.core.atomic import check_writable
+from splits.tables.storage import write_table_blockwise
 
 VALUES = np.random.default_rng(1).random(300_000)
 """Of which a file has 2.4 MB."""
@@ -41,19 +41,19 @@ def disk(tmp_path_factory):
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def dataset(values=VALUES):
-    return xr.Dataset({"x": ("n", values)}, attrs=attributes(provenance()))
+def make_dataset(values=VALUES):
+    return xr.Dataset({"x": ("n", values)}, attrs=to_netcdf_attributes(make_provenance()))
 
 
-def save(folder):
-    splits.save(dataset(), folder / "made.nc")
+def save_dataset(folder):
+    splits.save(make_dataset(), folder / "made.nc")
 
 
-def table(folder):
+def save_table(folder):
     write_table(pd.DataFrame({"x": VALUES}), folder / "made.csv")
 
 
-def figure(folder):
+def save_drawing(folder):
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=(40, 40))
@@ -61,26 +61,26 @@ def figure(folder):
     save_figure(drawn, folder / "made")
 
 
-def archive(folder):
+def save_archive(folder):
     (folder.parent / "data").mkdir(exist_ok=True)
     (folder.parent / "data" / "a.nc").write_bytes(VALUES.tobytes())
-    pack([folder.parent / "data" / "a.nc"], {}, folder / "made.zip")
+    pack_archive([folder.parent / "data" / "a.nc"], {}, folder / "made.zip")
 
 
-def open_files():
+def list_open_files():
     """Return files that this process holds open although they are deleted."""
     links = [f"/proc/self/fd/{number}" for number in os.listdir("/proc/self/fd")]
     return [os.readlink(link) for link in links if os.path.islink(link)]
 
 
-@pytest.mark.parametrize("write", [save, table, figure, archive])
+@pytest.mark.parametrize("write", [save_dataset, save_table, save_drawing, save_archive])
 def test_no_space_is_said_and_nothing_stays(disk, write):
     for _ in range(2):
         with pytest.raises(OSError, match=r"No space left on device: '.*/made\.") as caught:
             write(disk)
         assert caught.value.errno == errno.ENOSPC
         assert os.listdir(disk) == []
-        assert not [path for path in open_files() if "deleted" in path and str(disk) in path]
+        assert not [path for path in list_open_files() if "deleted" in path and str(disk) in path]
     left = os.statvfs(disk)
     assert left.f_bavail == left.f_blocks
 
@@ -88,14 +88,14 @@ def test_no_space_is_said_and_nothing_stays(disk, write):
 def test_a_large_table_is_not_begun_where_it_does_not_fit(disk, monkeypatch):
     monkeypatch.setattr("splits.lookup.large.bytes_of", lambda plan, order: 2**22)
     with pytest.raises(OSError, match=r"No space left on device: '.*made\.nc'"):
-        write_by_blocks(disk / "made.nc", None, None, list, lambda table: table)
+        write_table_blockwise(disk / "made.nc", None, None, list, lambda table: table)
     assert os.listdir(disk) == []
 
 
 def test_a_disk_that_fills_meanwhile_gets_its_space_back(disk, monkeypatch):
     monkeypatch.setattr("splits.checksum.check_room", lambda path, size: None)
     with pytest.raises(OSError, match=r"perhaps no space is left .*made\.nc'"):
-        save(disk)
+        save_dataset(disk)
     assert os.listdir(disk) == []
 
 
@@ -116,8 +116,8 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     def fail(given):
         raise MemoryError("Unable to allocate 9 TiB")
 
-    monkeypatch.setattr(command, "_versions", fail)
-    assert command.main(["versions"]) == 1
+    monkeypatch.setattr(cli, "_versions", fail)
+    assert cli.main(["versions"]) == 1
     assert capsys.readouterr().err == "splits: not enough memory (Unable to allocate 9 TiB)\n"
 
 
@@ -130,7 +130,7 @@ def test_an_output_that_cannot_be_written_is_refused_at_the_start(tmp_path, caps
         (output / "small.nc").mkdir(parents=True)
     else:
         output.write_text("a file")
-    assert command.main(["run", str(file), "--output", str(output)]) == 1
+    assert cli.main(["run", str(file), "--output", str(output)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"splits: {output}")
 

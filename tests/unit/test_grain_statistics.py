@@ -12,10 +12,10 @@ from splits.materials import ice_density
 from splits.media.grain_statistics import (
     shape_attenuation,
     size_attenuation,
-    struck_inverse_sizes,
-    struck_sphericities,
-    surface_to_volume,
-    truncated_normal,
+    tabulate_struck_inverse_sizes,
+    tabulate_struck_sphericities,
+    surface_to_volume_ratio,
+    tabulate_truncated_normal,
 )
 
 TABLE1 = (0.6, 0.95, 0.798, 0.064)
@@ -36,7 +36,7 @@ def test_ice_density_outside_the_table_is_refused(temperature):
 
 
 def test_surface_to_volume_of_a_sphere_is_six():
-    assert surface_to_volume(1.0) == 6.0
+    assert surface_to_volume_ratio(1.0) == 6.0
 
 
 @pytest.mark.parametrize("psi", [0.1, 0.5, 0.8, 0.99])
@@ -51,12 +51,12 @@ def test_surface_to_volume_of_a_prolate_spheroid(psi):
         epsrel=1e-11,
     )[0]
     volume = 4.0 / 3.0 * math.pi * a * b * b
-    assert float(surface_to_volume(psi)) == pytest.approx(surface / volume, rel=1e-9)
+    assert float(surface_to_volume_ratio(psi)) == pytest.approx(surface / volume, rel=1e-9)
 
 
 def test_surface_to_volume_is_smooth_near_a_sphere():
     psi = 1.0 - np.logspace(-12.0, -3.0, 2000)[::-1]
-    ratio = surface_to_volume(psi)
+    ratio = surface_to_volume_ratio(psi)
     # A = 6 + 8 (1 − ψ) + O((1 − ψ)²), through the change from closed form to series.
     gap = 1.0 - psi
     assert np.abs(ratio - 6.0 - 8.0 * gap).max() < 15.0 * gap.max() ** 2
@@ -83,25 +83,25 @@ def test_shape_attenuation_is_the_mean_of_a_quarter_of_surface_to_volume():
     def bell(psi):
         return math.exp(-0.5 * ((psi - mean) / sd) ** 2)
 
-    weighted = integrate.quad(lambda p: bell(p) * float(surface_to_volume(p)), low, high)[0]
+    weighted = integrate.quad(lambda p: bell(p) * float(surface_to_volume_ratio(p)), low, high)[0]
     exact = weighted / integrate.quad(bell, low, high)[0] / 4.0
     assert shape_attenuation(*TABLE1) == pytest.approx(exact, rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", [(0.6, 0.9, 0.8, 0.0), (0.8, 0.8, 0.8, 0.1)])
 def test_one_shape_only(limits):
-    assert shape_attenuation(*limits) == pytest.approx(float(surface_to_volume(0.8)) / 4.0)
-    assert (struck_sphericities(*limits) == 0.8).all()
-    assert (truncated_normal(*limits) == 0.8).all()
+    assert shape_attenuation(*limits) == pytest.approx(float(surface_to_volume_ratio(0.8)) / 4.0)
+    assert (tabulate_struck_sphericities(*limits) == 0.8).all()
+    assert (tabulate_truncated_normal(*limits) == 0.8).all()
 
 
 def test_a_narrow_distribution_tends_to_one_shape():
-    exact = float(surface_to_volume(0.8)) / 4.0
+    exact = float(surface_to_volume_ratio(0.8)) / 4.0
     assert shape_attenuation(0.1, 1.0, 0.8, 1e-6) == pytest.approx(exact, rel=1e-9)
-    assert np.abs(struck_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
+    assert np.abs(tabulate_struck_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
 
 
-@pytest.mark.parametrize("table", [struck_sphericities, truncated_normal])
+@pytest.mark.parametrize("table", [tabulate_struck_sphericities, tabulate_truncated_normal])
 def test_quantiles_increase_within_their_limits(table):
     psi = table(*TABLE1)
     assert (np.diff(psi) > 0.0).all()
@@ -111,10 +111,10 @@ def test_quantiles_increase_within_their_limits(table):
 
 @pytest.mark.parametrize("weighting", ["attenuation", "uniform"])
 def test_inverse_sizes_increase_between_the_limits(weighting):
-    inverse = struck_inverse_sizes(3e-4, 7.5e-4, weighting)
+    inverse = tabulate_struck_inverse_sizes(3e-4, 7.5e-4, weighting)
     assert (np.diff(inverse) > 0.0).all()
     assert 1.0 / inverse[[0, -1]] == pytest.approx([7.5e-4, 3e-4])
 
 
 def test_struck_grains_are_more_elongated_than_the_grains_present():
-    assert (struck_sphericities(*TABLE1)[1:-1] < truncated_normal(*TABLE1)[1:-1]).all()
+    assert (tabulate_struck_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splits
-from splits.media.ground import BLACK_DEPTH, Ground, soils
+from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground, load_soils
 
 W = np.array([450.0, 500.0, 900.0])
 
@@ -15,7 +15,7 @@ def test_an_albedo_is_the_same_everywhere():
     np.testing.assert_array_equal(Ground.from_input(0.3).albedo(W), 0.3)
     np.testing.assert_allclose(Ground.from_input(0.3).optical_depth(W), -np.log(0.3))
     assert Ground.from_input(1).optical_depth(W).max() == 0.0
-    np.testing.assert_array_equal(Ground.from_input(0).optical_depth(W), BLACK_DEPTH)
+    np.testing.assert_array_equal(Ground.from_input(0).optical_depth(W), BLACK_OPTICAL_DEPTH)
 
 
 @pytest.mark.parametrize("given", [None, "open"])
@@ -37,7 +37,7 @@ def test_a_table_is_linear_between_its_rows():
 
 
 def test_soils_have_names_and_a_source():
-    assert "camborthid" in soils()
+    assert "camborthid" in load_soils()
     soil = Ground.from_input("camborthid")
     assert "ECOSTRESS" in soil.source and 0.0 < soil.albedo(W)[0] < soil.albedo(W)[2] < 1.0
     with pytest.raises(ValueError, match=r"in \[400, 1000\] nm, the range of ground camborthid"):

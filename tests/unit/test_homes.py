@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import yaml
 from chi2 import NEEDS_JIT
-from formula_tables import snowlike
+from formula_tables import make_snowlike_table
 
 import splits
-from splits import command
+from splits import cli
 from splits.analysis.measured import read_measured
-from splits.archive import configuration_members, pack
-from splits.checks import Refusal
+from splits.experiments.archive import make_configuration_members, pack_archive
+from splits.core.validation import InvalidValue
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
-from splits.experiments.user_tables import by_content
-from splits.explorer.page import Shown, write_page
-from splits.figures import save_figure
-from splits.phase_functions import write_libradtran
-from splits.unpacking import unpack, verify
+from splits.experiments.config.medium import identify_by_content
+from splits.plotting.explorer.page import ExplorerTable, write_explorer
+from splits.plotting import save_figure
+from splits.analysis.theory.phase_function import write_libradtran
+from splits.io.unarchive import unpack_archive, verify_archive
 
 TABLES = {
     "ice": "wavelength_nm,n,k\n200,1.3,0\n3000,1.3,1e-5\n",
@@ -32,11 +32,11 @@ TABLES = {
     "band": "wavelength_nm,response\n500,1\n900,1\n",
     "measured": "# of others\nwavelength_nm,reflectance\n500,0.9\n",
 }
-SMALL = "medium: {kind: layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
-MAIN = {"accuracies": {"standard": {"max_stderr": 0.1}}}
+SMALL_EXPERIMENT = "medium: {kind: layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
+MAIN_SETTINGS = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 FOLDERS = {f"{kind}_folder": f"~/{kind}" for kind in ("experiments", "media", "measured")}
-SOMEWHERE = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
-PEOPLE = {"organization": "-", "location": SOMEWHERE, "email": "-", "contact_person": "-"}
+OTHER_FOLDER = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
+AUTHORS = {"organization": "-", "location": OTHER_FOLDER, "email": "-", "contact_person": "-"}
 
 
 @pytest.fixture
@@ -49,53 +49,53 @@ def home(tmp_path, monkeypatch):
     monkeypatch.chdir(here)
     for name, text in TABLES.items():
         (home / f"{name}.csv").write_text(text, encoding="utf-8")
-    (home / "experiments" / "small.yaml").write_text(SMALL, encoding="utf-8")
-    splits.save(snowlike().dataset, home / "table.nc")
+    (home / "experiments" / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
+    splits.save(make_snowlike_table().dataset, home / "table.nc")
     yield home
     # Nothing lies where nobody looks for it.
     assert list(here.iterdir()) == []
 
 
-def snow(**settings):
+def make_snow(**settings):
     return splits.Snow.natural(optical_radius_um=100, depth_m=0.02, **settings)
 
 
-def layer(**settings):
-    return splits.Layer(optical_thickness=0.5, **settings)
+def make_layer(**settings):
+    return splits.ParticleLayer(optical_thickness=0.5, **settings)
 
 
-def grains():
-    return splits.single_scattering(snow(), [500.0], moments=8, rays=100)
+def make_grains():
+    return splits.single_scattering(make_snow(), [500.0], moments=8, rays=100)
 
 
-def brdf():
-    return splits.goniophotometer(layer(), [500.0], 30.0, relative_stderr=0.5)
+def make_brdf():
+    return splits.goniophotometer(make_layer(), [500.0], 30.0, relative_stderr=0.5)
 
 
-def figure():
+def make_figure():
     from matplotlib.figure import Figure
 
     return Figure()
 
 
-def packed():
-    pack([], {"config/config.yaml": b"experiments: all\n"}, "~/archives/all.zip")
+def make_archive():
+    pack_archive([], {"config/config.yaml": b"experiments: all\n"}, "~/archives/all.zip")
     return Path("~/archives/all.zip").expanduser()
 
 
-WRITES = {
-    "save": (lambda path: splits.save(snowlike().dataset, path), "new/kept.nc"),
-    "Table.to_csv": (lambda path: snowlike().to_csv(path), "new/table.csv"),
-    "write_page": (lambda path: write_page({"a": Shown(snowlike(), "t.nc", "-")}, path), "a.html"),
-    "save_figure": (lambda path: save_figure(figure(), path), "figure.png"),
-    "pack": (lambda path: pack([], {"config/a.yaml": b""}, path), "archives/a.zip"),
+WRITE_FUNCTIONS = {
+    "save": (lambda path: splits.save(make_snowlike_table().dataset, path), "new/kept.nc"),
+    "Table.to_csv": (lambda path: make_snowlike_table().to_csv(path), "new/table.csv"),
+    "write_page": (lambda path: write_explorer({"a": ExplorerTable(make_snowlike_table(), "t.nc", "-")}, path), "a.html"),
+    "save_figure": (lambda path: save_figure(make_figure(), path), "figure.png"),
+    "pack": (lambda path: pack_archive([], {"config/a.yaml": b""}, path), "archives/a.zip"),
 }
-WRITES_OF_RUNS = {
-    "save_brdf": (lambda path: splits.save_brdf(brdf(), path, PEOPLE), "one.brdf"),
-    "write_libradtran": (lambda path: write_libradtran(grains(), path), "grains.dat"),
+RUN_WRITE_FUNCTIONS = {
+    "save_brdf": (lambda path: splits.save_brdf(make_brdf(), path, AUTHORS), "one.brdf"),
+    "write_libradtran": (lambda path: write_libradtran(make_grains(), path), "grains.dat"),
     "table": (
-        lambda path: splits.table(
-            snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent
+        lambda path: splits.build_table(
+            make_snow, {"ground": ["black"]}, [500], max_stderr=0.2, folder=Path(path).parent
         ),
         "blocks/block_000000_*.nc",
     ),
@@ -103,39 +103,39 @@ WRITES_OF_RUNS = {
 
 
 @pytest.mark.parametrize(
-    "name", [*WRITES, *(pytest.param(name, marks=NEEDS_JIT) for name in WRITES_OF_RUNS)]
+    "name", [*WRITE_FUNCTIONS, *(pytest.param(name, marks=NEEDS_JIT) for name in RUN_WRITE_FUNCTIONS)]
 )
 def test_what_is_written_lies_at_home(name, home):
-    write, path = {**WRITES, **WRITES_OF_RUNS}[name]
+    write, path = {**WRITE_FUNCTIONS, **RUN_WRITE_FUNCTIONS}[name]
     write(f"~/{path.removesuffix('.png')}")
     assert [one for one in home.glob(path) if one.is_file()]
 
 
-READS = {
+READ_FUNCTIONS = {
     "load": lambda: splits.load("~/table.nc"),
     "load, a Path": lambda: splits.load(Path("~/table.nc")),
     "open_table": lambda: splits.open_table("~/table.nc"),
-    "refractive index": lambda: snow(refractive_index={"ice": "~/ice.csv"}),
-    "ground": lambda: snow(ground="~/ground.csv"),
-    "ground, a Path": lambda: snow(ground=Path("~/ground.csv")),
-    "impurity": lambda: snow(impurities_ng_g={"mine": {"ng_g": 5, "table": "~/soot.csv"}}),
+    "refractive index": lambda: make_snow(refractive_index={"ice": "~/ice.csv"}),
+    "ground": lambda: make_snow(ground="~/ground.csv"),
+    "ground, a Path": lambda: make_snow(ground=Path("~/ground.csv")),
+    "impurity": lambda: make_snow(impurities_ng_g={"mine": {"ng_g": 5, "table": "~/soot.csv"}}),
     "sky": lambda: splits.sky("~/sky.csv", 50.0),
     "band": lambda: splits.sky().make_bands({"mine": "~/band.csv"}),
     "measured": lambda: read_measured("~/measured.csv"),
     "experiment": lambda: load_experiment("~/experiments/small.yaml", "~/media", "~/measured"),
     "experiments": lambda: load_experiments("~/experiments", "~/media"),
-    "verify": lambda: verify(f"~/{packed().relative_to(Path.home())}"),
-    "unpack": lambda: unpack(f"~/{packed().relative_to(Path.home())}", "~/unpacked"),
+    "verify": lambda: verify_archive(f"~/{make_archive().relative_to(Path.home())}"),
+    "unpack": lambda: unpack_archive(f"~/{make_archive().relative_to(Path.home())}", "~/unpacked"),
 }
 
 
-@pytest.mark.parametrize("name", READS)
+@pytest.mark.parametrize("name", READ_FUNCTIONS)
 def test_what_lies_at_home_is_read(name, home):
-    assert READS[name]() is not None
+    assert READ_FUNCTIONS[name]() is not None
 
 
 def test_folders_of_the_configuration(home):
-    settings = load_settings({**MAIN, **FOLDERS, "results": "~/results"})
+    settings = load_settings({**MAIN_SETTINGS, **FOLDERS, "results": "~/results"})
     assert settings.results_folder == str(home / "results")
     assert settings.table_folders["measured"] == home / "measured"
     assert list(load_experiments(settings.experiments_folder, settings.media_folder)) == ["small"]
@@ -143,20 +143,20 @@ def test_folders_of_the_configuration(home):
 
 def test_a_table_at_home_is_packed_and_counts_by_its_content(home):
     (home / "media" / "own.yaml").write_text("ground: ~/ground.csv\n", encoding="utf-8")
-    members = configuration_members(load_settings({**MAIN, **FOLDERS}))
+    members = make_configuration_members(load_settings({**MAIN_SETTINGS, **FOLDERS}))
     moved = yaml.safe_load(members["config/media/own.yaml"])["ground"]
     assert members[moved] == TABLES["ground"].encode()
-    assert by_content("~/ground.csv") == by_content(str(home / "ground.csv"))
-    assert "unused" not in by_content("~/ground.csv")
+    assert identify_by_content("~/ground.csv") == identify_by_content(str(home / "ground.csv"))
+    assert "unused" not in identify_by_content("~/ground.csv")
 
 
 @NEEDS_JIT
 def test_the_command_line(home, capsys):
     said = ["run", "~/experiments/small.yaml", "--output=~/made", "--media=~/media"]
-    assert command.main([*said, "--accuracy", "tiny", "--threads", "1"]) == 0
+    assert cli.main([*said, "--accuracy", "tiny", "--threads", "1"]) == 0
     assert capsys.readouterr().out.strip() == str(home / "made" / "small.nc")
-    packed()
-    assert command.main(["unpack", "~/archives/all.zip", "~/all"]) == 0
+    make_archive()
+    assert cli.main(["unpack", "~/archives/all.zip", "~/all"]) == 0
     assert (home / "all" / "config" / "config.yaml").is_file()
     assert json.loads((home / "all" / "ro-crate-metadata.json").read_text("utf-8"))
 
@@ -164,28 +164,28 @@ def test_the_command_line(home, capsys):
 def test_what_has_that_name_itself_is_reached(home):
     here = Path.cwd()
     for name in ("~", "~in"):
-        splits.save(snowlike().dataset, f"./{name}/kept.nc")
+        splits.save(make_snowlike_table().dataset, f"./{name}/kept.nc")
         assert (here / name / "kept.nc").is_file()
         assert splits.open_table(f"./{name}/kept.nc") is not None
         shutil.rmtree(here / name)
 
 
 def test_a_home_that_is_not_known_is_refused_in_a_line(home, capsys):
-    with pytest.raises(Refusal, match=r"^path = '~nobody-here/a.nc': must be .* known"):
+    with pytest.raises(InvalidValue, match=r"^path = '~nobody-here/a.nc': must be .* known"):
         splits.load("~nobody-here/a.nc")
-    with pytest.raises(Refusal, match=r"^sky = '~nobody-here/a.csv': must be"):
+    with pytest.raises(InvalidValue, match=r"^sky = '~nobody-here/a.csv': must be"):
         splits.sky("~nobody-here/a.csv")
     with pytest.raises(ConfigError, match="results = '~nobody-here/a': must be"):
-        load_settings({**MAIN, "results": "~nobody-here/a"})
-    assert command.main(["run", "a.yaml", "--output=~nobody-here"]) == 1
+        load_settings({**MAIN_SETTINGS, "results": "~nobody-here/a"})
+    assert cli.main(["run", "a.yaml", "--output=~nobody-here"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("call", [splits.load, splits.open_table])
-@pytest.mark.parametrize("given", [snowlike().dataset, snowlike(), None, 5, np.ones(3), b"a.nc"])
+@pytest.mark.parametrize("given", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"])
 def test_what_is_no_path_is_refused_in_a_line(call, given):
     kind = type(given).__name__
-    with pytest.raises(Refusal, match=f"^path = '{kind}': must be the path of a file") as refused:
+    with pytest.raises(InvalidValue, match=f"^path = '{kind}': must be the path of a file") as refused:
         call(given)
     told = kind == "Dataset" and call is splits.open_table
     assert ("splits.Table(…) takes a dataset" in str(refused.value)) == told

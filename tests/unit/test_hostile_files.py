@@ -7,10 +7,10 @@ import time
 import pytest
 
 from splits.experiments import ConfigError, load_experiment, load_settings
-from splits.experiments.yaml_files import MOST_BYTES, read_yaml
+from splits.core.yaml import MAX_BYTES, read_yaml
 
-HUGE = "1" + 400 * "0"
-BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+HUGE_NUMBER = "1" + 400 * "0"
+ALIAS_BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10)
 )
 SPEC = "medium: {{refractive_index: {{ice: {}}}}}"
@@ -19,14 +19,14 @@ LENS = (
     " waves: 8, correlation: gaussian}}\ninstrument: {kind: lens, radius_m: 0.1, "
 )
 FILES = {
-    f"medium: {{depth_m: {HUGE}}}": "medium.depth_m = 1000",
-    f"grid: {{depth_m: [{HUGE}]}}": "grid.depth_m = 1000",
-    f"grid: {{incidence_deg: [{HUGE}]}}": "grid.incidence_deg = 1000",
-    SPEC.format(HUGE): "medium.refractive_index[ice] = 1000",
-    SPEC.format(f"{{n: 1.3, k: {HUGE}}}"): "medium.refractive_index[ice].k = 1000",
-    SPEC.format(f"{{wavelength_nm: [1, 2], n: [1, {HUGE}], k: 0}}"): "medium.refractive_index[ice]",
+    f"medium: {{depth_m: {HUGE_NUMBER}}}": "medium.depth_m = 1000",
+    f"grid: {{depth_m: [{HUGE_NUMBER}]}}": "grid.depth_m = 1000",
+    f"grid: {{incidence_deg: [{HUGE_NUMBER}]}}": "grid.incidence_deg = 1000",
+    SPEC.format(HUGE_NUMBER): "medium.refractive_index[ice] = 1000",
+    SPEC.format(f"{{n: 1.3, k: {HUGE_NUMBER}}}"): "medium.refractive_index[ice].k = 1000",
+    SPEC.format(f"{{wavelength_nm: [1, 2], n: [1, {HUGE_NUMBER}], k: 0}}"): "medium.refractive_index[ice]",
     SPEC.format(300 * "x" + ".csv"): "medium.refractive_index[ice] = 'xxxx",
-    f"medium: {{kind: layer, phase_function: {{cosine: [-1, 1], density: [1, {HUGE}]}}}}":
+    f"medium: {{kind: layer, phase_function: {{cosine: [-1, 1], density: [1, {HUGE_NUMBER}]}}}}":
         "medium.phase_function.density = 1000",
     "instrument: {wavelength_nm: {start: 400, stop: 500, step: 5e-324}}":
         "instrument.wavelength_nm.step = 5e-324",
@@ -37,7 +37,7 @@ FILES = {
     "title: !!timestamp 2001-01-01": "not YAML (could not determine a constructor",
     "medium: !!python/object:os.system x": "not YAML (could not determine a constructor",
     f"medium: {500 * '['}{500 * ']'}": "not YAML (more than 32 lists and mappings",
-    BOMB: "not YAML (more than 50000 values)",
+    ALIAS_BOMB: "not YAML (more than 50000 values)",
     "a: &a [*a]": "not YAML (an alias within its own anchor)",
     "? [a]\n: b": "not YAML (a key that is no text)",
     "".join(f"k{i}: 1\n" for i in range(20_000)): "unknown key",
@@ -71,7 +71,7 @@ FILES = {
 }  # fmt: skip
 
 
-def told(path, text):
+def read_message(path, text):
     """Return what is said about a file, its path left out."""
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -85,13 +85,13 @@ def told(path, text):
 def test_it_ends_in_one_line_and_soon(tmp_path, text):
     # Time of this process alone: other work on the machine does not count.
     begun = time.process_time()
-    assert FILES[text] in told(tmp_path / "wrong.yaml", text)
+    assert FILES[text] in read_message(tmp_path / "wrong.yaml", text)
     assert time.process_time() - begun < 60.0
 
 
 def test_large_files_are_not_read(tmp_path):
     path = tmp_path / "large.yaml"
-    path.write_text("# " + MOST_BYTES * "x", encoding="utf-8")
+    path.write_text("# " + MAX_BYTES * "x", encoding="utf-8")
     with pytest.raises(ConfigError, match="must be at most 1024 KiB"):
         read_yaml(path)
 

@@ -10,7 +10,7 @@ import splits
 PACKAGE = Path(splits.__file__).parent
 
 
-def imported(path):
+def list_imports(path):
     """Return the packages that a file imports as it is itself imported."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
@@ -21,5 +21,5 @@ def imported(path):
 
 def test_scipy_is_imported_where_it_is_needed_only():
     """Its statistics take as long as all else that a start imports; that study asks for it."""
-    found = [path for path in PACKAGE.rglob("*.py") if "scipy" in imported(path)]
+    found = [path for path in PACKAGE.rglob("*.py") if "scipy" in list_imports(path)]
     assert found == [PACKAGE / "analysis" / "surface_area.py"]

@@ -6,24 +6,28 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.checks import Refusal
-from splits.lookup.axes import Axes
-from splits.lookup.interpolation import law, spaced, weights_at
-from splits.lookup.reading import Table
+from splits.core.validation import InvalidValue
+from splits.tables.axes import ParameterGrid
+from splits.tables.interpolation import (
+    apply_axis_transform,
+    transform_axis,
+    compute_interpolation_weights,
+)
+from splits.tables.table import Table
 
 WAVELENGTHS = np.array([500.0, 900.0, 1300.0])
 SIZES = np.geomspace(30.0, 2000.0, 12)
 ANGLES = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 75.0])
 
 
-def truth(size, angle, wavelengths=WAVELENGTHS):
+def evaluate_truth(size, angle, wavelengths=WAVELENGTHS):
     """Return what the reflectance of snow is like: smooth, and steep where it is dark."""
     depth = np.sqrt(size / 1e4) * (wavelengths / 700.0) ** 2.5
     return np.exp(-depth * (1.0 + 2.0 * np.cos(np.radians(angle))))
 
 
-def table(stderr=0.0, sizes=SIZES, angles=ANGLES, shared="optical_radius_um"):
-    values = np.array([[truth(size, angle) for angle in angles] for size in sizes])
+def make_table(stderr=0.0, sizes=SIZES, angles=ANGLES, shared="optical_radius_um"):
+    values = np.array([[evaluate_truth(size, angle) for angle in angles] for size in sizes])
     dims = ("optical_radius_um", "incidence_deg", "wavelength")
     about = {"long_name": "hemispherical reflectance"}
     found = {
@@ -35,18 +39,18 @@ def table(stderr=0.0, sizes=SIZES, angles=ANGLES, shared="optical_radius_um"):
 
 
 def test_nodes_are_the_tables_own():
-    found = table(0.003).interp(optical_radius_um=SIZES[3], incidence_deg=40.0)
-    np.testing.assert_allclose(found.reflectance, truth(SIZES[3], 40.0), rtol=1e-12)
+    found = make_table(0.003).interp(optical_radius_um=SIZES[3], incidence_deg=40.0)
+    np.testing.assert_allclose(found.reflectance, evaluate_truth(SIZES[3], 40.0), rtol=1e-12)
     np.testing.assert_allclose(found.reflectance_stderr, 0.003, rtol=1e-12)
     assert (found.reflectance_interpolation_error == 0.0).all()
 
 
 def test_cubics_are_read_exactly():
     nodes = np.array([1.0, 1.2, 1.5, 2.0, 2.2, 2.9])
-    kind, at = spaced("depth_m", nodes)
+    kind, at = transform_axis("depth_m", nodes)
     assert kind == "itself"
     for x in (1.05, 1.3, 2.1, 2.6):
-        w = weights_at("depth_m", nodes, x)
+        w = compute_interpolation_weights("depth_m", nodes, x)
         cubic = 1.0 - 2.0 * at + 0.5 * at**2 + 0.3 * at**3
         assert w.weights @ cubic[w.nodes] == pytest.approx(1 - 2 * x + 0.5 * x**2 + 0.3 * x**3)
         np.testing.assert_allclose(w.error_weights @ cubic, 0.0, atol=1e-12)
@@ -63,9 +67,9 @@ def test_what_is_missed_between_nodes_is_said():
     for _ in range(200):
         size = float(np.exp(random.uniform(np.log(SIZES[0]), np.log(SIZES[-1]))))
         angle = float(random.uniform(ANGLES[0], ANGLES[-1]))
-        found = table().interp(optical_radius_um=size, sza=angle)
+        found = make_table().interp(optical_radius_um=size, sza=angle)
         told.append(found.reflectance_interpolation_error.values)
-        missed.append(np.abs(found.reflectance.values - truth(size, angle)))
+        missed.append(np.abs(found.reflectance.values - evaluate_truth(size, angle)))
     told, missed = np.ravel(told), np.ravel(missed)
     assert np.mean(missed <= told) > 0.68
     assert np.mean(missed <= 2.0 * told + 1e-5) > 0.95
@@ -73,21 +77,21 @@ def test_what_is_missed_between_nodes_is_said():
 
 
 def test_of_two_nodes_a_quarter_of_their_difference_is_doubtful():
-    two = table(angles=np.array([0.0, 60.0]))
+    two = make_table(angles=np.array([0.0, 60.0]))
     found = two.interp(optical_radius_um=SIZES[2], incidence_deg=np.degrees(np.arccos(0.75)))
-    ends = np.abs(truth(SIZES[2], 60.0) - truth(SIZES[2], 0.0))
+    ends = np.abs(evaluate_truth(SIZES[2], 60.0) - evaluate_truth(SIZES[2], 0.0))
     np.testing.assert_allclose(found.reflectance_interpolation_error, 0.25 * ends, rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [3, 4])
 def test_of_few_nodes_too_the_error_is_said(count):
-    few = table(angles=np.linspace(0.0, 70.0, count))
+    few = make_table(angles=np.linspace(0.0, 70.0, count))
     random = np.random.default_rng(2)
     told, missed = [], []
     for angle in random.uniform(0.0, 70.0, 50):
         found = few.interp(optical_radius_um=SIZES[4], incidence_deg=float(angle))
         told.append(found.reflectance_interpolation_error.values)
-        missed.append(np.abs(found.reflectance.values - truth(SIZES[4], angle)))
+        missed.append(np.abs(found.reflectance.values - evaluate_truth(SIZES[4], angle)))
     told, missed = np.ravel(told), np.ravel(missed)
     assert np.mean(missed <= told) > 0.95
     assert told.max() < 20.0 * missed.max()
@@ -96,13 +100,13 @@ def test_of_few_nodes_too_the_error_is_said(count):
 def test_cells_are_taken_to_be_off_alike():
     """They share paths, or random numbers: between nodes the error is no smaller than at them."""
     between = {"optical_radius_um": float(np.sqrt(SIZES[4] * SIZES[5])), "incidence_deg": 30.0}
-    found = table(0.003).interp(**between)
+    found = make_table(0.003).interp(**between)
     cells = np.sqrt(found.reflectance_stderr**2 - found.reflectance_interpolation_error**2)
     assert ((cells > 0.003 * (1.0 - 1e-9)) & (cells < 1.3 * 0.003)).all()
 
 
 def test_errors_of_cells_do_not_cancel():
-    uneven = table(0.001, sizes=np.array([100.0, 200.0, 400.0, 800.0]))
+    uneven = make_table(0.001, sizes=np.array([100.0, 200.0, 400.0, 800.0]))
     uneven.dataset.reflectance_stderr[:2] = 0.0003
     uneven.dataset.reflectance_stderr[2:] = 0.0013
     found = uneven.interp(optical_radius_um=140.0, incidence_deg=0.0)
@@ -111,7 +115,7 @@ def test_errors_of_cells_do_not_cancel():
 
 
 def test_wavelengths_between_those_of_the_table():
-    found = table().interp(optical_radius_um=100.0, incidence_deg=0.0, wavelength=[500.0, 700.0])
+    found = make_table().interp(optical_radius_um=100.0, incidence_deg=0.0, wavelength=[500.0, 700.0])
     assert found.wavelength.values.tolist() == [500.0, 700.0]
     assert found.reflectance_interpolation_error[0] < found.reflectance_interpolation_error[1]
 
@@ -131,12 +135,12 @@ def test_wavelengths_between_those_of_the_table():
     ],
 )
 def test_what_the_table_does_not_hold_is_refused(at, line):
-    with pytest.raises(Refusal, match=rf"^{line}"):
-        table().interp(**at)
+    with pytest.raises(InvalidValue, match=rf"^{line}"):
+        make_table().interp(**at)
 
 
 def test_a_dataset_that_is_no_table_is_refused():
-    with pytest.raises(Refusal, match=r"^table = 'a dataset': must be what splits.table"):
+    with pytest.raises(InvalidValue, match=r"^table = 'a dataset': must be what splits.table"):
         Table(xr.Dataset())
 
 
@@ -151,10 +155,10 @@ def test_a_dataset_that_is_no_table_is_refused():
     ],
 )
 def test_laws_of_axes(name, nodes, kind):
-    found, at = spaced(name, np.array(nodes))
+    found, at = transform_axis(name, np.array(nodes))
     assert found == kind
     assert (np.diff(at) > 0.0).all()
-    np.testing.assert_array_equal(at, law(kind, np.array(nodes)))
+    np.testing.assert_array_equal(at, apply_axis_transform(kind, np.array(nodes)))
 
 
 @pytest.mark.parametrize(
@@ -170,5 +174,5 @@ def test_laws_of_axes(name, nodes, kind):
     ],
 )
 def test_axes_that_are_none_are_refused(grid, line):
-    with pytest.raises(Refusal, match=f"^{line}"):
-        Axes.from_mapping(grid)
+    with pytest.raises(InvalidValue, match=f"^{line}"):
+        ParameterGrid.from_mapping(grid)

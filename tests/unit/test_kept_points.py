@@ -11,29 +11,29 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.dataset import without_volatile
+from splits.io.netcdf import drop_run_specific_attributes
 from splits.experiments import run_points
 from splits.experiments.run import write_run
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
 
 pytestmark = NEEDS_JIT
 
-TINY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
-ALONE = {
+TINY_ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
+INDEPENDENT_POINTS = {
     "name": "some",
     "medium": {"kind": "snow", "depth_m": 0.005},
     "instrument": {"kind": "goniophotometer", "wavelength_nm": [800], "estimator": "cells",
                    "cells": [3, 4], "rays": 500},
     "grid": {"saturation": [0, 0.5, 1]},
 }  # fmt: skip
-TOGETHER = {
+PATH_SHARING_POINTS = {
     "name": "some",
     "medium": {"kind": "snow", "depth_m": 0.005},
     "instrument": {"wavelength_nm": [800, 1300]},
     "grid": {"impurities_ng_g.black_carbon": [0, 100], "incidence_deg": [0, 60]},
 }
-LAST = """
+LAST_POINT = """
 import signal
 from splits import command
 from splits.experiments import run_points
@@ -54,14 +54,14 @@ command.main()
 """
 
 
-class Interrupted(Exception):
+class InterruptedRun(Exception):
     pass
 
 
-def write(content, folder, accuracy=TINY, seed=1, threads=1):
+def write_dataset(content, folder, accuracy=TINY_ACCURACY, seed=1, threads=1):
     """Write an experiment's dataset, and return what was said."""
     said = []
-    experiment = Simulation.model_validate(content)
+    experiment = SimulationConfig.model_validate(content)
     path = folder / "some.nc"
     write_run(experiment, accuracy, seed, folder / "blocks" / "some", path, threads, said.append)
     return said
@@ -74,7 +74,7 @@ def interrupt_after(monkeypatch, n_path_groups):
     def counted(function):
         def measured(*given):
             if not left[0]:
-                raise Interrupted
+                raise InterruptedRun
             left[0] -= 1
             return function(*given)
 
@@ -84,55 +84,55 @@ def interrupt_after(monkeypatch, n_path_groups):
         monkeypatch.setattr(run_points, name, counted(getattr(run_points, name)))
 
 
-def kept(folder):
+def list_cached_files(folder):
     return sorted(path.name for path in folder.glob("blocks/some/*"))
 
 
-@pytest.mark.parametrize(("content", "points"), [(ALONE, 2), (TOGETHER, 2)])
+@pytest.mark.parametrize(("content", "points"), [(INDEPENDENT_POINTS, 2), (PATH_SHARING_POINTS, 2)])
 def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, content, points):
-    write(content, tmp_path / "whole")
-    with monkeypatch.context() as patch, pytest.raises(Interrupted):
-        interrupt_after(patch, 2 if content is ALONE else 1)
-        write(content, tmp_path / "cut")
-    assert len(kept(tmp_path / "cut")) == points
-    said = write(content, tmp_path / "cut", threads=2)
+    write_dataset(content, tmp_path / "whole")
+    with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
+        interrupt_after(patch, 2 if content is INDEPENDENT_POINTS else 1)
+        write_dataset(content, tmp_path / "cut")
+    assert len(list_cached_files(tmp_path / "cut")) == points
+    said = write_dataset(content, tmp_path / "cut", threads=2)
     assert sum("kept from an earlier run" in line for line in said) == points // (
-        1 if content is ALONE else 2
+        1 if content is INDEPENDENT_POINTS else 2
     )
     whole, cut = (splits.load(tmp_path / name / "some.nc") for name in ("whole", "cut"))
-    xr.testing.assert_identical(without_volatile(cut), without_volatile(whole))
+    xr.testing.assert_identical(drop_run_specific_attributes(cut), drop_run_specific_attributes(whole))
     for name in whole.variables:
         assert cut[name].values.tobytes() == whole[name].values.tobytes()
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["some.nc"]
 
 
 def test_points_of_other_runs_stay_and_do_not_count(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch, pytest.raises(Interrupted):
+    with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2)
-        write(ALONE, tmp_path)
-    first = kept(tmp_path)
+        write_dataset(INDEPENDENT_POINTS, tmp_path)
+    first = list_cached_files(tmp_path)
     table = {"wavelength_nm": [400, 1000], "n": [1.3, 1.3], "k": [1e-7, 1e-7]}
     others = [
         {"seed": 2},
-        {"accuracy": TINY.model_copy(update={"max_rays": 5000})},
-        {"content": ALONE | {"instrument": ALONE["instrument"] | {"rays": 600}}},
-        {"content": ALONE | {"medium": {**ALONE["medium"], "refractive_index": {"ice": table}}}},
+        {"accuracy": TINY_ACCURACY.model_copy(update={"max_rays": 5000})},
+        {"content": INDEPENDENT_POINTS | {"instrument": INDEPENDENT_POINTS["instrument"] | {"rays": 600}}},
+        {"content": INDEPENDENT_POINTS | {"medium": {**INDEPENDENT_POINTS["medium"], "refractive_index": {"ice": table}}}},
     ]
     for other in others:
-        said = write(**{"content": ALONE, "folder": tmp_path} | other)
+        said = write_dataset(**{"content": INDEPENDENT_POINTS, "folder": tmp_path} | other)
         assert not any("kept" in line for line in said)
-        assert kept(tmp_path) == first
-    said = write(ALONE, tmp_path)
-    assert sum("kept" in line for line in said) == 2 and kept(tmp_path) == []
+        assert list_cached_files(tmp_path) == first
+    said = write_dataset(INDEPENDENT_POINTS, tmp_path)
+    assert sum("kept" in line for line in said) == 2 and list_cached_files(tmp_path) == []
 
 
 def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch, pytest.raises(Interrupted):
+    with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2)
-        write(ALONE, tmp_path)
-    path = tmp_path / "blocks" / "some" / kept(tmp_path)[0]
+        write_dataset(INDEPENDENT_POINTS, tmp_path)
+    path = tmp_path / "blocks" / "some" / list_cached_files(tmp_path)[0]
     path.write_bytes(path.read_bytes()[:-1])
-    assert sum("kept" in line for line in write(ALONE, tmp_path)) == 1
+    assert sum("kept" in line for line in write_dataset(INDEPENDENT_POINTS, tmp_path)) == 1
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
@@ -144,7 +144,7 @@ def test_the_last_line_says_what_to_type(tmp_path):
     (tmp_path / "two points.yaml").write_text(text + "name: some\n", encoding="utf-8")
     words = ["run", "two points.yaml", "--accuracy", "tiny"]
     process = subprocess.Popen(
-        [sys.executable, "-c", LAST, *words], cwd=tmp_path, text=True,
+        [sys.executable, "-c", LAST_POINT, *words], cwd=tmp_path, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     assert process.stdout.readline() == "begun\n"
@@ -154,4 +154,4 @@ def test_the_last_line_says_what_to_type(tmp_path):
     assert err.splitlines()[-2:] == [
         "splits run: interrupted", f"to go on where it stopped, type: {typed}",
     ]  # fmt: skip
-    assert len(kept(tmp_path)) == 1
+    assert len(list_cached_files(tmp_path)) == 1

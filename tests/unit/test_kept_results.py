@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, snowlike, spectrum
+from formula_tables import W, make_snowlike_table, evaluate_spectrum
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 from splits.retrieval.maps import FLAGS
 
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
-FREE, AT = [SIZE, DIRT], {"incidence_deg": 30.0}
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
+FREE_PARAMETERS, FIXED = [SIZE, SOOT], {"incidence_deg": 30.0}
 PAIR = [500.0, 1030.0]
 SKY = "midlatitude_winter"
 BANDS = {"visible": (500, 1000)}
-MEASURED = (W, spectrum(150.0, 50.0))
+MEASURED = (W, evaluate_spectrum(150.0, 50.0))
 
 
 def snow(**changes):
@@ -26,7 +26,7 @@ def snow(**changes):
 
 
 def layer(**changes):
-    return splits.Layer(optical_thickness=1.0, **changes)
+    return splits.ParticleLayer(optical_thickness=1.0, **changes)
 
 
 def rough():
@@ -34,7 +34,7 @@ def rough():
     return layer(surface=surface)
 
 
-def several():
+def make_several_media():
     return {"clean": snow(), "dirty": snow(impurities_ng_g={"black_carbon": 50})}
 
 
@@ -42,8 +42,8 @@ def grains():
     return splits.single_scattering(snow(), PAIR, moments=8, rays=100)
 
 
-def place(**more):
-    return {SIZE: 120.0, DIRT: 30.0, "incidence_deg": 20.0, **more}
+def make_place(**more):
+    return {SIZE: 120.0, SOOT: 30.0, "incidence_deg": 20.0, **more}
 
 
 def small_table(**keywords):
@@ -51,12 +51,12 @@ def small_table(**keywords):
         return snow(impurities_ng_g={"black_carbon": black_carbon}, ground=ground)
 
     grid = {"black_carbon": [0, 50], "ground": ["black", "open"], "incidence_deg": [0, 60]}
-    return splits.table(make, grid, PAIR, max_stderr=0.1, **keywords)
+    return splits.build_table(make, grid, PAIR, max_stderr=0.1, **keywords)
 
 
 def image():
     """Return an image over bands whose pixels are stacked, one of which has a gap."""
-    values = np.array([[spectrum(size, dirt) for dirt in (20.0, 200.0)] for size in (60.0, 900.0)])
+    values = np.array([[evaluate_spectrum(size, dirt) for dirt in (20.0, 200.0)] for size in (60.0, 900.0)])
     values[0, 1, 3] = np.nan
     axes = {"wavelength": ("band", W), "y": [10.0, 20.0], "x": [1.0, 2.0]}
     return xr.DataArray(values, axes, ("y", "x", "band"))
@@ -67,10 +67,10 @@ RESULTS = {
     "spectrophotometer, derivatives": lambda: splits.spectrophotometer(
         layer(), PAIR, max_stderr=0.1, jacobian=["single_scattering_albedo"]
     ),
-    "spectra": lambda: splits.spectra(several(), PAIR, max_stderr=0.1),
+    "spectra": lambda: splits.spectra(make_several_media(), PAIR, max_stderr=0.1),
     "goniophotometer": lambda: splits.goniophotometer(layer(), PAIR, 30.0, relative_stderr=0.5),
-    "bssrdf": lambda: splits.bssrdf(layer(), PAIR, rays=1000, half_width_m=1.0),
-    "profile": lambda: splits.profile(snow(), PAIR, [0.01], max_stderr=0.1),
+    "bssrdf": lambda: splits.beam_spread(layer(), PAIR, rays=1000, half_width_m=1.0),
+    "profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),
     "deep_transmittance": lambda: splits.deep_transmittance(snow(), PAIR, relative_stderr=0.5),
     "lens": lambda: splits.lens(rough(), [1.0], 0.1, over="origin", rays=1000),
     "surface_map": lambda: splits.surface_map(rough(), 1.0, points=5, realisations=2),
@@ -79,25 +79,25 @@ RESULTS = {
     "phase_function": lambda: splits.phase_function(grains(), [0, 90, 180]),
     "table": small_table,
     "table, covariance": lambda: small_table(covariance=True),
-    "Table": lambda: snowlike().dataset,
-    "Table.interp": lambda: snowlike().interp(**place()),
-    "Table.derivatives": lambda: snowlike().derivatives(FREE, **place()),
-    "Table.to_isofit": lambda: snowlike().to_isofit(**{DIRT: 0.0}),
-    "Table.to_spires": lambda: snowlike().to_spires(DIRT, BANDS).to_dataset(),
+    "Table": lambda: make_snowlike_table().dataset,
+    "Table.interp": lambda: make_snowlike_table().interp(**make_place()),
+    "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_place()),
+    "Table.to_isofit": lambda: make_snowlike_table().to_isofit(**{SOOT: 0.0}),
+    "Table.to_spires": lambda: make_snowlike_table().to_spires(SOOT, BANDS).to_dataset(),
     "albedo": lambda: splits.albedo(snow(), SKY, [500, 800], 0.1, bands=BANDS),
-    "albedo of several": lambda: splits.albedo(several(), SKY, [500, 800], 0.1),
+    "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
     "hdrf": lambda: splits.hdrf(layer(), SKY, PAIR, 0.5),
-    "light_inside": lambda: splits.light_inside(snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400),
-    "retrieve": lambda: splits.retrieve(MEASURED, snowlike(), FREE, 0.01, at=AT).dataset,
-    "retrieve_map": lambda: splits.retrieve_map(image(), snowlike(), FREE, 0.01, at=AT),
+    "light_inside": lambda: splits.radiation_profile(snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400),
+    "retrieve": lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED).dataset,
+    "retrieve_map": lambda: splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED),
     "retrieve_map, stacked": lambda: splits.retrieve_map(
-        image().stack(pixel=("y", "x")), snowlike(), FREE, 0.01, at=AT
+        image().stack(pixel=("y", "x")), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED
     ),
-    "best_bands": lambda: splits.best_bands(snowlike(), W[:4], FREE, 0.01, 2, at=AT),
-    "sobol_indices": lambda: splits.sobol_indices(snowlike(), FREE, at=AT, points=64),
+    "best_bands": lambda: splits.select_bands(make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, at=FIXED),
+    "sobol_indices": lambda: splits.sobol_indices(make_snowlike_table(), FREE_PARAMETERS, at=FIXED, points=64),
 }
 """What every public function returns that returns data, by its name and what differs."""
-NO_DATA = {
+MISSING_DATA = {
     "Layer", "Progress", "ProgressBar", "Readings", "RoughSurface", "Sand", "SandReadings", "Sky",
     "Snow", "Stack", "__version__", "load", "open_table", "save", "save_brdf", "sensor", "sky",
 }  # fmt: skip
@@ -106,10 +106,10 @@ NO_DATA = {
 
 def test_no_public_function_is_left_out():
     named = {name.partition(",")[0].split()[0].split(".")[0] for name in RESULTS}
-    assert named | NO_DATA == {*splits.__all__} and not named & NO_DATA
+    assert named | MISSING_DATA == {*splits.__all__} and not named & MISSING_DATA
 
 
-def same(one, other):
+def attributes_equal(one, other):
     """Tell whether attributes are the same but for what netCDF cannot tell apart."""
     return np.array_equal(np.ravel(one), np.ravel(other))
 
@@ -126,42 +126,42 @@ def test_what_is_returned_is_saved_and_loaded(name, tmp_path):
         kinds = {again[key].dtype.kind, found[key].dtype.kind}
         assert len(kinds) == 1 or kinds == {"O", "U"}
         assert again[key].dims == found[key].dims
-        assert all(same(again[key].attrs[k], v) for k, v in found[key].attrs.items())
-    assert all(same(again.attrs[key], value) for key, value in found.attrs.items())
+        assert all(attributes_equal(again[key].attrs[k], v) for k, v in found[key].attrs.items())
+    assert all(attributes_equal(again.attrs[key], value) for key, value in found.attrs.items())
     splits.save(again, tmp_path / "again.nc")
     assert splits.load(tmp_path / "again.nc").identical(again)
 
 
 def test_a_part_of_a_result_is_loaded_too(tmp_path):
-    part = snowlike().dataset.reflectance.mean(SIZE).to_dataset()
+    part = make_snowlike_table().dataset.reflectance.mean(SIZE).to_dataset()
     assert not part.attrs
     splits.save(part, tmp_path / "part.nc")
     assert splits.load(tmp_path / "part.nc").equals(part)
 
 
-def odd(**coordinates):
+def make_odd_dataset(**coordinates):
     values = ("wave", [0.5, 0.6])
     return xr.Dataset({"reflectance": values, "own.name": values, "own_name": values}, coordinates)
 
 
-ODD = {
-    "names alike but for dots": odd(),
-    "a label of an axis of texts": odd(wave=["a", "b"], wave_label=("wave", ["first", "second"])),
-    "a value of an axis in no order": odd(wave=[2.0, 2.0], wave_value=("wave", [1.0, 3.0])),
-    "a label of no axis": odd(wave_label=("wave", ["first", "second"])),
-    "blanks": odd(**{"my soot. 2": ("wave", [1.0, 2.0])}),
-    "a dimension with dots and blanks": odd(wave=["a", "b"]).rename(wave="my wave.length"),
+ODD_DATASETS = {
+    "names alike but for dots": make_odd_dataset(),
+    "a label of an axis of texts": make_odd_dataset(wave=["a", "b"], wave_label=("wave", ["first", "second"])),
+    "a value of an axis in no order": make_odd_dataset(wave=[2.0, 2.0], wave_value=("wave", [1.0, 3.0])),
+    "a label of no axis": make_odd_dataset(wave_label=("wave", ["first", "second"])),
+    "blanks": make_odd_dataset(**{"my soot. 2": ("wave", [1.0, 2.0])}),
+    "a dimension with dots and blanks": make_odd_dataset(wave=["a", "b"]).rename(wave="my wave.length"),
 }
 
 
-@pytest.mark.parametrize("name", ODD)
+@pytest.mark.parametrize("name", ODD_DATASETS)
 def test_names_that_meet_in_the_file_stay_apart(name, tmp_path):
-    splits.save(ODD[name], tmp_path / "odd.nc")
-    assert splits.load(tmp_path / "odd.nc").equals(ODD[name])
+    splits.save(ODD_DATASETS[name], tmp_path / "odd.nc")
+    assert splits.load(tmp_path / "odd.nc").equals(ODD_DATASETS[name])
 
 
 def test_a_pixel_with_a_gap_is_nan_in_the_file_and_says_why(tmp_path):
-    found = splits.retrieve_map(image(), snowlike(), FREE, 0.01, at=AT)
+    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED)
     splits.save(found, tmp_path / "map.nc")
     again = splits.load(tmp_path / "map.nc")
     assert np.isnan(again[SIZE][0, 1]) and again.flags[0, 1] == FLAGS["gap"]
@@ -187,25 +187,25 @@ def test_what_is_not_computed_yet_is_computed_once(tmp_path):
 
 @pytest.mark.parametrize("change", [{"chi2": np.inf}, {"flags": 0}])
 def test_gaps_without_a_flag_are_refused(change, tmp_path):
-    found = splits.retrieve_map(image(), snowlike(), FREE, 0.01, at=AT)
+    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED)
     for name, value in change.items():
         found[name][0, 1] = value
     with pytest.raises(ValueError, match="holds values that are not finite"):
         splits.save(found, tmp_path / "map.nc")
 
 
-NO_DATASETS = {
+NON_DATASETS = {
     "an array": (lambda: image(), r"'DataArray'.*array.to_dataset\(name='reflectance'\)"),
-    "a table": (snowlike, r"'Table'.*write its dataset"),
-    "a retrieval": (lambda: splits.retrieve(MEASURED, snowlike(), FREE, 0.01, at=AT),
+    "a table": (make_snowlike_table, r"'Table'.*write its dataset"),
+    "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED),
                     r"'Retrieved'.*write its dataset"),
     "a path": (lambda: "kept.nc", "'str': must be an xarray.Dataset$"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", NO_DATASETS)
+@pytest.mark.parametrize("name", NON_DATASETS)
 def test_what_is_no_dataset_is_refused_in_a_line(name, tmp_path):
-    make, line = NO_DATASETS[name]
-    with pytest.raises(Refusal, match=line):
+    make, line = NON_DATASETS[name]
+    with pytest.raises(InvalidValue, match=line):
         splits.save(make(), tmp_path / "kept.nc")
     assert not list(tmp_path.iterdir())

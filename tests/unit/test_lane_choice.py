@@ -8,38 +8,43 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
-from scenes import coated, medium_scene, optics_of, scene_of
+from scenes import make_coated_grains, make_medium_scene, make_optics, make_scene
 from scipy import integrate
 
 import splits
-from splits.transport.compiling.features import Features
-from splits.transport.grains.flight import Fates, Flier, Space, next_grain
-from splits.transport.grains.scene import DRY_PORE, WET_PORE
-from splits.transport.grains.spheroid import UNIFORM, Aim, Segment, Size
-from splits.transport.lanes.choice import (
-    DEEPEST,
-    FAINT,
-    MIN_FIRST_DEPTH,
-    extinction_shows,
-    features_for,
+from splits.kernels.compiler.features import Features
+from splits.kernels.grains.free_path import (
+    RejectionRules,
+    RayGeometry,
+    LayerGeometry,
+    sample_collision,
 )
-from splits.transport.numerics.elementary import circle
-from splits.transport.numerics.vectors import Vector, tangents
-from splits.transport.optics.fresnel import interface
+from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.kernels.grains.spheroid import UNIFORM_ENTRY, EntryVariates, Segment, GrainSize
+from splits.kernels.vectorized.eligibility import (
+    MAX_DEPTH_MFP,
+    EXTINCTION_TOLERANCE,
+    MIN_FIRST_DEPTH,
+    compute_extinction_effect,
+    select_features,
+)
+from splits.kernels.math.elementary import sample_circle
+from splits.kernels.math.vectors import Vector, make_tangents
+from splits.kernels.optics.fresnel import fresnel
 
 
-def features(medium, k=0.0, analog=False, depth=None):
+def find_features(medium, k=0.0, analog=False, depth=None):
     """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
     materials = int(medium.make_grain_population().types.material.max()) + 1
     n = np.full(materials, 1.5)
     n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
     extinction = np.full(materials, k)
     extinction[[DRY_PORE, WET_PORE]] = 0.0
-    scene = medium_scene(medium, analog=analog, depth=depth or float(medium.depth_m))
-    return features_for(scene, optics_of(n, extinction))
+    scene = make_medium_scene(medium, analog=analog, depth=depth or float(medium.depth_m))
+    return select_features(scene, make_optics(n, extinction))
 
 
-def having(**present):
+def make_features(**present):
     """Return features of which those named are present."""
     return Features(*(True if present.pop(name, False) else None for name in Features._fields))
 
@@ -55,7 +60,7 @@ SCENES = {
     "sand": (splits.Sand(), {}, {"faceted", "mixed"}),
     "wet sand": (splits.Sand(saturation=0.3), {}, {"wet", "faceted", "mixed"}),
     "barely deep enough": (
-        splits.Snow(), {"depth": 0.999 * DEEPEST * splits.Snow().mean_grain_distance_m},
+        splits.Snow(), {"depth": 0.999 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m},
         {"wet", "faceted"},
     ),
 }  # fmt: skip
@@ -64,11 +69,11 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_features_are_those_of_the_scene(scene):
     medium, how, expected = SCENES[scene]
-    assert features(medium, **how) == having(**dict.fromkeys(expected, True))
+    assert find_features(medium, **how) == make_features(**dict.fromkeys(expected, True))
 
 
 def test_grazing_beams_are_left_to_the_scalar_kernel_where_grains_are_met_too_high():
-    grains, optics = splits.Snow().make_grain_population(), optics_of([1.0, 1.33, 1.31])
+    grains, optics = splits.Snow().make_grain_population(), make_optics([1.0, 1.33, 1.31])
     lowest = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
     assert lowest < math.cos(math.radians(89.9999))
     for cos, diffuse, served in (
@@ -77,7 +82,7 @@ def test_grazing_beams_are_left_to_the_scalar_kernel_where_grains_are_met_too_hi
         (0.99 * lowest, 0.5, False),
         (0.99 * lowest, 1.0, True),
     ):
-        found = features_for(scene_of(grains, 0.1, cos=cos, diffuse=diffuse), optics)
+        found = select_features(make_scene(grains, 0.1, cos=cos, diffuse=diffuse), optics)
         assert (found is not None) == served
 
 
@@ -87,21 +92,21 @@ def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits(
     rng, major, flattening, mean_leg = np.random.default_rng(1), 3.75e-4, 0.36, 7e-4
     cos = MIN_FIRST_DEPTH * major / mean_leg
     d = math.sqrt(1.0 - cos * cos), 0.0, -cos
-    frame = tangents(Vector(-d[0], 0.0, cos))
+    frame = make_tangents(Vector(-d[0], 0.0, cos))
     up = 0.5 + math.atan2(frame.v.z, frame.u.z) / (2.0 * math.pi)
     width = 10.0 * math.sqrt(cos * mean_leg / major)
-    fates = Fates(UNIFORM, True, True, False, False)
+    fates = RejectionRules(UNIFORM_ENTRY, True, True, False, False)
 
     def fits(u, real):
         """Tell whether a grain fits, with all numbers in one precision."""
         facing, turn, axial, leg = width * u[0], u[2], u[3], u[4]
         azimuth = (up + width * (u[1] - 0.5) / math.pi) % 1.0
-        aim = Aim(real(facing), circle(real(azimuth)), circle(real(turn)), real(axial), real(0.5))
+        aim = EntryVariates(real(facing), sample_circle(real(azimuth)), sample_circle(real(turn)), real(axial), real(0.5))
         origin, down = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
-        ray = Flier(origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0))
-        space = Space(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
-        return next_grain(
-            ray, Size(real(major), real(flattening)), aim, real(leg), space, fates
+        ray = RayGeometry(origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0))
+        space = LayerGeometry(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
+        return sample_collision(
+            ray, GrainSize(real(major), real(flattening)), aim, real(leg), space, fates
         ).accepted
 
     draws = rng.random((40_000, 5))
@@ -112,22 +117,22 @@ def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits(
 
 
 def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
-    assert features(splits.Snow(), analog=True) is None
-    deep = 1.001 * DEEPEST * splits.Snow().mean_grain_distance_m
-    assert features(splits.Snow(), depth=deep) is None
+    assert find_features(splits.Snow(), analog=True) is None
+    deep = 1.001 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m
+    assert find_features(splits.Snow(), depth=deep) is None
 
 
 @pytest.mark.parametrize("coats", [0, 1, 2, 3])
 def test_at_most_one_coating(coats):
-    grains = coated([0.01] * coats, [*range(3, 3 + coats), 2])
-    found = features_for(scene_of(grains, 0.1), optics_of(np.full(6, 1.5)))
-    assert found == (having(mixed=coats == 1) if coats < 2 else None)
+    grains = make_coated_grains([0.01] * coats, [*range(3, 3 + coats), 2])
+    found = select_features(make_scene(grains, 0.1), make_optics(np.full(6, 1.5)))
+    assert found == (make_features(mixed=coats == 1) if coats < 2 else None)
 
 
 pytestmark = NEEDS_JIT
 
 QUADRATURE = 1.02
-"""How far the estimate of `extinction_shows` may fall short of adaptive quadrature."""
+"""How far the estimate of `compute_extinction_effect` may fall short of adaptive quadrature."""
 
 # Where to look for the extinction at which it starts to show.
 EDGES = np.logspace(-9.0, -0.5, 171)
@@ -142,10 +147,10 @@ GRAINS = {
 }
 
 
-def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
+def is_extinction_omitted(n_pore, n_core, k_pore, k_core, saturation):
     """Return whether extinction coefficients of wet pores and of grains are left out."""
-    optics = optics_of([1.0, n_pore, n_core], [0.0, k_pore, k_core])
-    found = features_for(scene_of(splits.Snow().make_grain_population(), 0.1, saturation), optics)
+    optics = make_optics([1.0, n_pore, n_core], [0.0, k_pore, k_core])
+    found = select_features(make_scene(splits.Snow().make_grain_population(), 0.1, saturation), optics)
     return found.absorbing is None
 
 
@@ -154,7 +159,7 @@ def leaves_out(n_pore, n_core, k_pore, k_core, saturation):
 def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(where, whose):
     n_pore, n_core, saturation = GRAINS[where]
     at = [(k, 0.0) if whose == "pores" else (0.0, k) for k in EDGES]
-    out = np.array([leaves_out(n_pore, n_core, *k, saturation) for k in at])
+    out = np.array([is_extinction_omitted(n_pore, n_core, *k, saturation) for k in at])
     assert out[0] and (np.diff(out.astype(int)) <= 0).all()
     if whose == "pores":
         if saturation == 0.0:
@@ -164,11 +169,11 @@ def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(wh
     else:
         pairs = [(1.0, n_core)] + ([(n_pore, n_core)] if saturation > 0.0 else [])
     last = EDGES[np.flatnonzero(out)[-1]]
-    moved = max(shift(*pair, last) for pair in pairs)
+    moved = max(compute_reflectance_shift(*pair, last) for pair in pairs)
     print(f"left out up to k = {last:.1e}, which moves R by {moved:.1e}")
-    assert moved < QUADRATURE * FAINT
+    assert moved < QUADRATURE * EXTINCTION_TOLERANCE
     # Nor is more asked for than needed: a step of the grid further it would show.
-    assert max(shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs) > FAINT / 4.0
+    assert max(compute_reflectance_shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs) > EXTINCTION_TOLERANCE / 4.0
 
 
 def test_the_public_interface_refuses_lanes_that_cannot_serve():
@@ -177,15 +182,15 @@ def test_the_public_interface_refuses_lanes_that_cannot_serve():
         splits.spectrophotometer(
             splits.Snow(), 500.0, max_stderr=0.5, kernel="lanes", estimator="analog"
         )
-    deep = splits.Snow(depth_m=1.001 * DEEPEST * splits.Snow().mean_grain_distance_m)
+    deep = splits.Snow(depth_m=1.001 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m)
     with pytest.raises(ValueError, match=match):
-        splits.bssrdf(deep, 500.0, rays=10, kernel="lanes")
+        splits.beam_spread(deep, 500.0, rays=10, kernel="lanes")
 
 
 # --- faint extinction -------------------------------------------------------------------------
 
 
-def diffuse_reflectance(n1, n2, k):
+def compute_diffuse_reflectance(n1, n2, k):
     """Return the reflectance of diffuse light, ∫ 2μ R dμ, with the critical angle as a seam."""
     critical = np.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0))
     seams = sorted({1e-9, 1.0, *(x for x in (critical,) if 0.0 < x < 1.0)})
@@ -196,15 +201,15 @@ def diffuse_reflectance(n1, n2, k):
 
         def integrand(t, low=low, width=width):
             mu = low + width * t * t * (3.0 - 2.0 * t)
-            return 2.0 * mu * interface(n1, n2, k, mu)[0] * width * 6.0 * t * (1.0 - t)
+            return 2.0 * mu * fresnel(n1, n2, k, mu)[0] * width * 6.0 * t * (1.0 - t)
 
         total += integrate.quad(integrand, 0.0, 1.0, epsabs=1e-9, limit=400)[0]
     return total
 
 
-def shift(n1, n2, k):
+def compute_reflectance_shift(n1, n2, k):
     """Return how much the far side's extinction moves the reflectance of diffuse light."""
-    return abs(diffuse_reflectance(n1, n2, k) - diffuse_reflectance(n1, n2, 0.0))
+    return abs(compute_diffuse_reflectance(n1, n2, k) - compute_diffuse_reflectance(n1, n2, 0.0))
 
 
 INDICES = np.unique(np.concatenate([np.linspace(0.95, 1.6, 14), [0.99, 0.999, 1.0, 1.001, 1.01]]))
@@ -217,8 +222,8 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
     ratios = []
     for m in INDICES:
         n1, n2 = (1.0, m) if inwards else (m, 1.0)
-        optics = optics_of([n1, n2], [0.0, k])
-        estimate, exact = extinction_shows(optics, 0, 1), shift(n1, n2, k)
+        optics = make_optics([n1, n2], [0.0, k])
+        estimate, exact = compute_extinction_effect(optics, 0, 1), compute_reflectance_shift(n1, n2, k)
         ratios.append(estimate / max(exact, 1e-8))
         assert estimate > exact / QUADRATURE - 1e-8, (n1, n2)
         # R may rise at some angles and fall at others, where indices are about equal.
@@ -227,5 +232,5 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
 
 
 def test_nothing_shows_without_extinction():
-    optics = optics_of([1.31, 1.0])
-    assert extinction_shows(optics, 0, 1) == 0.0
+    optics = make_optics([1.31, 1.0])
+    assert compute_extinction_effect(optics, 0, 1) == 0.0

@@ -8,9 +8,9 @@ import xarray as xr
 
 import splits
 from splits.experiments import run_table as module
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.lookup import reading
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.tables import table
 
 ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
 GRID = {
@@ -24,7 +24,7 @@ GRID = {
 def both(tmp_path_factory):
     """Return one table put together in memory, and written block by block."""
     folder = tmp_path_factory.mktemp("large")
-    experiment = Simulation.model_validate(
+    experiment = SimulationConfig.model_validate(
         {
             "name": "some",
             "medium": {"kind": "natural_snow", "depth_m": 0.05},
@@ -56,7 +56,7 @@ def test_reading_from_the_file_gives_the_same(both, monkeypatch):
     _, _, usual, large = both
     at = {"optical_radius_um": 120.0, "ground": "camborthid", "impurities_ng_g.black_carbon": 200.0}
     whole = splits.open_table(usual).interp(**at)
-    monkeypatch.setattr(reading, "IN_MEMORY", 0)
+    monkeypatch.setattr(table, "IN_MEMORY", 0)
     table = splits.open_table(large)
     assert not table.dataset.reflectance.variable._in_memory
     xr.testing.assert_identical(table.interp(**at), whole)

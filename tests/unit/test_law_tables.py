@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import snowoptics
-from formula_tables import table_of
+from formula_tables import make_table
 
-from splits.analysis.law_tables import law_table
-from splits.checks import Refusal
-from splits.materials.impurities import impurities_of
+from splits.analysis.theory.kokhanovsky_zege import make_law_table
+from splits.core.validation import InvalidValue
+from splits.materials.impurities import make_impurities
 
 W = np.array([500.0, 1000.0, 1300.0])
 AREA, RADIUS, SOOT = (
@@ -21,11 +21,11 @@ AREA, RADIUS, SOOT = (
 
 def blank(**axes):
     """Return a table over some axes."""
-    return table_of(lambda *point: np.full(W.size, 0.5), axes, w=W)
+    return make_table(lambda *point: np.full(W.size, 0.5), axes, w=W)
 
 
 def test_clean_snow_is_that_of_the_package():
-    found = law_table(blank(**{AREA: [5.0, 20.0], "incidence_deg": [30.0, 60.0]}))
+    found = make_law_table(blank(**{AREA: [5.0, 20.0], "incidence_deg": [30.0, 60.0]}))
     assert found.axes == [AREA, "incidence_deg", "wavelength"]
     for i, area in enumerate((5.0, 20.0)):
         for j, beam in enumerate((30.0, 60.0)):
@@ -34,17 +34,17 @@ def test_clean_snow_is_that_of_the_package():
 
 
 def test_a_radius_stands_for_its_area():
-    one = law_table(blank(**{AREA: [10.0, 20.0]})).dataset.reflectance.values
+    one = make_law_table(blank(**{AREA: [10.0, 20.0]})).dataset.reflectance.values
     radii = [3e6 / (917.0 * 20.0), 3e6 / (917.0 * 10.0)]
-    other = law_table(blank(**{RADIUS: radii})).dataset.reflectance.values
+    other = make_law_table(blank(**{RADIUS: radii})).dataset.reflectance.values
     np.testing.assert_allclose(other[::-1], one, rtol=1e-12)
 
 
 def test_impurities_absorb_as_in_the_package():
     """2 c M/SSA more of 1 − ω, whose root the logarithm of albedo goes as."""
-    found = law_table(blank(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})).dataset.reflectance.values
+    found = make_law_table(blank(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})).dataset.reflectance.values
     clean, dirty = np.log(found[0])
-    per_ice = impurities_of({"black_carbon": 100.0}, {})[0].compute_absorption_per_kg_ice(W)
+    per_ice = make_impurities({"black_carbon": 100.0}, {})[0].compute_absorption_per_kg_ice(W)
     k = 3.0 / 7.0 * (1.0 + 2.0)
     more = 16.0 / 3.0 * 2.0 * per_ice / 20.0 / (1.0 - snowoptics.default_g)
     np.testing.assert_allclose((dirty / k) ** 2 - (clean / k) ** 2, more, rtol=1e-9)
@@ -52,8 +52,8 @@ def test_impurities_absorb_as_in_the_package():
 
 def test_what_the_law_does_not_know_is_left_out_at_zero():
     given = blank(**{AREA: [5.0, 20.0], "liquid_water_content": [0.0, 0.1]})
-    assert law_table(given).axes == [AREA, "wavelength"]
-    with pytest.raises(Refusal, match="liquid_water_content"):
-        law_table(blank(**{AREA: [5.0, 20.0], "liquid_water_content": [0.05, 0.1]}))
-    with pytest.raises(Refusal, match=AREA):
-        law_table(blank(saturation=[0.0, 0.5]))
+    assert make_law_table(given).axes == [AREA, "wavelength"]
+    with pytest.raises(InvalidValue, match="liquid_water_content"):
+        make_law_table(blank(**{AREA: [5.0, 20.0], "liquid_water_content": [0.05, 0.1]}))
+    with pytest.raises(InvalidValue, match=AREA):
+        make_law_table(blank(saturation=[0.0, 0.5]))

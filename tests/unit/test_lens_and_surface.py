@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import splits
-from splits.experiments.model import Experiment
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
-from splits.figures import draw
+from splits.experiments.config.settings import Accuracy
+from splits.plotting import draw
 
 WAVES = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
-WATER = splits.Layer(refractive_index=1.34, depth_m=100.0, surface=WAVES)
+WATER = splits.ParticleLayer(refractive_index=1.34, depth_m=100.0, surface=WAVES)
 
 
 def test_a_flat_lens_changes_nothing():
@@ -70,7 +70,7 @@ def test_a_smooth_layer_has_no_surface_to_look_at():
     for look in (lambda m: splits.lens(m, [1.0], 1.0, over="origin"),
                  lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
         with pytest.raises(ValueError, match="surface = None"):
-            look(splits.Layer())
+            look(splits.ParticleLayer())
 
 
 LAYER = {"kind": "layer", "depth_m": 100.0, "surface": WAVES}
@@ -93,7 +93,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
     kind = instrument.get("kind", "spectrophotometer")
     figure = {"at": at} if kind in ("surface", "lens") else {}
     figure |= {"kind": "points"} if kind == "spectrophotometer" else {}
-    experiment = Experiment(
+    experiment = ExperimentConfig(
         name="made", medium=LAYER, instrument=instrument, grid=grid, figure=figure
     )
     accuracy = Accuracy(max_stderr=0.05, relative_stderr=0.3)
@@ -124,4 +124,4 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
 )  # fmt: skip
 def test_experiments_that_cannot_be_run_are_refused(content, told):
     with pytest.raises((ValueError, TypeError), match=told):
-        Experiment(name="made", **content)
+        ExperimentConfig(name="made", **content)

@@ -9,18 +9,18 @@ import pytest
 import yaml
 
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
-from splits.experiments.load import read_yaml
+from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[2]
 MEDIA = ROOT / "config" / "media"
 WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
 ROUGH = {"medium": {"kind": "layer", "depth_m": 100, "surface": WAVES}}
 GLASS = {"kind": "layer", "opaque": True}
-ONE = {"wavelength_nm": [550]}
+ONE_LAYER = {"wavelength_nm": [550]}
 WAVELENGTHS = "must be a mapping with start, stop, step or a list of numbers"
 
 
-def told(tmp_path, content):
+def read_message(tmp_path, content):
     """Return what is said about a file, its path left out."""
     path = tmp_path / "wrong.yaml"
     path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), "utf-8")
@@ -66,11 +66,11 @@ WRONG_TYPES = {
 
 @pytest.mark.parametrize("text", WRONG_TYPES)
 def test_wrong_types_are_told_in_words(tmp_path, text):
-    assert told(tmp_path, text) == WRONG_TYPES[text]
+    assert read_message(tmp_path, text) == WRONG_TYPES[text]
 
 
 def test_a_misspelt_figure_is_told(tmp_path):
-    text = told(tmp_path, "figure: {kind: swatchs}")
+    text = read_message(tmp_path, "figure: {kind: swatchs}")
     assert text.startswith("figure.kind = 'swatchs': must be one of spectra, points")
     assert text.endswith("(did you mean swatches?)")
 
@@ -87,15 +87,15 @@ def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     [
         {"medium": {"saturation": [0, 0.1]}},
         {"medium": {"grain_size_um": [[100, 200], [300, 400]]}},
-        {"medium": {"kind": "layer", "polarized": [False, True]}, "instrument": ONE},
+        {"medium": {"kind": "layer", "polarized": [False, True]}, "instrument": ONE_LAYER},
         {"instrument": {"incidence_deg": [0, 30]}},
     ],
 )
 def test_lists_of_values_belong_under_grid(tmp_path, content):
-    assert told(tmp_path, content).endswith("(several values go under grid)")
+    assert read_message(tmp_path, content).endswith("(several values go under grid)")
 
 
-PLACES = [
+KEY_LOCATIONS = [
     ({"medium": {"saturation": 2}}, "medium.saturation = 2: must be in [0, 1]"),
     ({"medium": {"depth_m": -1}}, "medium.depth_m = -1: must be"),
     ({"grid": {"saturation": [0, 2]}}, "grid.saturation = 2: must be in [0, 1]"),
@@ -119,12 +119,12 @@ PLACES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "message"), PLACES)
+@pytest.mark.parametrize(("content", "message"), KEY_LOCATIONS)
 def test_messages_begin_with_the_whole_key(tmp_path, content, message):
-    assert told(tmp_path, content).startswith(message)
+    assert read_message(tmp_path, content).startswith(message)
 
 
-def looking(kind, **settings):
+def make_instrument_text(kind, **settings):
     needed = {
         "lens": {"radius_m": 1, "screen_depth_m": [1], "over": "origin"},
         "surface": {"half_width_m": 1},
@@ -132,25 +132,25 @@ def looking(kind, **settings):
     return {"kind": kind, **needed.get(kind, {}), **settings}
 
 
-IDLE = [
-    *(({**ROUGH, "instrument": looking(kind, **{key: value})}, f"instrument.{key}")
+UNUSED_SETTINGS = [
+    *(({**ROUGH, "instrument": make_instrument_text(kind, **{key: value})}, f"instrument.{key}")
       for kind in ("lens", "surface")
       for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("error_factor", 2))),
-    ({"instrument": looking("refractive_index", incidence_deg=30)}, "instrument.incidence_deg"),
-    ({"instrument": looking("refractive_index"), "grid": {"saturation": [0, 1]}}, "grid"),
-    ({"instrument": looking("bssrdf", rays=10, error_factor=2)}, "instrument.error_factor"),
-    ({"instrument": looking("goniophotometer", rays=10, error_factor=2)},
+    ({"instrument": make_instrument_text("refractive_index", incidence_deg=30)}, "instrument.incidence_deg"),
+    ({"instrument": make_instrument_text("refractive_index"), "grid": {"saturation": [0, 1]}}, "grid"),
+    ({"instrument": make_instrument_text("bssrdf", rays=10, error_factor=2)}, "instrument.error_factor"),
+    ({"instrument": make_instrument_text("goniophotometer", rays=10, error_factor=2)},
      "instrument.error_factor"),
-    ({"instrument": looking("goniophotometer", estimator="cells", error_factor=2)},
+    ({"instrument": make_instrument_text("goniophotometer", estimator="cells", error_factor=2)},
      "instrument.error_factor"),
-    ({"medium": {"kind": "layer", "max_polarization": 0.5}, "instrument": ONE},
+    ({"medium": {"kind": "layer", "max_polarization": 0.5}, "instrument": ONE_LAYER},
      "medium.max_polarization"),
-    ({"medium": {**GLASS, "bottom_albedo": 0.5}, "instrument": ONE}, "medium.bottom_albedo"),
+    ({"medium": {**GLASS, "bottom_albedo": 0.5}, "instrument": ONE_LAYER}, "medium.bottom_albedo"),
     ({"medium": {"kind": "layer", "optical_thickness": float("inf"), "bottom_albedo": 0.5},
-      "instrument": ONE}, "medium.bottom_albedo"),
-    ({"medium": GLASS, "grid": {"single_scattering_albedo": [0, 1]}, "instrument": ONE},
+      "instrument": ONE_LAYER}, "medium.bottom_albedo"),
+    ({"medium": GLASS, "grid": {"single_scattering_albedo": [0, 1]}, "instrument": ONE_LAYER},
      "grid.single_scattering_albedo"),
-    ({"medium": {"kind": "layer"}, "instrument": ONE,
+    ({"medium": {"kind": "layer"}, "instrument": ONE_LAYER,
       "grid": {"medium": {"a": {"phase_function": "rayleigh", "asymmetry": 0.5}}}},
      "grid.medium.a.asymmetry"),
     ({"medium": {"kind": "sand"}, "instrument": {"estimator": "analog"},
@@ -159,9 +159,9 @@ IDLE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "key"), IDLE)
+@pytest.mark.parametrize(("content", "key"), UNUSED_SETTINGS)
 def test_settings_that_change_nothing_are_refused(tmp_path, content, key):
-    text = told(tmp_path, content)
+    text = read_message(tmp_path, content)
     assert re.match(rf"{re.escape(key)} = .*: must be (left out|of one value)", text), text
 
 
@@ -178,7 +178,7 @@ def test_settings_that_change_nothing_are_refused(tmp_path, content, key):
 def test_settings_that_count_somewhere_are_taken(tmp_path, content):
     (tmp_path / "glass.yaml").write_text("{kind: layer, bottom_albedo: 0.5}", "utf-8")
     path = tmp_path / "made.yaml"
-    path.write_text(yaml.safe_dump({**content, "instrument": ONE}), "utf-8")
+    path.write_text(yaml.safe_dump({**content, "instrument": ONE_LAYER}), "utf-8")
     assert load_experiment(path, tmp_path).name == "made"
 
 

@@ -7,39 +7,56 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.misfit import Statement, misfit, numbers_stated
-from splits.experiments import rank_readings
-from splits.experiments.published_snow import FLOORS, NUMBERS, RANGES, STAGES, TRENDS, pairs_of
-from splits.experiments.rank_readings import (
-    FATES,
-    PAPER_SETS,
-    TAKEN,
-    Combination,
-    called,
-    spelt_out,
+from splits.experiments.papers.misfit import PublishedStatement, compute_misfit, select_statements
+from splits.experiments.papers import interpretation_ranking
+from splits.experiments.papers.snow_statements import (
+    TRANSMITTANCE_FLOORS,
+    STATED_NUMBERS,
+    PARAMETER_EXTREMES,
+    STAGES,
+    STATED_TRENDS,
+    list_extreme_pairs,
 )
-from splits.experiments.ranking_tables import left_out, ranking, statements, telling
-from splits.experiments.trial import WATERS, beside, same, sectors
-from splits.materials import refractive_index
-from splits.media import Readings
+from splits.experiments.papers.interpretation_ranking import (
+    OVERLAP_CHOICES,
+    PAPER_SETS,
+    STAGE_QUOTAS,
+    InterpretationSet,
+    find_choice,
+    expand_boundaries,
+)
+from splits.experiments.papers.interpretation_tables import (
+    make_leave_out_table,
+    make_ranking_table,
+    make_statement_table,
+    find_differing_keys,
+)
+from splits.experiments.papers.interpretation_runs import (
+    WATER_TABLES,
+    interleave_waters,
+    repeat_for_waters,
+    average_sectors,
+)
+from splits.materials import lookup
+from splits.media import Interpretation
 
-NUMBER = Statement("table3_842", "Table 3", 0.9, 0.03)
-TREND = Statement("fig19_peak_60", "Fig 19", 0.0, 0.1, is_trend=True)
+STATED_NUMBER = PublishedStatement("table3_842", "Table 3", 0.9, 0.03)
+STATED_TREND = PublishedStatement("fig19_peak_60", "Fig 19", 0.0, 0.1, is_trend=True)
 
 
 def test_distances_are_in_bars_and_trends_count_where_they_fail():
-    assert NUMBER.normalize_difference(0.93) == pytest.approx(1.0)
-    assert NUMBER.normalize_difference(0.84) == pytest.approx(-2.0)
-    assert TREND.normalize_difference(0.5) == 0.0
-    assert TREND.normalize_difference(-0.05) == pytest.approx(-0.5)
+    assert STATED_NUMBER.normalize_difference(0.93) == pytest.approx(1.0)
+    assert STATED_NUMBER.normalize_difference(0.84) == pytest.approx(-2.0)
+    assert STATED_TREND.normalize_difference(0.5) == 0.0
+    assert STATED_TREND.normalize_difference(-0.05) == pytest.approx(-0.5)
 
 
 def test_noise_adds_nothing_on_average():
     random = np.random.default_rng(5)
     error, truth = 0.02, 0.95
-    exact = float(NUMBER.normalize_difference(truth)) ** 2
+    exact = float(STATED_NUMBER.normalize_difference(truth)) ** 2
     found = [
-        misfit([NUMBER], [value], [error]) for value in truth + error * random.normal(size=4000)
+        compute_misfit([STATED_NUMBER], [value], [error]) for value in truth + error * random.normal(size=4000)
     ]
     totals = np.array([one.total for one in found])
     assert totals.mean() == pytest.approx(exact, abs=4.0 * totals.std() / np.sqrt(totals.size))
@@ -48,7 +65,7 @@ def test_noise_adds_nothing_on_average():
 
 
 def test_a_trend_that_holds_adds_nothing():
-    one = misfit([NUMBER, TREND], [0.93, 0.2], [0.0, 0.0])
+    one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, 0.2], [0.0, 0.0])
     assert one.total == pytest.approx(1.0) and one.stderr == 0.0
     assert one.compute_rms(2)[0] == pytest.approx(np.sqrt(0.5))
 
@@ -56,9 +73,9 @@ def test_a_trend_that_holds_adds_nothing():
 @pytest.mark.parametrize("z", [0.0, 0.7, 1.5, 3.0])
 def test_a_trend_that_may_fail_adds_to_the_error(z):
     error = 0.3
-    one = misfit([NUMBER, TREND], [0.93, z * error], [0.0, error])
+    one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, z * error], [0.0, error])
     assert one.total == pytest.approx(1.0)
-    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / TREND.tolerance
+    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / STATED_TREND.tolerance
     fourth = np.minimum(truth, 0.0) ** 4
     uncertainty = fourth.std() / np.sqrt(fourth.size)
     assert one.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
@@ -72,61 +89,61 @@ def test_bars_are_those_of_the_table():
             "high": [np.nan, np.nan, 0.032],
         }
     ).set_index("id")  # fmt: skip
-    found = numbers_stated(table, ["a", "b", "c"])
+    found = select_statements(table, ["a", "b", "c"])
     assert [found[name].tolerance for name in "abc"] == pytest.approx([0.12, 0.1, 0.006])
 
 
 def test_waters_stand_side_by_side():
     wavelengths = np.array([842.25, 1073.76])
-    places, table = beside(wavelengths)
-    assert places.size == 2 * len(WATERS) and (np.diff(places) > 0.0).all()
-    made = refractive_index("water", table)(places).reshape(2, len(WATERS))
-    hale = refractive_index("water", "hale_querry_1973")(wavelengths)
+    places, table = interleave_waters(wavelengths)
+    assert places.size == 2 * len(WATER_TABLES) and (np.diff(places) > 0.0).all()
+    made = lookup("water", table)(places).reshape(2, len(WATER_TABLES))
+    hale = lookup("water", "hale_querry_1973")(wavelengths)
     np.testing.assert_allclose(made[:, 0], hale, rtol=1e-12)
-    finer = refractive_index("water", "segelstein_1981")(wavelengths)
+    finer = lookup("water", "segelstein_1981")(wavelengths)
     np.testing.assert_allclose(made[:, 2], finer, rtol=1e-12)
     # Between coarse rows of a steep table a straight line lies above the logarithm's.
     assert made[1, 1].imag > made[1, 0].imag > 3.0 * made[1, 2].imag
 
 
-def free(**values):
+def make_free_combination(**values):
     """Return a combination with sensitivities over waters, pairs of extremes and floors."""
-    one = Combination(Told())
+    one = InterpretationSet(FixedRun())
     for name, rows in values.items():
-        array = np.broadcast_to(np.array(rows, dtype=float), (len(WATERS), *np.shape(rows)))
+        array = np.broadcast_to(np.array(rows, dtype=float), (len(WATER_TABLES), *np.shape(rows)))
         one.values[name] = (array, np.full(array.shape, 1e-6))
     return one
 
 
 def test_what_is_free_is_chosen_for_both_quantities_together():
-    stated = {name: Statement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")}
-    pairs = len(pairs_of("density"))
-    reflectance, transmittance = np.zeros((pairs, 1)), np.full((pairs, len(FLOORS)), 3.0)
+    stated = {name: PublishedStatement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")}
+    pairs = len(list_extreme_pairs("density"))
+    reflectance, transmittance = np.zeros((pairs, 1)), np.full((pairs, len(TRANSMITTANCE_FLOORS)), 3.0)
     reflectance[:2, 0], transmittance[:2, 1] = [0.5, 0.45], [0.8, 0.52]
-    choice = free(msi_r_density=reflectance, msi_t_density=transmittance).find_best_matches(stated)[0]
+    choice = make_free_combination(msi_r_density=reflectance, msi_t_density=transmittance).find_best_matches(stated)[0]
     assert choice.values["msi_r_density"][0] == pytest.approx(0.45)
     assert choice.values["msi_t_density"][0] == pytest.approx(0.52)
     assert (
         choice.ranges
-        == dict.fromkeys(stated, pairs_of("density")[1])
+        == dict.fromkeys(stated, list_extreme_pairs("density")[1])
         == dict.fromkeys(stated, "100 / 400")
     )
 
 
 def test_one_floor_holds_for_all_parameters():
     names = ("msi_t_density", "msi_t_saturation")
-    stated = {name: Statement(name, "", 0.5, 0.1) for name in names}
+    stated = {name: PublishedStatement(name, "", 0.5, 0.1) for name in names}
     rows = {}
     for name, best in zip(names, ([0.5, 0.6, 0.9], [0.9, 0.6, 0.5]), strict=True):
-        rows[name] = np.broadcast_to(best, (len(pairs_of("density")), len(FLOORS)))
-    choice = free(**rows).find_best_matches(stated)[0]
-    assert choice.floor == FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
+        rows[name] = np.broadcast_to(best, (len(list_extreme_pairs("density")), len(TRANSMITTANCE_FLOORS)))
+    choice = make_free_combination(**rows).find_best_matches(stated)[0]
+    assert choice.floor == TRANSMITTANCE_FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
 
 
 def test_pairs_are_named_by_their_ends():
-    assert pairs_of("grain_size") == ["100-200 / 900-1000"]
-    assert pairs_of("facetness") == ["0-0.2 / 0.8-1"]
-    assert pairs_of("saturation")[:2] == ["0 / 0.1", "0 / 0.3"] and len(RANGES["saturation"]) == 4
+    assert list_extreme_pairs("grain_size") == ["100-200 / 900-1000"]
+    assert list_extreme_pairs("facetness") == ["0-0.2 / 0.8-1"]
+    assert list_extreme_pairs("saturation")[:2] == ["0 / 0.1", "0 / 0.3"] and len(PARAMETER_EXTREMES["saturation"]) == 4
 
 
 def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
@@ -136,24 +153,24 @@ def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
          "brdf_stderr": (("wavelength", "angle"), [np.full(angles.size, 0.3)])},
         {"wavelength": [600.0], "angle": angles},
     )  # fmt: skip
-    found = sectors(plane)
+    found = average_sectors(plane)
     np.testing.assert_allclose(found.angle, np.arange(-67.5, 68.0, 22.5))
     np.testing.assert_allclose(found.brdf[0, -1], np.mean([60.0**2, 67.5**2, 75.0**2]))
     np.testing.assert_allclose(found.brdf_stderr, 0.3)
 
 
 def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
-    found = spelt_out({"entry": "uniform", "boundaries": "skip"})
+    found = expand_boundaries({"entry": "uniform", "boundaries": "skip"})
     assert found == {
         "entry": "uniform", "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
     }  # fmt: skip
-    assert spelt_out({"entry": "uniform"}) == {"entry": "uniform"}
-    for fate in FATES:
-        assert called(Readings(**spelt_out({"boundaries": fate})), "boundaries") == fate
+    assert expand_boundaries({"entry": "uniform"}) == {"entry": "uniform"}
+    for fate in OVERLAP_CHOICES:
+        assert find_choice(Interpretation(**expand_boundaries({"boundaries": fate})), "boundaries") == fate
 
 
 def test_every_stage_states_something():
-    assert set(NUMBERS) | set(TRENDS) == set(STAGES) and set(TAKEN) <= set(STAGES)
+    assert set(STATED_NUMBERS) | set(STATED_TRENDS) == set(STAGES) and set(STAGE_QUOTAS) <= set(STAGES)
 
 
 def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
@@ -161,17 +178,17 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
 
     def stage(trial):
         far = 1.0 if trial.readings.entry == "uniform" else 99.0
-        return {"a": same(far, 0.0)}
+        return {"a": repeat_for_waters(far, 0.0)}
 
-    monkeypatch.setattr(rank_readings, "STAGES", {"first": stage, "second": stage})
-    monkeypatch.setattr(rank_readings, "NUMBERS", {"first": ("a",)})
-    monkeypatch.setattr(rank_readings, "TAKEN", {"second": (1, 1)})
+    monkeypatch.setattr(interpretation_ranking, "STAGES", {"first": stage, "second": stage})
+    monkeypatch.setattr(interpretation_ranking, "NUMBERS", {"first": ("a",)})
+    monkeypatch.setattr(interpretation_ranking, "TAKEN", {"second": (1, 1)})
     table = pd.DataFrame(
         {"id": ["a"], "place": ["x"], "published": [1.0], "bar": ["1"], "low": [np.nan],
          "high": [np.nan]}
     ).set_index("id")  # fmt: skip
     choices = {"entry": ["uniform", "projected"], "facets": ["projected", "any"]}
-    found, stated = rank_readings.rank_readings(table, choices, {"entry": "uniform"})
+    found, stated = interpretation_ranking.rank_interpretations(table, choices, {"entry": "uniform"})
     # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
     assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
     complete = [one for one in found if one.n_stages == 2]
@@ -179,46 +196,46 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
     assert found[0].min_misfit == 0.0 and found[-1].n_stages == 1
 
 
-class Told:
+class FixedRun:
     """In place of a trial."""
 
     def __init__(self, **readings):
-        self.readings = Readings(**readings)
+        self.readings = Interpretation(**readings)
 
 
-def combination(value, stages=10, **readings):
+def make_combination(value, stages=10, **readings):
     """Return a combination whose values are all so far off, in bars."""
-    one = Combination(Told(**readings))
+    one = InterpretationSet(FixedRun(**readings))
     one.n_stages, one.min_misfit = stages, value**2
-    away = NUMBER.published + value * NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
-    one.values = {"table3_842": (away, np.zeros(len(WATERS)))}
+    away = STATED_NUMBER.published + value * STATED_NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
+    one.values = {"table3_842": (away, np.zeros(len(WATER_TABLES)))}
     return one
 
 
 def test_tables_of_a_ranking():
-    stated = {"table3_842": NUMBER}
-    near, far = combination(0.5), combination(1.0, entry="projected")
-    dropped = combination(0.1, stages=2, facets="projected")
+    stated = {"table3_842": STATED_NUMBER}
+    near, far = make_combination(0.5), make_combination(1.0, entry="projected")
+    dropped = make_combination(0.1, stages=2, facets="projected")
     all_ = [near, far, dropped]
     choices, text = {"entry": ["uniform", "projected"], "boundaries": ["reject"]}, {
         "entry": "uniform"
     }  # fmt: skip
-    table = ranking(all_, stated, choices, text)
+    table = make_ranking_table(all_, stated, choices, text)
     assert list(table["rank"]) == [*range(1, 7), 0]
-    assert table.misfit[0] == pytest.approx(0.25) and table.water[0] == WATERS[1]
+    assert table.misfit[0] == pytest.approx(0.25) and table.water[0] == WATER_TABLES[1]
     assert list(table.text[:2]) == [True, True] and table.stages.iloc[-1] == 2
-    names = telling(all_)
+    names = find_differing_keys(all_)
     assert names == ["entry"]
-    listed = statements(all_, stated, names)
+    listed = make_statement_table(all_, stated, names)
     assert listed.nearest_water.sum() == 2 and len(listed) == 6
     assert set(listed.readings) == {"entry: uniform", "entry: projected"}
-    without = left_out(all_, stated, names)
+    without = make_leave_out_table(all_, stated, names)
     assert without["first"].iloc[0] == "entry: uniform"
     assert without.margin.iloc[0] == pytest.approx(0.75)
 
 
 def test_tables_with_one_complete_combination_have_no_margin():
-    one = combination(0.5)
-    assert telling([one, combination(0.1, stages=2)]) == [next(iter(Readings().as_dict()))]
-    without = left_out([one], {"table3_842": NUMBER}, ["entry"])
+    one = make_combination(0.5)
+    assert find_differing_keys([one, make_combination(0.1, stages=2)]) == [next(iter(Interpretation().as_dict()))]
+    without = make_leave_out_table([one], {"table3_842": STATED_NUMBER}, ["entry"])
     assert without.empty and "margin" in without

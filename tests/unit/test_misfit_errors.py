@@ -5,36 +5,40 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.experiments.fit import parameter_errors
-from splits.experiments.parameters import Cube
-from splits.retrieval.coordinates import Free, Widest
-from splits.retrieval.least_squares import estimated
-from splits.retrieval.misfit import CORRELATIONS, left_open, misfit_variances
+from splits.retrieval.sand_fit import estimate_parameter_errors
+from splits.retrieval.sand_parameters import UnitCube
+from splits.retrieval.state_vector import StateVector, ParameterRange
+from splits.retrieval.least_squares import apply_priors
+from splits.retrieval.residual_covariance import (
+    NEIGHBOUR_CORRELATIONS,
+    estimate_fit_covariance,
+    estimate_misfit_variances,
+)
 
 UNIFORM = np.sqrt(1.0 / 12.0)
-SILENT = np.zeros((25, 25))
+SILENT_MODEL = np.zeros((25, 25))
 
 
-def draws_of(best, covariance):
+def draw_states(best, covariance):
     """Return draws around a best place of the unit cube."""
     names = [f"x{i}" for i in range(len(best))]
-    free = Free.from_ranges(names, None, dict.fromkeys(names, Widest(0.0, 1.0, "itself")))
-    return estimated(free, best, covariance, 1).draws.states
+    free = StateVector.from_ranges(names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "itself")))
+    return apply_priors(free, best, covariance, 1).draws.states
 
 
-def covariance_of(jacobians, misfit, own):
+def compute_covariance(jacobians, misfit, own):
     """Return the covariance of coordinates."""
     held = np.zeros(jacobians[0].shape[1], dtype=bool)
-    return left_open(jacobians, misfit, own, held).state
+    return estimate_fit_covariance(jacobians, misfit, own, held).state
 
 
-def columns(count, coordinates):
+def make_jacobian(count, coordinates):
     """Return smooth derivatives of a spectrum."""
     x = np.linspace(0.0, 1.0, count)[:, np.newaxis]
     return np.cos(np.pi * x * np.arange(coordinates))
 
 
-def series(rng, count, alike, number):
+def draw_autoregressive_series(rng, count, alike, number):
     """Return autoregressive series of unit variance."""
     found = rng.normal(size=(number, count))
     for i in range(1, count):
@@ -48,12 +52,12 @@ def series(rng, count, alike, number):
      (61, 3, 0.9), (601, 7, 0.75), (601, 7, 0.95)],
 )  # fmt: skip
 def test_fits_to_smooth_misfits_are_off_by_their_errors(count, coordinates, alike):
-    jacobian = columns(count, coordinates)
+    jacobian = make_jacobian(count, coordinates)
     off, stated = [], []
-    for e in 0.1 * series(np.random.default_rng(4), count, alike, 100):
+    for e in 0.1 * draw_autoregressive_series(np.random.default_rng(4), count, alike, 100):
         off.append(np.linalg.lstsq(jacobian, e)[0])
         misfit = jacobian @ off[-1] - e
-        covariance = covariance_of([jacobian] * 2, misfit, np.zeros((count, count)))
+        covariance = compute_covariance([jacobian] * 2, misfit, np.zeros((count, count)))
         stated.append(np.sqrt(np.diag(covariance)))
     z = np.sqrt(np.mean((np.array(off) / np.array(stated)) ** 2))
     # 100 fits know an rms to 7 % if their errors are one: three of these; and how alike neighbours
@@ -63,25 +67,25 @@ def test_fits_to_smooth_misfits_are_off_by_their_errors(count, coordinates, alik
 
 def test_variances_of_a_long_series_are_those_of_its_correlation():
     for alike in (0.0, 0.75):
-        misfit = series(np.random.default_rng(5), 4000, alike, 1)[0]
-        variances = misfit_variances(misfit, columns(4000, 3))
+        misfit = draw_autoregressive_series(np.random.default_rng(5), 4000, alike, 1)[0]
+        variances = estimate_misfit_variances(misfit, make_jacobian(4000, 3))
         assert variances.sum() == pytest.approx(1.0, rel=0.15)
         # A correlation is known to √((1 − r²)/4000): four of these.
-        near = np.abs(CORRELATIONS - alike) < 0.065
+        near = np.abs(NEIGHBOUR_CORRELATIONS - alike) < 0.065
         assert variances[near].sum() > 0.99 * variances.sum()
     alternating = np.where(np.arange(20) % 2, 1.0, -1.0)
     # As if it were independent, at most.
-    assert 0.0 < misfit_variances(alternating, np.zeros((20, 0))).sum() < 1.2
+    assert 0.0 < estimate_misfit_variances(alternating, np.zeros((20, 0))).sum() < 1.2
 
 
 def test_noise_counts_by_group_of_rays():
-    jacobian, misfit = columns(12, 3), 1e-3 * series(np.random.default_rng(6), 12, 0.0, 1)[0]
+    jacobian, misfit = make_jacobian(12, 3), 1e-3 * draw_autoregressive_series(np.random.default_rng(6), 12, 0.0, 1)[0]
     plain, one, two = (
-        covariance_of([jacobian, jacobian], misfit, noise.T @ noise)
+        compute_covariance([jacobian, jacobian], misfit, noise.T @ noise)
         for noise in (np.zeros((1, 12)), np.ones((1, 12)), np.repeat(np.eye(2), 6, axis=1))
     )
     halves = [
-        covariance_of([jacobian, jacobian], misfit, np.outer(half, half)) - plain
+        compute_covariance([jacobian, jacobian], misfit, np.outer(half, half)) - plain
         for half in np.repeat(np.eye(2), 6, axis=1)
     ]
     # Halves of the spectrum that err by themselves add their variances; one error does not.
@@ -93,15 +97,15 @@ def test_noise_counts_by_group_of_rays():
 def test_noise_of_derivatives_passes_neither_for_knowledge_nor_for_error():
     rng = np.random.default_rng(3)
     exact = np.outer(np.ones(61), [0.3, 0.0])
-    misfit = 0.01 * series(rng, 61, 0.0, 1)[0]
+    misfit = 0.01 * draw_autoregressive_series(rng, 61, 0.0, 1)[0]
     noise = np.outer(rng.normal(0.0, 0.005 / np.sqrt(32), 32), np.ones(61))
     best = np.full(2, 0.5)
     own = noise.T @ noise
-    known = draws_of(best, covariance_of([exact] * 2, misfit, own))[:, 0].std()
+    known = draw_states(best, compute_covariance([exact] * 2, misfit, own))[:, 0].std()
     found = []
     for _ in range(20):
         off = 0.05 * rng.normal(size=(4, 1, 2)) * np.linspace(0.5, 1.0, 61)[:, np.newaxis]
-        found.append(draws_of(best, covariance_of(exact + off, misfit, own)).std(axis=0))
+        found.append(draw_states(best, compute_covariance(exact + off, misfit, own)).std(axis=0))
     sd = np.array(found)
     np.testing.assert_allclose(sd[:, 1], UNIFORM, rtol=0.04)
     # What the other may do after all, as far as four Jacobians know, adds to that.
@@ -111,9 +115,9 @@ def test_noise_of_derivatives_passes_neither_for_knowledge_nor_for_error():
 @pytest.mark.parametrize("edge", [0.0, 0.5, 1.0])
 def test_what_is_not_known_is_as_wide_as_the_cube(edge):
     best = np.array([edge, 0.3])
-    misfit = 0.01 * series(np.random.default_rng(7), 25, 0.0, 1)[0]
-    covariance = covariance_of([np.outer(np.ones(25), [0.0, 1.0])] * 2, misfit, SILENT)
-    off = draws_of(best, covariance)[:, 0] - edge
+    misfit = 0.01 * draw_autoregressive_series(np.random.default_rng(7), 25, 0.0, 1)[0]
+    covariance = compute_covariance([np.outer(np.ones(25), [0.0, 1.0])] * 2, misfit, SILENT_MODEL)
+    off = draw_states(best, covariance)[:, 0] - edge
     # 400 draws know an rms to some 4 %: three of these.
     assert np.sqrt(np.mean(off**2)) == pytest.approx(np.hypot(UNIFORM, edge - 0.5), rel=0.12)
 
@@ -126,7 +130,7 @@ def test_draws_are_those_of_a_normal_distribution_cut_off_by_the_cube(best):
     drawn = rng.multivariate_normal(best, covariance, 2_000_000)
     drawn = drawn[((drawn >= 0.0) & (drawn <= 1.0)).all(axis=1)]
     assert len(drawn) > 2000
-    found = draws_of(np.array(best), covariance)
+    found = draw_states(np.array(best), covariance)
     error = np.sqrt(drawn.var(axis=0) * (1.0 / len(drawn) + 1.0 / len(found)))
     assert (np.abs(found.mean(axis=0) - drawn.mean(axis=0)) < 3.3 * error).all()
     np.testing.assert_allclose(found.std(axis=0), drawn.std(axis=0), rtol=0.08)
@@ -138,7 +142,7 @@ def test_fits_that_end_at_a_face_state_what_they_are_off_by(sd):
     truth = rng.random(20_000)
     found = np.clip(rng.normal(truth, sd), 0.0, 1.0)
     grid = np.linspace(0.0, 0.5, 6)
-    squares = [np.mean((draws_of(g[np.newaxis], np.eye(1) * sd**2) - g) ** 2) for g in grid]
+    squares = [np.mean((draw_states(g[np.newaxis], np.eye(1) * sd**2) - g) ** 2) for g in grid]
     stated = np.interp(np.minimum(found, 1.0 - found), grid, squares)
     face = (found == 0.0) | (found == 1.0)
     for ends in (face, ~face):
@@ -148,10 +152,10 @@ def test_fits_that_end_at_a_face_state_what_they_are_off_by(sd):
 
 
 def test_what_is_known_is_told_from_what_is_not():
-    cube = Cube({})
+    cube = UnitCube({})
     sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, 10.0)
     best = np.full(7, 0.5)
-    found = parameter_errors(cube, best, draws_of(best, np.diag(sd**2)))
+    found = estimate_parameter_errors(cube, best, draw_states(best, np.diag(sd**2)))
     assert [name for name, p in found.items() if p.determined] == ["iron_oxide"]
     # A coordinate's 0.02 times ln 100, the logarithm of the range.
     assert found["iron_oxide"].stderr == pytest.approx(0.005 * 0.02 * np.log(100.0), rel=0.1)
@@ -160,8 +164,8 @@ def test_what_is_known_is_told_from_what_is_not():
 
 @pytest.mark.parametrize(("edge", "known", "unknown"), [(0.5, 0.13, 0.16), (0.0, 0.26, 0.33)])
 def test_half_of_not_having_measured_is_more_at_an_end_of_the_range(edge, known, unknown):
-    cube = Cube({})
+    cube = UnitCube({})
     for sd, determined in ((known, True), (unknown, False)):
         best = np.where(np.array(cube.names) == "hematite_ratio", edge, 0.5)
-        draws = draws_of(best, np.eye(7) * sd**2)
-        assert parameter_errors(cube, best, draws)["hematite_ratio"].determined == determined
+        draws = draw_states(best, np.eye(7) * sd**2)
+        assert estimate_parameter_errors(cube, best, draws)["hematite_ratio"].determined == determined

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 import splits
-from splits.experiments.load import load_experiment
-from splits.experiments.yaml_files import ConfigError
-from splits.media.measured_inputs import on_top
-from splits.media.natural_snow import SHAPE
+from splits.experiments.config.load import load_experiment
+from splits.core.yaml import ConfigError
+from splits.media.measured_inputs import override_keywords
+from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 
@@ -40,11 +40,11 @@ def test_water_by_volume_of_snow():
 def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
     assert snow.depth_m == math.inf and snow.saturation == 0.0
-    assert snow.interpretation == splits.Readings.of("radiative_transfer")
+    assert snow.interpretation == splits.Interpretation.of("radiative_transfer")
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
     facts = snow.describe()
-    assert facts["absorption_enhancement_900nm_dry"] == SHAPE.absorption_enhancement
+    assert facts["absorption_enhancement_900nm_dry"] == NATURAL_GRAIN_SHAPE.absorption_enhancement
     assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
     for changed in ({"facetness": (0.1, 0.1, 0.1, 0)}, {"readings": {"facets": "any"}}):
         other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
@@ -108,11 +108,11 @@ def test_bad_input_gets_one_line(make, error, message):
 
 def test_other_words_replace_what_a_base_says():
     base = {"grain_size_um": (1, 2), "saturation": 0.1, "depth_m": 1}
-    found = on_top(base, {"optical_radius_um": 3, "depth_m": 2})
+    found = override_keywords(base, {"optical_radius_um": 3, "depth_m": 2})
     assert found == {"saturation": 0.1, "optical_radius_um": 3, "depth_m": 2}
 
 
-def loaded(folder, text):
+def load_text(folder, text):
     path = folder / "made.yaml"
     path.write_text(text)
     return [medium for _, medium, _ in load_experiment(path, MEDIA).iter_points()]
@@ -124,26 +124,26 @@ def test_in_files(tmp_path):
         "grid: {specific_surface_area_m2_kg: [10, 20]}\ninstrument: {wavelength_nm: [500]}\n"
     )
     with pytest.raises(ConfigError, match=r"medium.optical_radius_um = 100: must be left out"):
-        loaded(tmp_path, text)
-    found = loaded(tmp_path, text.replace(", optical_radius_um: 100", ""))
+        load_text(tmp_path, text)
+    found = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
-    assert all(one.readings == splits.Readings.of("radiative_transfer") for one in found)
+    assert all(one.readings == splits.Interpretation.of("radiative_transfer") for one in found)
     text = (
         "medium: {base: splitsnow_table1, readings: geometric}\n"
         "grid: {liquid_water_content: [0, 0.1], readings: {same: {}, other: {facets: any},"
         " paper: splitsnow_2021}}\ninstrument: {wavelength_nm: [500]}\n"
     )
-    found = loaded(tmp_path, text)
+    found = load_text(tmp_path, text)
     assert found[3].liquid_water_content == pytest.approx(0.1)
     assert [(one.readings.entry, one.readings.facets) for one in found[:3]] == [
         ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):
-        loaded(tmp_path, "medium: {kind: natural_snow, ssa: 20}\n")
+        load_text(tmp_path, "medium: {kind: natural_snow, ssa: 20}\n")
     with pytest.raises(
         ConfigError, match=r"medium.kind = 'natural_snow': must be snow, as its base"
     ):
-        loaded(tmp_path, "medium: {base: splitsnow_table1, kind: natural_snow, ssa: 20}\n")
+        load_text(tmp_path, "medium: {base: splitsnow_table1, kind: natural_snow, ssa: 20}\n")
     pack = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
-    (stack,) = loaded(tmp_path, pack + "instrument: {wavelength_nm: [500]}\n")
+    (stack,) = load_text(tmp_path, pack + "instrument: {wavelength_nm: [500]}\n")
     assert stack.layers[0].optical_radius_um == pytest.approx(90.0)

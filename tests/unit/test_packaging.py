@@ -16,29 +16,29 @@ CONDA_NAMES = {"dask": "dask-core", "matplotlib": "matplotlib-base"}
 LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8")
 
 
-def bounds(requirements):
+def parse_lower_bounds(requirements):
     """Return the lower bound of each requirement by lower-case name."""
     parts = (re.fullmatch(r"([\w-]+)(?:>=([\d.]+))?", text).groups() for text in requirements)
     return {name.lower(): bound for name, bound in parts}
 
 
-def needed(*extras):
+def list_required_bounds(*extras):
     """Return the lower bounds of what the package needs with these extras, by lower-case name."""
     wanted = list(PROJECT["dependencies"])
     for extra in extras:
         for text in PROJECT["optional-dependencies"][extra]:
             own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
             wanted += (
-                [f"{n}>={b}" for n, b in needed(*own[1].split(",")).items()] if own else [text]
+                [f"{n}>={b}" for n, b in list_required_bounds(*own[1].split(",")).items()] if own else [text]
             )
-    return bounds(wanted)
+    return parse_lower_bounds(wanted)
 
 
-def number(version):
+def parse_version(version):
     return tuple(int(part) for part in re.findall(r"\d+", version))
 
 
-def pins():
+def parse_pins():
     """Return the versions that requirements.txt pins, each with its hashes."""
     entries = re.split(r"\n(?=\S)", LOCK.strip())
     pinned = {}
@@ -52,11 +52,11 @@ def pins():
 def test_the_conda_environment_is_in_step_with_the_package():
     listed = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))["dependencies"]
     by_pip = next(entry["pip"] for entry in listed if isinstance(entry, dict))
-    conda = bounds(entry for entry in listed if isinstance(entry, str))
+    conda = parse_lower_bounds(entry for entry in listed if isinstance(entry, str))
     assert conda.pop("python") == PROJECT["requires-python"].removeprefix(">=")
     conda.pop("pip")
-    wanted = needed("workflow")
-    pip_only = bounds(by_pip)
+    wanted = list_required_bounds("workflow")
+    pip_only = parse_lower_bounds(by_pip)
     assert set(pip_only) <= set(wanted)
     assert conda == {
         CONDA_NAMES.get(name, name): bound for name, bound in wanted.items() if name not in pip_only
@@ -71,22 +71,22 @@ def test_the_conda_recipe_is_in_step_with_the_package():
     assert PROJECT["requires-python"] == f">={context['python_min']}"
     python, *others = recipe["requirements"]["run"]
     assert python == "python>=${{ python_min }}"
-    assert bounds(others) == needed()
+    assert parse_lower_bounds(others) == list_required_bounds()
     assert recipe["build"]["python"]["entry_points"] == [
         f"{name} = {place}" for name, place in PROJECT["scripts"].items()
     ]
 
 
 def test_every_dependency_is_pinned_within_its_bound():
-    pinned = pins()
-    wanted = needed(*PROJECT["optional-dependencies"])
+    pinned = parse_pins()
+    wanted = list_required_bounds(*PROJECT["optional-dependencies"])
     for name, bound in wanted.items():
         assert name in pinned
-        assert number(pinned[name][0]) >= number(bound)
+        assert parse_version(pinned[name][0]) >= parse_version(bound)
 
 
 def test_every_pin_has_hashes():
-    for name, (_, hashes) in pins().items():
+    for name, (_, hashes) in parse_pins().items():
         assert hashes, f"{name} has no hash"
 
 

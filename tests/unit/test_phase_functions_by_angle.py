@@ -9,14 +9,18 @@ from chi2 import NEEDS_JIT
 from scipy.special import eval_legendre, j1
 
 import splits
-from splits.checks import Refusal
-from splits.phase_functions import diffraction_moments, for_eradiate, write_libradtran
+from splits.core.validation import InvalidValue
+from splits.analysis.theory.phase_function import (
+    diffraction_moments,
+    to_eradiate,
+    write_libradtran,
+)
 
 G = 0.6
 ORDERS = np.arange(201)
 
 
-def optics(albedo=0.9, noise=0.0, **attrs):
+def make_optics(albedo=0.9, noise=0.0, **attrs):
     """Return properties whose moments are those of Henyey and Greenstein, from 16 parts of rays."""
     w = np.array([600.0, 1300.0])
     moments = np.broadcast_to(G**ORDERS, (2, ORDERS.size))
@@ -38,21 +42,21 @@ def optics(albedo=0.9, noise=0.0, **attrs):
     return xr.Dataset(variables, {"wavelength": w, "order": ORDERS}, facts)
 
 
-def exact(angle_deg):
+def evaluate_exact(angle_deg):
     mu = np.cos(np.radians(angle_deg))
     return (1.0 - G**2) / (4.0 * np.pi * (1.0 + G**2 - 2.0 * G * mu) ** 1.5)
 
 
 def test_a_smooth_phase_function_comes_back():
     angles = np.linspace(10.0, 180.0, 86)
-    found = splits.phase_function(optics(), angles)
+    found = splits.phase_function(make_optics(), angles)
     # Smoothing adds 1/4 of the mean square width times the curvature: largest near 0°.
-    np.testing.assert_allclose(found.phase_function[0], exact(angles), rtol=5e-3)
+    np.testing.assert_allclose(found.phase_function[0], evaluate_exact(angles), rtol=5e-3)
 
 
 @pytest.mark.parametrize("diffraction", [False, True])
 def test_it_adds_up_to_one_and_is_nowhere_negative(diffraction):
-    given = splits.with_diffraction(optics()) if diffraction else optics()
+    given = splits.with_diffraction(make_optics()) if diffraction else make_optics()
     node, weight = np.polynomial.legendre.leggauss(400)
     found = splits.phase_function(given, np.degrees(np.arccos(node))[::-1])
     assert (found.phase_function >= 0.0).all()
@@ -61,13 +65,13 @@ def test_it_adds_up_to_one_and_is_nowhere_negative(diffraction):
 
 
 def test_errors_are_those_of_parts_of_the_rays():
-    quiet, loud = (splits.phase_function(optics(noise=n), [90.0]) for n in (0.0, 1e-4))
+    quiet, loud = (splits.phase_function(make_optics(noise=n), [90.0]) for n in (0.0, 1e-4))
     assert float(quiet.phase_function_stderr.max()) < 1e-12
     assert float(loud.phase_function_stderr.min()) > 0.0
 
 
 def test_a_peak_is_as_wide_as_said():
-    many = xr.Dataset(attrs=optics().attrs)
+    many = xr.Dataset(attrs=make_optics().attrs)
     order = np.arange(301)
     ones = np.ones((1, order.size))
     dims = ("wavelength", "order")
@@ -95,7 +99,7 @@ def test_moments_of_diffraction_are_those_of_airys_pattern(order):
 
 
 def test_diffraction_doubles_what_grains_take_and_changes_nothing_else():
-    before, after = optics(), splits.with_diffraction(optics(), 160.0)
+    before, after = make_optics(), splits.with_diffraction(make_optics(), 160.0)
     np.testing.assert_allclose(after.extinction, 2.0 * before.extinction)
     np.testing.assert_allclose(after.optical_thickness, 40.0)
     np.testing.assert_allclose(after.single_scattering_albedo, 0.5 * (1.0 + 0.9))
@@ -106,12 +110,12 @@ def test_diffraction_doubles_what_grains_take_and_changes_nothing_else():
         (before, G), (after, after.asymmetry_parameter))]  # fmt: skip
     np.testing.assert_allclose(*turned, rtol=5e-3)
     assert after.legendre_moment[0, 0] == 1.0
-    again = splits.with_diffraction(optics())
+    again = splits.with_diffraction(make_optics())
     np.testing.assert_array_equal(again.legendre_moment, after.legendre_moment)
 
 
 def test_eradiate_finds_what_it_looks_for():
-    made = for_eradiate(optics())
+    made = to_eradiate(make_optics())
     assert made.sigma_t.dims == made.albedo.dims == ("w",)
     assert made.phase.dims == ("w", "mu", "i", "j")
     units = {name: made[name].attrs["units"] for name in ("w", "sigma_t", "phase")}
@@ -122,8 +126,8 @@ def test_eradiate_finds_what_it_looks_for():
 
 @pytest.mark.parametrize("diffraction", [False, True])
 def test_eradiate_turns_away_and_absorbs_as_much(diffraction):
-    given = splits.with_diffraction(optics()) if diffraction else optics()
-    made = for_eradiate(given)
+    given = splits.with_diffraction(make_optics()) if diffraction else make_optics()
+    made = to_eradiate(given)
     phase, mu = made.phase.values[:, :, 0, 0], made.mu.values
     total, forward = (2.0 * np.pi * np.trapezoid(phase * x, mu, axis=1) for x in (1.0, mu))
     np.testing.assert_allclose(total, 1.0, rtol=1e-12)
@@ -138,7 +142,7 @@ def test_eradiate_turns_away_and_absorbs_as_much(diffraction):
 
 
 def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
-    write_libradtran(optics(), tmp_path / "layer.dat")
+    write_libradtran(make_optics(), tmp_path / "layer.dat")
     table = np.loadtxt(tmp_path / "layer.dat")
     assert table.shape == (2, 3 + ORDERS.size)
     np.testing.assert_allclose(table[:, :3], [[600.0, 2e6, 0.9], [1300.0, 2e6, 0.9]])
@@ -157,14 +161,14 @@ def test_what_grains_do_can_be_handed_on():
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (lambda: splits.phase_function(optics(), [200.0]), "angle_deg = 200.0"),
+        (lambda: splits.phase_function(make_optics(), [200.0]), "angle_deg = 200.0"),
         (lambda: splits.phase_function(xr.Dataset(attrs={"title": "x"})), "optics = 'x'"),
-        (lambda: for_eradiate(optics(), np.arange(0.0, 181.0, 30.0)), "angle_deg = '7 angles'"),
-        (lambda: splits.with_diffraction(optics(), -1.0), "radius_um = -1.0"),
-        (lambda: splits.with_diffraction(optics(medium="sand")), "radius_um = None"),
-        (lambda: splits.with_diffraction(splits.with_diffraction(optics())), "optics = 'Fraun"),
+        (lambda: to_eradiate(make_optics(), np.arange(0.0, 181.0, 30.0)), "angle_deg = '7 angles'"),
+        (lambda: splits.with_diffraction(make_optics(), -1.0), "radius_um = -1.0"),
+        (lambda: splits.with_diffraction(make_optics(medium="sand")), "radius_um = None"),
+        (lambda: splits.with_diffraction(splits.with_diffraction(make_optics())), "optics = 'Fraun"),
     ],
 )
 def test_what_cannot_be_is_refused(call, line):
-    with pytest.raises(Refusal, match=f"^{line}"):
+    with pytest.raises(InvalidValue, match=f"^{line}"):
         call()

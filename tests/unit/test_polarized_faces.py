@@ -7,29 +7,29 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from chi2 import stream
+from chi2 import start_random_stream
 from polarized_light import (
     GEOMETRIES,
     IDENTITY,
     assert_frame,
-    coherency,
-    frame,
-    light_of,
-    random_light,
-    random_units,
-    stokes_of,
-    vector,
+    make_coherency,
+    make_frame,
+    to_kernel_light,
+    draw_polarized_light,
+    draw_unit_vectors,
+    compute_stokes,
+    to_vector,
 )
 
-from splits.transport.optics import polarized_faces as faces
-from splits.transport.optics.fresnel import interface
-from splits.transport.optics.stokes import rotated_to
+from splits.kernels.optics import polarized_interface as faces
+from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.optics.stokes import rotate_reference_to
 
 COSINES = [*np.logspace(-12, 0, 13), *(1.0 - np.logspace(-15, -1, 8)), 0.3, 0.5, 0.7]
 INDICES = [(1.0, 1.33), (1.33, 1.0), (1.0, 1.0 + 1e-9), (1.0 + 1e-9, 1.0), (1.0, 300.0), (2.4, 1.5)]
 
 
-def maxwell(n1, n2, d, n):
+def solve_maxwell(n1, n2, d, n):
     """Return what an interface makes of a field: wave vectors and the fields per field.
 
     Tangential E and H = k × E are continuous; E is perpendicular to k.  With e^(−iωt), the wave
@@ -64,44 +64,44 @@ def maxwell(n1, n2, d, n):
     return k_r, k_t, into
 
 
-def incident(rng, cos_i, pure):
+def draw_incident_light(rng, cos_i, pure):
     """Return random light and the normal that it meets at a given angle."""
-    d, e, s = random_light(rng, pure)
-    side = np.cross(d, random_units(rng, 1)[0])
+    d, e, s = draw_polarized_light(rng, pure)
+    side = np.cross(d, draw_unit_vectors(rng, 1)[0])
     side /= np.linalg.norm(side)
     return d, e, s, -cos_i * d + math.sqrt((1.0 - cos_i) * (1.0 + cos_i)) * side
 
 
-def reflected(d, e, s, n, n1, n2):
+def compute_reflection(d, e, s, n, n1, n2):
     """Return the share of light that a face reflects, and what it becomes."""
-    share, d, out = faces.reflected_polarized(vector(d), light_of(e, s), vector(n), n1, n2)
-    return share, *flat(d, out)
+    share, d, out = faces.reflect_polarized(to_vector(d), to_kernel_light(e, s), to_vector(n), n1, n2)
+    return share, *to_arrays(d, out)
 
 
-def refracted(d, e, s, n, n1, n2):
+def compute_refraction(d, e, s, n, n1, n2):
     """Return the share of light that passes a face, and what it becomes.
 
     It is put together as in `faces.reflect_or_refract_polarized`, which draws only one of both
     ways; where nothing passes, light comes back as it went in, unpolarised.
     """
-    d, n = vector(d), vector(n)
-    light = faces.incidence(d, light_of(e, s), n)
-    face = faces.fresnel_amplitudes(n1, n2, light.cos_incidence)
+    d, n = to_vector(d), to_vector(n)
+    light = faces.rotate_to_plane_of_incidence(d, to_kernel_light(e, s), n)
+    face = faces.compute_fresnel_mueller(n1, n2, light.cos_incidence)
     plus, minus, _ = face.transmission
     if plus == 0.0:
         return 0.0, np.array(d), np.array(e), np.zeros(3)
-    _, d, out = faces._refracted(d, n, light, face)
-    return plus + minus * light.q, *flat(d, out)
+    _, d, out = faces._refract_light(d, n, light, face)
+    return plus + minus * light.q, *to_arrays(d, out)
 
 
-def flat(d, stokes):
+def to_arrays(d, stokes):
     """Return direction, reference, and q, u, v as arrays."""
     return np.array(d), np.array(stokes.e), np.array(stokes[1:])
 
 
-def rotated(s, e, d, t):
+def rotate_linear(s, e, d, t):
     """Return q and u when the reference changes from e to t."""
-    return rotated_to(light_of(e, s), vector(d), vector(t))
+    return rotate_reference_to(to_kernel_light(e, s), to_vector(d), to_vector(t))
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.33), (1.33, 1.0), (1.5, 1.33), (1.0, 1.001)], ids=str)
@@ -110,19 +110,19 @@ def test_interface_fulfils_maxwells_equations(indices):
     n1, n2 = indices
     for i in range(GEOMETRIES):
         cos_i = 1.0 if i % 20 == 0 else rng.random()
-        d, e, s, n = incident(rng, cos_i, pure=i % 2 == 0)
-        k_r, k_t, into = maxwell(n1, n2, d, n)
-        fields = [into(side) for side in frame(d, e).T]
+        d, e, s, n = draw_incident_light(rng, cos_i, pure=i % 2 == 0)
+        k_r, k_t, into = solve_maxwell(n1, n2, d, n)
+        fields = [into(side) for side in make_frame(d, e).T]
         r, t = (np.stack([f[j] for f in fields], axis=1) for j in (0, 1))
 
-        share, d2, e2, s2 = reflected(d, e, s, n, n1, n2)
+        share, d2, e2, s2 = compute_reflection(d, e, s, n, n1, n2)
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_r / n1, abs=1e-13)
-        expected = stokes_of(r @ coherency(*s) @ r.conj().T, d2, e2)
+        expected = compute_stokes(r @ make_coherency(*s) @ r.conj().T, d2, e2)
         assert share == pytest.approx(expected[0], abs=1e-13)
         assert share * s2 == pytest.approx(expected[1:], abs=1e-12)
 
-        passed, d2, e2, s2 = refracted(d, e, s, n, n1, n2)
+        passed, d2, e2, s2 = compute_refraction(d, e, s, n, n1, n2)
         assert passed + share == pytest.approx(1.0, abs=1e-14)
         if k_t.imag.any():
             assert (share, passed) == (1.0, 0.0)
@@ -130,7 +130,7 @@ def test_interface_fulfils_maxwells_equations(indices):
             continue
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_t.real / n2, abs=1e-13)
-        expected = stokes_of(t @ coherency(*s) @ t.conj().T, d2, e2)
+        expected = compute_stokes(t @ make_coherency(*s) @ t.conj().T, d2, e2)
         flux = (k_t @ n).real / (n1 * (d @ n))
         assert passed == pytest.approx(flux * expected[0], abs=1e-13)
         assert s2 == pytest.approx(expected[1:] / expected[0], abs=1e-12)
@@ -139,11 +139,11 @@ def test_interface_fulfils_maxwells_equations(indices):
 @pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_is_that_of_unpolarised_light(indices):
     for cos_i in COSINES:
-        face = faces.fresnel_amplitudes(*indices, cos_i)
+        face = faces.compute_fresnel_mueller(*indices, cos_i)
         plus, minus, real, imaginary = face.reflection
         t_plus, t_minus, t_root = face.transmission
         _, ratio, cos_t = face.fresnel_result
-        expected = interface(*indices, 0.0, cos_i)
+        expected = fresnel(*indices, 0.0, cos_i)
         assert face.fresnel_result.reflectance == plus
         assert plus == pytest.approx(expected[0], rel=1e-14)
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
@@ -169,7 +169,7 @@ def test_amplitudes_against_50_digits(indices):
 
     with mp.workdps(50):
         for cos_i in COSINES:
-            face = faces.fresnel_amplitudes(n1, n2, cos_i)
+            face = faces.compute_fresnel_mueller(n1, n2, cos_i)
             out = (*face.reflection, *face.transmission)
             values = exact(mp.mpf(cos_i))
             moved = exact(mp.mpf(cos_i) * (1 + mp.mpf(2) ** -52))
@@ -187,15 +187,15 @@ def test_amplitudes_against_50_digits(indices):
 def test_brewsters_angle():
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0), (1.0, 2.4)):
         d = np.array([n2, 0.0, -n1]) / math.hypot(n1, n2)
-        plus, minus, *_ = faces.fresnel_amplitudes(n1, n2, -d[2]).reflection
+        plus, minus, *_ = faces.compute_fresnel_mueller(n1, n2, -d[2]).reflection
         assert plus + minus == pytest.approx(0.0, abs=1e-16)
         up = (0, 0, 1)
-        share, *_, out = reflected(d, (0, 1, 0), (0, 0, 0), up, n1, n2)
+        share, *_, out = compute_reflection(d, (0, 1, 0), (0, 0, 0), up, n1, n2)
         r = (n2**2 - n1**2) / (n2**2 + n1**2)
         assert share == pytest.approx(0.5 * r * r, rel=1e-12)
         assert out == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
         # Light polarised in the plane of incidence, at right angles to y, passes altogether.
-        passed, *_, out = refracted(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
+        passed, *_, out = compute_refraction(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
         assert passed == pytest.approx(1.0, abs=1e-15)
         assert out == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
 
@@ -206,7 +206,7 @@ def test_phase_of_total_reflection():
     for theta in np.linspace(math.asin(n) + 1e-9, math.pi / 2, 40):
         sine, cosine = math.sin(theta), math.cos(theta)
         delta = 2.0 * math.atan(cosine * math.sqrt(sine**2 - n**2) / sine**2)
-        out, transmission, passage = faces.fresnel_amplitudes(n1, n2, cosine)
+        out, transmission, passage = faces.compute_fresnel_mueller(n1, n2, cosine)
         assert out[:2] == (1.0, 0.0) and transmission == (0.0,) * 3
         assert passage == (1.0, 0.0, 0.0)
         assert out[2] == pytest.approx(math.cos(delta), abs=1e-9)
@@ -218,14 +218,14 @@ def test_phase_next_to_the_critical_angle():
     critical = math.sqrt(1.0 - (1.0 / 1.5) ** 2)
     for away in np.logspace(-14, -3, 12):
         for cos_i in (critical * (1 - away), critical * (1 + away)):
-            plus, minus, real, imaginary = faces.fresnel_amplitudes(1.5, 1.0, cos_i).reflection
+            plus, minus, real, imaginary = faces.compute_fresnel_mueller(1.5, 1.0, cos_i).reflection
             amplitude = math.sqrt(plus * plus - minus * minus)
             assert math.hypot(real, imaginary) == pytest.approx(amplitude, rel=1e-13)
             # Both sides meet in 1 as the root of the distance; 10 is beyond its factor here.
             assert abs(complex(real, imaginary) - 1.0) < 10.0 * math.sqrt(away)
 
 
-def meridian(d):
+def make_meridian_reference(d):
     """Return the reference in the plane of d and z, upwards."""
     e = np.cross(np.cross(d, [0.0, 0.0, 1.0]), d)
     return e / np.linalg.norm(e)
@@ -234,24 +234,24 @@ def meridian(d):
 def test_horizontal_surfaces_keep_the_plane_of_the_normal():
     rng = np.random.default_rng(15)
     for _ in range(GEOMETRIES):
-        d, _, s = random_light(rng)
+        d, _, s = draw_polarized_light(rng)
         normal = np.array([0.0, 0.0, -math.copysign(1.0, d[2])])
-        face = faces.fresnel_amplitudes(1.33, 1.0, abs(d[2]))
+        face = faces.compute_fresnel_mueller(1.33, 1.0, abs(d[2]))
         light = np.append(1.0, s)
         plus, minus, real, imaginary = face.reflection
         t_plus, t_minus, root = face.transmission
         back = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
         back += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
         on = [[t_plus, t_minus, 0, 0], [t_minus, t_plus, 0, 0], [0, 0, root, 0], [0, 0, 0, root]]
-        e = meridian(d)
+        e = make_meridian_reference(d)
         for kernel, matrix in (
-            (reflected, back),
-            (refracted, on),
+            (compute_reflection, back),
+            (compute_refraction, on),
         ):
             share, d2, e2, s2 = kernel(d, e, s, normal, 1.33, 1.0)
             expected = np.array(matrix) @ light
             assert share == pytest.approx(expected[0], abs=1e-13)
-            q, u = rotated(s2, e2, d2, meridian(d2))
+            q, u = rotate_linear(s2, e2, d2, make_meridian_reference(d2))
             got = [share * q, share * u, share * s2[2]]
             assert got == pytest.approx(expected[1:], abs=1e-12)
 
@@ -262,11 +262,11 @@ def test_fresnels_rhomb():
     normal = np.array([0.0, 0.0, 1.0])
     d = np.array([math.sin(theta), 0.0, -math.cos(theta)])
     e = np.array([math.cos(theta), 0.0, math.sin(theta)])
-    share, *out = reflected(d, e, (0, 1, 0), normal, 1.51, 1.0)
+    share, *out = compute_reflection(d, e, (0, 1, 0), normal, 1.51, 1.0)
     assert share == 1.0
     # One eighth of a wave.
     assert out[2] == pytest.approx([0.0, math.sqrt(0.5), math.sqrt(0.5)], abs=1e-3)
-    share, *out = reflected(*out, -normal, 1.51, 1.0)
+    share, *out = compute_reflection(*out, -normal, 1.51, 1.0)
     assert share == 1.0
     assert out[0] == pytest.approx(d, abs=1e-15)
     assert out[2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
@@ -276,48 +276,48 @@ def test_normal_incidence():
     rng = np.random.default_rng(9)
     r = ((1.33 - 1.0) / (1.33 + 1.0)) ** 2
     for cos_i in (1.0, 1.0 - 1e-15):
-        d, e, s, n = incident(rng, cos_i, pure=True)
-        share, d2, e2, s2 = reflected(d, e, s, n, 1.0, 1.33)
+        d, e, s, n = draw_incident_light(rng, cos_i, pure=True)
+        share, d2, e2, s2 = compute_reflection(d, e, s, n, 1.0, 1.33)
         assert share == pytest.approx(r, rel=1e-13)
         assert d2 == pytest.approx(-d, abs=1e-7)
         # The light that comes back has the same lines of polarization and the other handedness.
-        q, u = rotated(s2, e2, d2, e)
+        q, u = rotate_linear(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx((s[0], -s[1], -s[2]), abs=1e-6)
-        passed, d2, e2, s2 = refracted(d, e, s, n, 1.0, 1.33)
+        passed, d2, e2, s2 = compute_refraction(d, e, s, n, 1.0, 1.33)
         assert passed == pytest.approx(1.0 - r, rel=1e-13)
-        q, u = rotated(s2, e2, d2, e)
+        q, u = rotate_linear(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx(s, abs=1e-6)
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.33), (1.33, 1.0)], ids=str)
 def test_grazing_incidence_reflects_everything(indices):
     rng = np.random.default_rng(10)
-    d, e, s, n = incident(rng, 0.0, pure=True)
-    share, _, e2, s2 = reflected(d, e, s, n, *indices)
+    d, e, s, n = draw_incident_light(rng, 0.0, pure=True)
+    share, _, e2, s2 = compute_reflection(d, e, s, n, *indices)
     assert share == pytest.approx(1.0, abs=1e-14)
-    q, u = rotated(s2, e2, d, e)
+    q, u = rotate_linear(s2, e2, d, e)
     assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
 
 
 def test_equal_media_have_no_interface():
     rng = np.random.default_rng(11)
     for cos_i in (0.0, 1e-9, 0.5, 1.0):
-        d, e, s, n = incident(rng, cos_i, pure=True)
-        passed, d2, e2, s2 = refracted(d, e, s, n, 1.33, 1.33)
+        d, e, s, n = draw_incident_light(rng, cos_i, pure=True)
+        passed, d2, e2, s2 = compute_refraction(d, e, s, n, 1.33, 1.33)
         assert passed == 1.0
         assert d2 == pytest.approx(d, abs=1e-15)
-        q, u = rotated(s2, e2, d, e)
+        q, u = rotate_linear(s2, e2, d, e)
         assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
-        assert reflected(d, e, s, n, 1.33, 1.33)[0] == 0.0
+        assert compute_reflection(d, e, s, n, 1.33, 1.33)[0] == 0.0
 
 
 def test_light_stays_possible():
     rng = np.random.default_rng(12)
     for i in range(10 * GEOMETRIES):
-        d, e, s, n = incident(rng, rng.choice(COSINES), pure=i % 2 == 0)
+        d, e, s, n = draw_incident_light(rng, rng.choice(COSINES), pure=i % 2 == 0)
         n1, n2 = INDICES[i % len(INDICES)]
         shares = []
-        for kernel in (reflected, refracted):
+        for kernel in (compute_reflection, compute_refraction):
             share, d2, e2, s2 = kernel(d, e, s, n, n1, n2)
             shares.append(share)
             assert -1e-15 <= share <= 1.0 + 1e-15
@@ -328,15 +328,15 @@ def test_light_stays_possible():
 
 def test_reflect_or_refract_returns_one_of_both():
     rng = np.random.default_rng(13)
-    state = stream()
+    state = start_random_stream()
     seen = set()
     for i in range(GEOMETRIES):
-        d, e, s, n = incident(rng, rng.random(), pure=i % 2 == 0)
-        passed, *out = faces.reflect_or_refract_polarized(
-            state, vector(d), light_of(e, s), vector(n), 1.33, 1.0
+        d, e, s, n = draw_incident_light(rng, rng.random(), pure=i % 2 == 0)
+        passed, *out = faces.sample_polarized_interface(
+            state, to_vector(d), to_kernel_light(e, s), to_vector(n), 1.33, 1.0
         )
-        kernel = refracted if passed else reflected
+        kernel = compute_refraction if passed else compute_reflection
         expected = np.concatenate(kernel(d, e, s, n, 1.33, 1.0)[1:])
-        assert np.concatenate(flat(*out)) == pytest.approx(expected, abs=1e-15)
+        assert np.concatenate(to_arrays(*out)) == pytest.approx(expected, abs=1e-15)
         seen.add(passed)
     assert len(seen) == 2

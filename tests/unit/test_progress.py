@@ -8,7 +8,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.instruments.progress import shows_progress
+from splits.core.progress import with_progress
 
 WITH_PROGRESS = (
     "spectrophotometer", "spectra", "goniophotometer", "bssrdf", "deep_transmittance", "profile",
@@ -17,8 +17,8 @@ WITH_PROGRESS = (
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 
 
-@shows_progress
-def instrument(*, progress=None):
+@with_progress
+def report_once(*, progress=None):
     """Report once."""
     if progress:
         progress(HALF)
@@ -38,7 +38,7 @@ def test_progress_says_how_far_and_how_good():
 
 
 def test_true_shows_a_bar_that_ends_full(capsys):
-    assert isinstance(instrument(progress=True), splits.ProgressBar)
+    assert isinstance(report_once(progress=True), splits.ProgressBar)
     said = capsys.readouterr().err
     assert "instrument:  75%" in said and "error 0.004, wanted 0.002" in said
     assert "100%" in said and "done" in said
@@ -53,14 +53,14 @@ def test_a_failure_leaves_the_bar_where_it_was(capsys):
 
 
 def test_nothing_and_false_show_nothing(capsys):
-    assert instrument() is None
-    assert instrument(progress=False) is None
+    assert report_once() is None
+    assert report_once(progress=False) is None
     assert capsys.readouterr().err == ""
 
 
 def test_what_is_no_function_is_refused():
     with pytest.raises(ValueError, match=r"progress = 'yes': must be True for a bar, or a func"):
-        instrument(progress="yes")
+        report_once(progress="yes")
 
 
 @NEEDS_JIT

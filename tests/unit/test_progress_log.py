@@ -11,20 +11,20 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.instruments.progress import shows_progress
-from splits.progress_log import progress_log, write_line
+from splits.core.progress import with_progress
+from splits.core.progress import open_progress_log, write_line
 
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
-SMALL = """
+SMALL_EXPERIMENT = """
 medium: {kind: snow, depth_m: 0.005}
 instrument: {wavelength_nm: [800, 1300]}
 figure: none
 """
-FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no file that is always full")
+FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no file that is always full")
 
 
-@shows_progress
-def instrument(*, progress=None):
+@with_progress
+def report_once(*, progress=None):
     """Report once."""
     progress(HALF)
     return "measured"
@@ -37,7 +37,7 @@ def test_lines_that_an_encoding_does_not_have_are_escaped():
     assert raw.getvalue().split() == [b"\\xe9", b"\\udce9", b"\\xb5"]
 
 
-@FULL
+@FULL_DISK
 def test_a_stream_that_fails_takes_nothing(tmp_path):
     write_line("a line", None)
     with open("/dev/full", "w", encoding="utf-8") as full:
@@ -48,25 +48,25 @@ def test_a_stream_that_fails_takes_nothing(tmp_path):
     write_line("a line", closed)
 
 
-@FULL
+@FULL_DISK
 def test_a_log_that_cannot_be_written_leaves_the_terminal(capsys):
-    with progress_log("/dev/full") as say:
+    with open_progress_log("/dev/full") as say:
         say("a line")
         say("another")
     assert capsys.readouterr().err == "a line\nanother\n"
 
 
-class Broken(io.StringIO):
+class BrokenStream(io.StringIO):
     def write(self, text=""):
         raise BrokenPipeError
 
     flush = write
 
 
-@pytest.mark.parametrize("stream", [Broken, lambda: None])
+@pytest.mark.parametrize("stream", [BrokenStream, lambda: None])
 def test_a_bar_that_cannot_be_shown_ends_nothing(monkeypatch, stream):
     monkeypatch.setattr(sys, "stderr", stream())
-    assert instrument(progress=True) == "measured"
+    assert report_once(progress=True) == "measured"
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), UnicodeEncodeError("ascii", "é", 0, 1, "")])
@@ -74,7 +74,7 @@ def test_a_function_that_cannot_write_ends_nothing(error):
     def show(progress):
         raise error
 
-    assert instrument(progress=show) == "measured"
+    assert report_once(progress=show) == "measured"
 
 
 def test_other_errors_of_a_function_are_shown():
@@ -82,12 +82,12 @@ def test_other_errors_of_a_function_are_shown():
         raise KeyError
 
     with pytest.raises(KeyError):
-        instrument(progress=show)
+        report_once(progress=show)
 
 
-def run(tmp_path, before="", after="", **environment):
+def run_in_shell(tmp_path, before="", after="", **environment):
     """Run an experiment in a shell, and return its exit status and the dataset."""
-    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
     command = f"{sys.executable} -m splits.command run small.yaml --output é --accuracy tiny"
     shell = f"{before} {command} --threads 1 {after}"
     done = subprocess.run(
@@ -98,26 +98,26 @@ def run(tmp_path, before="", after="", **environment):
 
 
 @NEEDS_JIT
-@FULL
+@FULL_DISK
 @pytest.mark.parametrize(
     "after", ["2>/dev/full", ">/dev/full", "2>&- >&-", "2>&1 >/dev/null | true", "| true"]
 )
 def test_a_run_ends_well_whatever_becomes_of_its_lines(tmp_path, after):
-    done, dataset = run(tmp_path, after=after)
+    done, dataset = run_in_shell(tmp_path, after=after)
     assert done.returncode == 0 and "Error" not in done.stderr
     assert dataset.reflectance.size == 2
 
 
 @NEEDS_JIT
 def test_a_run_ends_well_in_a_terminal_of_ascii(tmp_path):
-    done, _ = run(tmp_path, PYTHONIOENCODING="ascii")
+    done, _ = run_in_shell(tmp_path, PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stdout) == (0, "\\xe9/small.nc\n")
 
 
 @NEEDS_JIT
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
 def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
-    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
     terminal, side = os.openpty()
     command = [sys.executable, "-m", "splits.command", "run", "small.yaml", "--accuracy", "tiny"]
     with subprocess.Popen(
@@ -129,7 +129,7 @@ def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
     assert splits.load(tmp_path / "small.nc").reflectance.size == 2
 
 
-@FULL
+@FULL_DISK
 def test_an_interrupt_ends_a_run_whose_lines_cannot_be_written():
     script = (
         "import os, signal, time\nfrom splits.interrupts import end_on_signals\n"

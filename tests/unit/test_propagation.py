@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.propagation import missed, response
+from splits.analysis.theory.error_propagation import compute_interpolation_bound, propagate_errors
 
 MOMENTS = np.array([[1.0, 0.5, 0.3, 0.2, 0.1]] * 2)
 
 
-def optics(albedo=0.01, moment=0.02):
+def make_optics(albedo=0.01, moment=0.02):
     """Return optics at two wavelengths, of which only the second may miss anything."""
     off = np.array([0.0, 1.0])
     return xr.Dataset(
@@ -29,19 +29,19 @@ def optics(albedo=0.01, moment=0.02):
     )  # fmt: skip
 
 
-def backwards(part):
+def evaluate_backscatter(part):
     """Return the phase function straight back, in which orders alternate."""
     return (part.legendre_moment * (-1.0) ** np.arange(5)).sum("order").values
 
 
-def product(part):
+def evaluate_product(part):
     """Return something not linear, of two names and an order."""
     return (part.single_scattering_albedo * (1.0 + part.legendre_moment.isel(order=1))).values
 
 
-@pytest.mark.parametrize("theory", [backwards, product])
+@pytest.mark.parametrize("theory", [evaluate_backscatter, evaluate_product])
 def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
-    exact = optics()
+    exact = make_optics()
     worst = 0.0
     for signs in itertools.product((-1.0, 1.0), repeat=5):
         moments = exact.legendre_moment_missed * xr.DataArray([0.0, *signs[1:]], dims="order")
@@ -51,12 +51,12 @@ def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
             legendre_moment=exact.legendre_moment + moments,
         )
         worst = np.maximum(worst, np.abs(theory(other) - theory(exact)))
-    bound = missed(theory, exact)
+    bound = compute_interpolation_bound(theory, exact)
     assert bound[0] == worst[0] == 0.0
     # Two deviations multiply: 0.01 · 0.02 of some 0.04.
     assert bound[1] == pytest.approx(worst[1], rel=0.02)
 
 
 def test_without_rays_left_out_the_response_is_that_bound():
-    np.testing.assert_array_equal(response(product, optics()), missed(product, optics()))
-    assert (response(product, optics(0.0, 0.0)) == 0.0).all()
+    np.testing.assert_array_equal(propagate_errors(evaluate_product, make_optics()), compute_interpolation_bound(evaluate_product, make_optics()))
+    assert (propagate_errors(evaluate_product, make_optics(0.0, 0.0)) == 0.0).all()

@@ -22,7 +22,7 @@ AXES_ARE_KEYWORDS = {f"Table.{name}" for name in (
 """What takes the axes of a table as keywords, which differ from table to table."""
 
 
-def public():
+def list_public_callables():
     """Return all public callables by name: functions, classes, and methods of classes."""
     found = {name: getattr(splits, name) for name in splits.__all__ if name != "__version__"}
     for kind in [one for one in found.values() if inspect.isclass(one)]:
@@ -32,9 +32,9 @@ def public():
     return found
 
 
-@pytest.mark.parametrize("name", public())
+@pytest.mark.parametrize("name", list_public_callables())
 def test_every_public_callable_names_what_it_takes(name):
-    parameters = inspect.signature(public()[name]).parameters.values()
+    parameters = inspect.signature(list_public_callables()[name]).parameters.values()
     kinds = {one.kind for one in parameters}
     assert Parameter.VAR_POSITIONAL not in kinds
     assert (Parameter.VAR_KEYWORD in kinds) == (name in AXES_ARE_KEYWORDS)
@@ -45,76 +45,76 @@ def test_every_public_callable_names_what_it_takes(name):
 def test_snow_names_all_keywords_that_it_takes(name):
     taken = {*inspect.signature(splits.Snow).parameters}
     assert {"specific_surface_area_m2_kg", "optical_radius_um", "liquid_water_content"} < taken
-    assert {*inspect.signature(public()[name]).parameters} == taken
+    assert {*inspect.signature(list_public_callables()[name]).parameters} == taken
 
 
 def test_type_checkers_see_the_same_parameters(tmp_path):
     pytest.importorskip("mypy")
     program = tmp_path / "program.py"
-    lines = [f"reveal_type(splits.{name})" for name in public()]
+    lines = [f"reveal_type(splits.{name})" for name in list_public_callables()]
     program.write_text("\n".join(["import splits", *lines]), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "mypy", str(program)], cwd=ROOT, capture_output=True, text=True
     )
     seen = re.findall(r'program\.py:\d+: note: Revealed type is "def (.*)"', done.stdout)
-    assert len(seen) == len(public()), done.stdout + done.stderr
-    for name, text in zip(public(), seen, strict=True):
-        parameters = list(inspect.signature(public()[name]).parameters)
+    assert len(seen) == len(list_public_callables()), done.stdout + done.stderr
+    for name, text in zip(list_public_callables(), seen, strict=True):
+        parameters = list(inspect.signature(list_public_callables()[name]).parameters)
         assert re.findall(r"(?:^\(|, |\*\*)(\w+): ", text) == parameters, name
 
 
 # --- mistakes -------------------------------------------------------------------------------------
 
-SNOW, LAYER, EMPTY = splits.Snow(), splits.Layer(), xr.Dataset()
-MISTAKES = {
-    "Layer": lambda: splits.Layer(asymmetry=2),
-    "Readings": lambda: splits.Readings(entry="x"),
+SNOW, LAYER, EMPTY = splits.Snow(), splits.ParticleLayer(), xr.Dataset()
+INVALID_CALLS = {
+    "Layer": lambda: splits.ParticleLayer(asymmetry=2),
+    "Readings": lambda: splits.Interpretation(entry="x"),
     "RoughSurface": lambda: splits.RoughSurface({"rms_height_m": -1, "wave_number_per_m": 1}),
     "Sand": lambda: splits.Sand(iron_oxide=0.5),
-    "SandReadings": lambda: splits.SandReadings(water="x"),
+    "SandReadings": lambda: splits.SandInterpretation(water="x"),
     "Snow": lambda: splits.Snow(specific_surface_area_m2_kg=-1),
     "Snow.natural": lambda: splits.Snow.natural(optical_radius_um=-1),
     "Stack": lambda: splits.Stack([SNOW, 3]),
     "Table": lambda: splits.Table(EMPTY),
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
-    "best_bands": lambda: splits.best_bands(3, [(400, 500)], {}, 0.1),
-    "bssrdf": lambda: splits.bssrdf(SNOW, "x"),
+    "best_bands": lambda: splits.select_bands(3, [(400, 500)], {}, 0.1),
+    "bssrdf": lambda: splits.beam_spread(SNOW, "x"),
     "deep_transmittance": lambda: splits.deep_transmittance(SNOW, "x"),
     "goniophotometer": lambda: splits.goniophotometer(SNOW, [500], 95),
     "hdrf": lambda: splits.hdrf(SNOW, "midlatitude", [500]),
     "lens": lambda: splits.lens(LAYER, [1], -1),
-    "light_inside": lambda: splits.light_inside(SNOW, {"direct": [1]}, [0.1]),
+    "light_inside": lambda: splits.radiation_profile(SNOW, {"direct": [1]}, [0.1]),
     "load": lambda: splits.load("there/is/none.nc"),
     "open_table": lambda: splits.open_table("there/is/none.nc"),
     "phase_function": lambda: splits.phase_function(3),
-    "profile": lambda: splits.profile(SNOW, [500], [-1]),
+    "profile": lambda: splits.irradiance_profile(SNOW, [500], [-1]),
     "retrieve": lambda: splits.retrieve([1, 2], SNOW, {}),
     "retrieve_map": lambda: splits.retrieve_map(3, 3, {}, 3),
     "save": lambda: splits.save(EMPTY, "x.txt"),
     "save_brdf": lambda: splits.save_brdf(EMPTY, "x", {}),
-    "sensor": lambda: splits.sensor("x"),
+    "sensor": lambda: splits.sensor_bands("x"),
     "single_scattering": lambda: splits.single_scattering(SNOW, "x"),
     "sky": lambda: splits.sky("clear", zenith_deg=100),
     "sobol_indices": lambda: splits.sobol_indices(3, {}),
     "spectra": lambda: splits.spectra({}, [500]),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, -1),
-    "table": lambda: splits.table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
+    "table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
-TAKE_NOTHING_WRONG = {"Progress", "ProgressBar", "Sky"}
+NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky"}
 """What instruments and `splits.sky` make, or what shows any text."""
 
 
 def test_every_public_function_and_class_has_its_mistake():
-    names = {name for name in public() if "." not in name} | {"Snow.natural"}
-    assert set(MISTAKES) == names - TAKE_NOTHING_WRONG
+    names = {name for name in list_public_callables() if "." not in name} | {"Snow.natural"}
+    assert set(INVALID_CALLS) == names - NO_INVALID_VALUES
 
 
-@pytest.mark.parametrize("name", MISTAKES)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_a_mistake_is_told_beside_the_line_that_holds_it(name):
     with pytest.raises((ValueError, FileNotFoundError)) as caught:
-        MISTAKES[name]()
+        INVALID_CALLS[name]()
     assert "\n" not in str(caught.value)
     frames = traceback.extract_tb(caught.value.__traceback__)
     inner = [frame for frame in frames if frame.filename != __file__]

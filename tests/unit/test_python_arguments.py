@@ -10,27 +10,27 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.checks import known_keywords, number, shown
-from splits.instruments.arguments import (
-    check_beam,
+from splits.core.validation import reject_unknown_keywords, check_number, short_repr
+from splits.simulation.arguments import (
+    check_beam_angle,
     check_incidence,
     check_wavelengths,
-    check_whole,
+    check_integer,
 )
 
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
 def test_one_number_is_one_number_in_whatever_form(value):
-    assert check_incidence(value) == check_beam(value) == 30.0
+    assert check_incidence(value) == check_beam_angle(value) == 30.0
     assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
     assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
     if not isinstance(value, float | np.float32) and np.asarray(value).dtype.kind == "i":
-        assert check_whole("rays", value, 1) == 30
+        assert check_integer("rays", value, 1) == 30
 
 
 @pytest.mark.parametrize("value", [3, np.int64(3), np.array(3)])
 def test_whole_numbers_in_whatever_form(value):
-    assert check_whole("rays", value, 1) == 3
+    assert check_integer("rays", value, 1) == 3
 
 
 @pytest.mark.parametrize(
@@ -93,9 +93,9 @@ def test_angles_nearly_right_are_told(given, hint):
         (splits.Snow, "grain_size", "(did you mean grain_size_um?)"),
         (splits.Snow, "ssa", "must be one of grain_size_um, facetness, sphericity, saturation"),
         (splits.Sand, "irn_oxide", "(did you mean iron_oxide?)"),
-        (splits.Layer, "optical_depth", "must be one of optical_thickness"),
-        (splits.Readings, "entri", "(did you mean entry?)"),
-        (splits.SandReadings, "mixin", "(did you mean mixing?)"),
+        (splits.ParticleLayer, "optical_depth", "must be one of optical_thickness"),
+        (splits.Interpretation, "entri", "(did you mean entry?)"),
+        (splits.SandInterpretation, "mixin", "(did you mean mixing?)"),
     ],
 )
 def test_unknown_keywords_are_told_with_those_known(medium, keyword, told):
@@ -108,17 +108,17 @@ def test_media_keep_their_signatures():
     import inspect
 
     assert list(inspect.signature(splits.Snow).parameters)[:2] == ["grain_size_um", "facetness"]
-    assert known_keywords.__doc__
+    assert reject_unknown_keywords.__doc__
 
 
 def test_values_are_shown_short_and_on_one_line():
-    assert shown(list(range(10_000))) == "[0, 1, 2, 3, 4, 5, 6, 7, ...]"
-    assert shown({"b": 1, "a": 2}) == "{'b': 1, 'a': 2}"
-    assert shown(np.float64(1.5)) == "1.5"
-    assert len(shown("x" * 10_000)) < 100
-    assert "\n" not in shown(np.zeros((50, 50)))
+    assert short_repr(list(range(10_000))) == "[0, 1, 2, 3, 4, 5, 6, 7, ...]"
+    assert short_repr({"b": 1, "a": 2}) == "{'b': 1, 'a': 2}"
+    assert short_repr(np.float64(1.5)) == "1.5"
+    assert len(short_repr("x" * 10_000)) < 100
+    assert "\n" not in short_repr(np.zeros((50, 50)))
     with pytest.raises(ValueError, match=r"^x = 1000") as caught:
-        number("x", 10**400)
+        check_number("x", 10**400)
     assert len(str(caught.value)) < 200
 
 
@@ -139,7 +139,7 @@ def test_wavelengths_that_each_take_paths_of_their_own_are_counted():
     [
         (splits.spectrophotometer, "incidence", "incidence_deg"),
         (splits.goniophotometer, "relative_error", "relative_stderr"),
-        (splits.profile, "depths_m", "depth_m"),
+        (splits.irradiance_profile, "depths_m", "depth_m"),
         (splits.single_scattering, "ray", "rays"),
         (splits.albedo, "band", "bands"),
     ],

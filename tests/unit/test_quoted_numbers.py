@@ -11,18 +11,31 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.analysis import quoted as room
-from splits.analysis.marks import COMMENT, MARKED, documents, marked, rewritten, write_marked
-from splits.analysis.quoted import CODE, NUMBERS, quoted
-from splits.analysis.quoting import Number, cell, extreme, point, size
+from _numbers import values as room
+from _numbers.marks import (
+    COMMENT_START,
+    MARK_PATTERN,
+    list_documents,
+    find_marks,
+    replace_marked_numbers,
+    update_documents,
+)
+from _numbers.values import CODE_SOURCE, QUOTED_NUMBERS, collect_quoted_numbers
+from _numbers.formatting import (
+    QuotedNumber,
+    select_cell,
+    select_extreme,
+    select_point,
+    select_max_magnitude,
+)
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = documents(ROOT)
-RECORD = ROOT / "docs" / "numbers.json"
+DOCUMENTS = list_documents(ROOT)
+RECORD_FILE = ROOT / "docs" / "numbers.json"
 
 # Rows of tables in which every number but the paper's own comes from a run: how their lines begin,
 # and how many cells of theirs, from the last, the run makes.
-MADE = {
+REPRODUCED_KEYS = {
     "docs/theory/agreement.md": [
         ("| mean grain distance at 450", 1),
         ("| reflectance at 842 / 1074 / 1238 nm", 2),
@@ -42,16 +55,16 @@ MADE = {
 }
 
 
-def record():
-    return json.loads(RECORD.read_text(encoding="utf-8"))
+def read_record():
+    return json.loads(RECORD_FILE.read_text(encoding="utf-8"))
 
 
-def marks():
+def list_marks():
     """Return document, key and text of all marks."""
     return [
         (str(path), *mark)
         for path in DOCUMENTS
-        for mark in marked(path.read_text(encoding="utf-8"))
+        for mark in find_marks(path.read_text(encoding="utf-8"))
     ]
 
 
@@ -59,39 +72,39 @@ def marks():
 
 
 def test_every_marked_number_is_that_of_the_record():
-    known = record()
-    assert [m for m in marks() if known.get(m[1]) != m[2]] == []
+    known = read_record()
+    assert [m for m in list_marks() if known.get(m[1]) != m[2]] == []
 
 
 def test_no_key_has_two_texts():
     texts = {}
-    for name, key, text in marks():
+    for name, key, text in list_marks():
         assert texts.setdefault(key, text) == text, (name, key)
 
 
 def test_keys_are_known_used_and_recorded():
-    used = {key for _, key, _ in marks()}
-    assert used == set(NUMBERS)
-    assert used == set(record())
+    used = {key for _, key, _ in list_marks()}
+    assert used == set(QUOTED_NUMBERS)
+    assert used == set(read_record())
 
 
 def test_constants_of_the_code_are_the_codes():
-    known = record()
-    constants = {key: n.format_text(None) for key, n in NUMBERS.items() if n.source == CODE}
+    known = read_record()
+    constants = {key: n.format_text(None) for key, n in QUOTED_NUMBERS.items() if n.source == CODE_SOURCE}
     assert constants["draws"] == "10⁷"
     assert {key: known[key] for key in constants} == constants
 
 
-@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("name", REPRODUCED_KEYS)
 def test_numbers_of_these_tables_are_all_marked(name):
     lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
-    for start, cells in MADE[name]:
+    for start, cells in REPRODUCED_KEYS[name]:
         rows = [line for line in lines if line.startswith(start)]
         assert rows, start
         for row in rows:
             made = "|".join(row.rstrip(" |").split("|")[-cells:])
-            assert COMMENT in made, row
-            assert not re.search(r"\d", MARKED.sub("", made)), row
+            assert COMMENT_START in made, row
+            assert not re.search(r"\d", MARK_PATTERN.sub("", made)), row
 
 
 # --- the way from a run into a document -------------------------------------------------------
@@ -124,52 +137,52 @@ def results(tmp_path):
 
 
 TABLE, DATA = "tables/made.csv", "data/made.nc"
-BOTH = ("ours", "stderr")
-WRITTEN = {
-    "0.031 ± 0.004": Number(TABLE, cell(*BOTH, quantity="rise")),
-    "+3.1": Number(TABLE, cell("ours", scale=100.0, quantity="rise"), "+.1f"),
-    "3.12e-2": Number(TABLE, cell("ours", quantity="rise"), ".2e"),
-    "−0.50 ± 0.05 (facets any)": Number(
-        TABLE, extreme(*BOTH, largest=False, name="reading"), ".2f"
+BOTH_DOCUMENTS = ("ours", "stderr")
+WRITTEN_TEXT = {
+    "0.031 ± 0.004": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="rise")),
+    "+3.1": QuotedNumber(TABLE, select_cell("ours", scale=100.0, quantity="rise"), "+.1f"),
+    "3.12e-2": QuotedNumber(TABLE, select_cell("ours", quantity="rise"), ".2e"),
+    "−0.50 ± 0.05 (facets any)": QuotedNumber(
+        TABLE, select_extreme(*BOTH_DOCUMENTS, largest=False, name="reading"), ".2f"
     ),
-    "0.000 ± 0.0002": Number(TABLE, cell(*BOTH, quantity="level"), "+.3f"),
-    "−0.5": Number(TABLE, cell("ours", low="0.05"), ".1f"),
-    "0.5": Number(TABLE, size("ours"), ".1f"),
-    "0.12 ± 0.002": Number(DATA, point("reflectance", texture="no clay", wavelength=400.0), ".2f"),
-    "300": Number(DATA, point("realisations", attribute=True), "g"),
-    "0": Number(CODE, lambda _: (0.0, None, ""), "+.3f"),
-    "0.2": Number(CODE, lambda _: (0.2, None, ""), "#.2g"),
-    "32": Number(CODE, lambda _: (32.2, None, ""), "#.2g"),
-    "10⁷": Number(CODE, lambda _: (10_000_000, None, ""), "power"),
+    "0.000 ± 0.0002": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="level"), "+.3f"),
+    "−0.5": QuotedNumber(TABLE, select_cell("ours", low="0.05"), ".1f"),
+    "0.5": QuotedNumber(TABLE, select_max_magnitude("ours"), ".1f"),
+    "0.12 ± 0.002": QuotedNumber(DATA, select_point("reflectance", texture="no clay", wavelength=400.0), ".2f"),
+    "300": QuotedNumber(DATA, select_point("realisations", attribute=True), "g"),
+    "0": QuotedNumber(CODE_SOURCE, lambda _: (0.0, None, ""), "+.3f"),
+    "0.2": QuotedNumber(CODE_SOURCE, lambda _: (0.2, None, ""), "#.2g"),
+    "32": QuotedNumber(CODE_SOURCE, lambda _: (32.2, None, ""), "#.2g"),
+    "10⁷": QuotedNumber(CODE_SOURCE, lambda _: (10_000_000, None, ""), "power"),
 }
 
 
 def test_numbers_are_found_and_written(results, monkeypatch):
-    wanted = {f"key.{i}": text for i, text in enumerate(WRITTEN)}
-    numbers = dict(zip(wanted, WRITTEN.values(), strict=True))
-    numbers["time"] = Number("benchmarks/kernels.csv", cell("seconds"))
+    wanted = {f"key.{i}": text for i, text in enumerate(WRITTEN_TEXT)}
+    numbers = dict(zip(wanted, WRITTEN_TEXT.values(), strict=True))
+    numbers["time"] = QuotedNumber("benchmarks/kernels.csv", select_cell("seconds"))
     monkeypatch.setattr(room, "NUMBERS", numbers)
-    found = quoted(results)
+    found = collect_quoted_numbers(results)
     # Zero point two to two digits keeps its last one.
     wanted = {key: "0.20" if text == "0.2" else text for key, text in wanted.items()}
     assert found == wanted
     for key, text in found.items():
-        assert marked(f"| about {text}<!--{key}--> |") == [(key, text)]
+        assert find_marks(f"| about {text}<!--{key}--> |") == [(key, text)]
 
 
 @pytest.mark.parametrize(
     ("number", "message"),
     [
-        (Number("tables/none.csv", cell("ours")), r"none\.csv'.*must be there .snakemake"),
-        (Number(TABLE, cell("ours", reading="default")), "key: rows = 2: must be 1 of"),
-        (Number(TABLE, cell("theirs", low="0.05")), r"made\.csv: key: 'theirs'"),
-        (Number(DATA, point("reflectance", texture="clay")), r"made\.nc: key:"),
+        (QuotedNumber("tables/none.csv", select_cell("ours")), r"none\.csv'.*must be there .snakemake"),
+        (QuotedNumber(TABLE, select_cell("ours", reading="default")), "key: rows = 2: must be 1 of"),
+        (QuotedNumber(TABLE, select_cell("theirs", low="0.05")), r"made\.csv: key: 'theirs'"),
+        (QuotedNumber(DATA, select_point("reflectance", texture="clay")), r"made\.nc: key:"),
     ],
 )  # fmt: skip
 def test_what_is_not_there_is_said_in_one_line(results, monkeypatch, number, message):
     monkeypatch.setattr(room, "NUMBERS", {"key": number})
     with pytest.raises(ValueError, match=message) as refused:
-        quoted(results)
+        collect_quoted_numbers(results)
     assert "\n" not in str(refused.value)
 
 
@@ -177,8 +190,8 @@ def test_a_mark_takes_the_number_before_it_and_nothing_else():
     line = (
         "| 0.8 / 0.9 ± 0.1<!--a--> (± 0.002<!--b-->) | 0.02-0.051<!--c--> | **+3 (x y)<!--d-->** |"
     )
-    assert marked(line) == [("a", "0.9 ± 0.1"), ("b", "0.002"), ("c", "0.051"), ("d", "+3 (x y)")]
-    new = rewritten(line, {"a": "−0.5 ± 0.01", "b": "0", "c": "4.3e-4", "d": "10⁷"})
+    assert find_marks(line) == [("a", "0.9 ± 0.1"), ("b", "0.002"), ("c", "0.051"), ("d", "+3 (x y)")]
+    new = replace_marked_numbers(line, {"a": "−0.5 ± 0.01", "b": "0", "c": "4.3e-4", "d": "10⁷"})
     assert new == (
         "| 0.8 / −0.5 ± 0.01<!--a--> (± 0<!--b-->) | 0.02-4.3e-4<!--c--> | **10⁷<!--d-->** |"
     )
@@ -187,7 +200,7 @@ def test_a_mark_takes_the_number_before_it_and_nothing_else():
 @pytest.mark.parametrize("line", ["about <!--a-->", "0.5 <!--a-->", "0.5<!--A-->", "0.5<!-- a -->"])
 def test_comments_that_mark_nothing_are_refused(line):
     with pytest.raises(ValueError, match=r"mark = .*must be a number before each comment"):
-        marked(line)
+        find_marks(line)
 
 
 def test_documents_are_written_whole_or_not_at_all(tmp_path):
@@ -195,12 +208,12 @@ def test_documents_are_written_whole_or_not_at_all(tmp_path):
     first.write_text("0.1<!--a--> and 0.2<!--b-->\n", encoding="utf-8")
     second.write_text("0.2<!--b-->\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"b\.md: mark = 'b': must be a key"):
-        write_marked({"a": "0.3"}, [second, first], record)
+        update_documents({"a": "0.3"}, [second, first], record)
     assert first.read_text(encoding="utf-8").startswith("0.1") and not record.exists()
-    assert write_marked({"a": "0.3", "b": "0.2"}, [first, second], record) == [first, record]
+    assert update_documents({"a": "0.3", "b": "0.2"}, [first, second], record) == [first, record]
     assert first.read_text(encoding="utf-8") == "0.3<!--a--> and 0.2<!--b-->\n"
     assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.2"}
     # What a run did not make stays; a key that no document marks is forgotten.
-    assert write_marked({"b": "0.4", "c": "9"}, [first, second], record) == [first, second, record]
+    assert update_documents({"b": "0.4", "c": "9"}, [first, second], record) == [first, second, record]
     assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.4"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.md", "b.md", "numbers.json"]

@@ -10,13 +10,13 @@ import pytest
 import snowoptics
 import xarray as xr
 
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import kz04, packed, shape_factors
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import kz04, correct_dense_packing, compute_shape_factors
 
 WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
 
 
-def layer(albedo, thickness, g=0.0, orders=65):
+def make_layer_optics(albedo, thickness, g=0.0, orders=65):
     """Return optics of a layer with the phase function of Henyey & Greenstein (1941)."""
     moments = np.tile(float(g) ** np.arange(orders), (len(albedo), 1))
     count = len(albedo)
@@ -31,7 +31,7 @@ def layer(albedo, thickness, g=0.0, orders=65):
     )
 
 
-def chandrasekhar(albedo, cosine):
+def compute_plane_albedo(albedo, cosine):
     """Return 1 − H(μ) √(1 − ω), the plane albedo of an isotropic half-space (Chandrasekhar)."""
     x, w = np.polynomial.legendre.leggauss(200)
     mu, w = 0.5 * (x + 1.0), 0.5 * w
@@ -51,8 +51,8 @@ def chandrasekhar(albedo, cosine):
 def test_isotropic_half_space(incidence):
     pytest.importorskip("PythonicDISORT")
     albedo = [0.5, 0.9, 0.99]
-    ds = discrete_ordinates(layer(albedo, 1000.0), incidence)
-    expected = [chandrasekhar(a, math.cos(math.radians(incidence))) for a in albedo]
+    ds = solve_discrete_ordinates(make_layer_optics(albedo, 1000.0), incidence)
+    expected = [compute_plane_albedo(a, math.cos(math.radians(incidence))) for a in albedo]
     assert ds.reflectance.values == pytest.approx(expected, abs=2e-5)
     assert np.abs(ds.transmittance).max() < 1e-6
 
@@ -61,21 +61,21 @@ def test_isotropic_half_space(incidence):
 def test_nothing_is_lost_without_absorption(incidence):
     pytest.importorskip("PythonicDISORT")
     for thickness in (0.1, 10.0, 300.0):
-        ds = discrete_ordinates(layer([1.0], thickness, 0.8), incidence)
+        ds = solve_discrete_ordinates(make_layer_optics([1.0], thickness, 0.8), incidence)
         assert float((ds.reflectance + ds.transmittance)[0]) == pytest.approx(1.0, abs=2e-5)
 
 
 def test_forward_scattering_alone_passes():
     pytest.importorskip("PythonicDISORT")
-    ds = discrete_ordinates(layer([1.0, 0.5], 2.0, 1.0))
+    ds = solve_discrete_ordinates(make_layer_optics([1.0, 0.5], 2.0, 1.0))
     assert ds.reflectance.values == pytest.approx(0.0, abs=1e-6)
     assert ds.transmittance.values == pytest.approx([1.0, math.exp(-1.0)], abs=1e-6)
 
 
 def test_more_streams_change_less_than_the_stated_truncation():
     pytest.importorskip("PythonicDISORT")
-    optics = layer([0.999], 5.0, 0.85)
-    few, many = (discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
+    optics = make_layer_optics([0.999], 5.0, 0.85)
+    few, many = (solve_discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
     for name in ("reflectance", "transmittance"):
         assert np.abs(few[name] - many[name]).max() <= few[f"{name}_truncation"].max()
 
@@ -83,19 +83,19 @@ def test_more_streams_change_less_than_the_stated_truncation():
 @pytest.mark.parametrize("incidence", [30.0, "diffuse"])
 def test_a_layer_cut_in_three_is_the_same(incidence):
     pytest.importorskip("PythonicDISORT")
-    whole = discrete_ordinates(layer([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4)
-    cut = [layer([0.99, 0.9], part, 0.7) for part in (0.5, 1.5, 1.0)]
-    pieces = discrete_ordinates(cut, incidence, ground=0.4)
+    whole = solve_discrete_ordinates(make_layer_optics([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4)
+    cut = [make_layer_optics([0.99, 0.9], part, 0.7) for part in (0.5, 1.5, 1.0)]
+    pieces = solve_discrete_ordinates(cut, incidence, ground=0.4)
     for name in ("reflectance", "transmittance"):
         np.testing.assert_allclose(pieces[name], whole[name], rtol=0.0, atol=1e-9)
 
 
 def test_light_goes_to_and_fro_between_layers_and_ground():
     pytest.importorskip("PythonicDISORT")
-    pack = [layer([0.99], 1.0, 0.8), layer([0.8], 0.5, 0.3)]
-    beam, below = discrete_ordinates(pack, 40.0), discrete_ordinates(pack[::-1], "diffuse")
+    pack = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
+    beam, below = solve_discrete_ordinates(pack, 40.0), solve_discrete_ordinates(pack[::-1], "diffuse")
     for albedo in (0.1, 0.5, 1.0):
-        found = discrete_ordinates(pack, 40.0, ground=albedo)
+        found = solve_discrete_ordinates(pack, 40.0, ground=albedo)
         series = beam.transmittance / (1.0 - albedo * below.reflectance)
         expected = beam.reflectance + series * albedo * below.transmittance
         assert float(found.reflectance[0]) == pytest.approx(float(expected[0]), abs=1e-6)
@@ -104,15 +104,15 @@ def test_light_goes_to_and_fro_between_layers_and_ground():
 
 
 def test_layers_have_the_same_wavelengths():
-    other = layer([0.9], 1.0).assign_coords(wavelength=[700.0])
+    other = make_layer_optics([0.9], 1.0).assign_coords(wavelength=[700.0])
     with pytest.raises(ValueError, match=r"optics\[1\].wavelength"):
-        discrete_ordinates([layer([0.9], 1.0), other])
+        solve_discrete_ordinates([make_layer_optics([0.9], 1.0), other])
 
 
 def test_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PythonicDISORT", None)
     with pytest.raises(ImportError, match=r"splits-optics\[theory\]"):
-        discrete_ordinates(layer([0.9], 1.0))
+        solve_discrete_ordinates(make_layer_optics([0.9], 1.0))
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_missing_library_is_named(monkeypatch):
 )
 def test_bad_settings_are_refused_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
-        discrete_ordinates(layer([0.9], 1.0), **settings)
+        solve_discrete_ordinates(make_layer_optics([0.9], 1.0), **settings)
 
 
 def test_half_space_is_that_of_snowoptics():
@@ -156,14 +156,14 @@ def test_both_theories_agree_where_absorption_is_weak(incidence):
     pytest.importorskip("PythonicDISORT")
     ssa, density, depth, g = 20.0, 300.0, 0.05, 0.7
     k = np.array([3e-9, 1e-7])
-    optics = layer([1.0, 1.0], 0.25 * ssa * density * depth, g)
+    optics = make_layer_optics([1.0, 1.0], 0.25 * ssa * density * depth, g)
     # Of 1 − ω = γ/(SSA ρ/4 · 917/ρ) diffraction leaves half: B = 1.
     lost = 4.0 * math.pi * k / (optics.wavelength.values * 1e-9) / (0.25 * ssa * 917.0)
     optics["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
-    enhancement, asymmetry = shape_factors(optics, ssa, k)
+    enhancement, asymmetry = compute_shape_factors(optics, ssa, k)
     assert enhancement == pytest.approx(1.0, rel=1e-6)
     assert asymmetry == pytest.approx(0.85)
-    exact = discrete_ordinates(optics, incidence)
+    exact = solve_discrete_ordinates(optics, incidence)
     theory = kz04(
         optics.wavelength, ssa, incidence, extinction_coefficient=k,
         absorption_enhancement=enhancement, asymmetry=asymmetry,
@@ -174,7 +174,7 @@ def test_both_theories_agree_where_absorption_is_weak(incidence):
 
 
 def test_packing_thins_a_layer():
-    optics = layer([0.9], 10.0, 0.5).assign(
+    optics = make_layer_optics([0.9], 10.0, 0.5).assign(
         {
             name: ("wavelength", [value])
             for name, value in (
@@ -187,6 +187,6 @@ def test_packing_thins_a_layer():
     )
     # (1 + 0.3)(1 + 0.1) + (1 − 0.5) 0.08/2, in units of the mean distance squared.
     expected = 10.0 / math.sqrt(1.3 * 1.1 + 0.02)
-    assert float(packed(optics).optical_thickness[0]) == pytest.approx(expected, rel=1e-12)
-    assert float(packed(optics).extinction[0]) == pytest.approx(100.0 * expected, rel=1e-12)
+    assert float(correct_dense_packing(optics).optical_thickness[0]) == pytest.approx(expected, rel=1e-12)
+    assert float(correct_dense_packing(optics).extinction[0]) == pytest.approx(100.0 * expected, rel=1e-12)
     assert float(optics.optical_thickness[0]) == 10.0

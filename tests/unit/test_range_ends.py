@@ -6,33 +6,33 @@ import math
 
 import numpy as np
 import pytest
-from array_inputs import AT, DIRT, SIZE, TABLE, refracting
+from array_inputs import FIXED, SOOT, SIZE, TABLE, compute_refraction
 from chi2 import NEEDS_JIT
-from formula_tables import W, spectrum, table_of
+from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
 from splits.analysis.colour import covers_visible
-from splits.checks import Refusal, in_range, snap_to_ends
-from splits.instruments.arguments import check_angles, check_wavelengths
-from splits.lookup.formats import for_spires
-from splits.materials import refractive_index
+from splits.core.validation import InvalidValue, check_range, snap_to_limits
+from splits.simulation.arguments import check_direction_angles, check_wavelengths
+from splits.tables.export import convert_to_spires
+from splits.materials import lookup
 
-FROM_30 = table_of(lambda size, _: spectrum(size, 0.0), {SIZE: [50.0, 100.0], "incidence_deg": [
+FROM_30 = make_table(lambda size, _: evaluate_spectrum(size, 0.0), {SIZE: [50.0, 100.0], "incidence_deg": [
     30.0, 60.0]})  # fmt: skip
 LIGHT = {"wavelength_nm": [400.0, 800.0], "direct": [1.0, 1.0], "diffuse": [1.0, 1.0]}
-SEEN = (W, spectrum(200.0, 64.0))
+MEASURED = (W, evaluate_spectrum(200.0, 64.0))
 
 
-def found_at(table=TABLE, **at):
+def retrieve_at(table=TABLE, **at):
     return table.interp(**at).reflectance.values
 
 
-def near(value, off):
+def shift_relative(value, off):
     """Return a value that is off by a part of itself, or by that a thousandth at 0."""
     return value * (1.0 + off) if value else 1e-3 * off
 
 
-ENDS = {
+RANGE_ENDS = {
     "Snow.saturation": (lambda x: splits.Snow(saturation=x).saturation, 1.0, 1),
     "Snow.saturation low": (lambda x: splits.Snow(saturation=x).saturation, 0.0, -1),
     "Snow.temperature_c": (lambda x: splits.Snow(temperature_c=x).temperature_c, -40.0, -1),
@@ -46,50 +46,50 @@ ENDS = {
     "Sand.roundness": (lambda x: splits.Sand(roundness=(x, 0.1)).roundness[0], 1.0, 1),
     "Sand.partition": (lambda x: splits.Sand(partition=(0, x, 0)).partition[1], 1.0, 1),
     "Sand.texture": (lambda x: splits.Sand(texture=(x, 0, 1)).texture[0], 0.0, -1),
-    "Layer.asymmetry": (lambda x: splits.Layer(asymmetry=x).asymmetry, 0.999, 1),
+    "Layer.asymmetry": (lambda x: splits.ParticleLayer(asymmetry=x).asymmetry, 0.999, 1),
     "Layer.phase_function": (
-        lambda x: splits.Layer(phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
+        lambda x: splits.ParticleLayer(phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
         -1.0, 1),
-    "refractive_index": (lambda x: refractive_index("quartz")(x), 198.0, -1),
-    "own index": (lambda x: refracting()[0][0] and refractive_index("ice", {
+    "refractive_index": (lambda x: lookup("quartz")(x), 198.0, -1),
+    "own index": (lambda x: compute_refraction()[0][0] and lookup("ice", {
         "wavelength_nm": [400, 800], "n": [1.3, 1.4], "k": [0, 0]})(x), 800.0, 1),
     "wavelength_nm": (check_wavelengths, 200.0, -1),
-    "polar_deg": (lambda x: check_angles("polar_deg", [x], 90.0), 0.0, -1),
+    "polar_deg": (lambda x: check_direction_angles("polar_deg", [x], 90.0), 0.0, -1),
     "sky": (lambda x: splits.sky(LIGHT, 50).compute_direct_fraction(np.array([x])), 800.0, 1),
     "zenith_deg": (lambda x: splits.sky(LIGHT, x).zenith_deg, 89.0, 1),
-    "Table.interp": (lambda x: found_at(FROM_30, incidence_deg=x, **{SIZE: 60}), 30.0, -1),
-    "Table.interp root": (lambda x: found_at(**AT | {DIRT: x, SIZE: 60}), 0.0, -1),
-    "Table.interp wavelength": (lambda x: found_at(**AT, wavelength=x, **{SIZE: 60}), 1500.0, 1),
+    "Table.interp": (lambda x: retrieve_at(FROM_30, incidence_deg=x, **{SIZE: 60}), 30.0, -1),
+    "Table.interp root": (lambda x: retrieve_at(**FIXED | {SOOT: x, SIZE: 60}), 0.0, -1),
+    "Table.interp wavelength": (lambda x: retrieve_at(**FIXED, wavelength=x, **{SIZE: 60}), 1500.0, 1),
     "Table.derivatives": (
         lambda x: FROM_30.derivatives([SIZE], incidence_deg=60, **{SIZE: x}).reflectance_jacobian,
         50.0, -1),
     "to_spires": (
-        lambda x: for_spires(TABLE.dataset, DIRT, {"a": (x, 600)}), 500.0, -1),
+        lambda x: convert_to_spires(TABLE.dataset, SOOT, {"a": (x, 600)}), 500.0, -1),
     "retrieve": (
-        lambda x: splits.retrieve(([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, at=AT).values[SIZE],
+        lambda x: splits.retrieve(([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, at=FIXED).values[SIZE],
         500.0, -1),
     "retrieve at": (
         lambda x: splits.retrieve(
-            SEEN, TABLE, [SIZE], 0.1, at={DIRT: 64.0, "sza": x}).values[SIZE], 60.0, 1),
+            MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0, "sza": x}).values[SIZE], 60.0, 1),
     "retrieve free": (
-        lambda x: splits.retrieve(SEEN, TABLE, {SIZE: (x, 800)}, 0.1, at=AT).values[SIZE],
+        lambda x: splits.retrieve(MEASURED, TABLE, {SIZE: (x, 800)}, 0.1, at=FIXED).values[SIZE],
         40.0, -1),
     "retrieve prior": (
         lambda x: splits.retrieve(
-            SEEN, TABLE, [SIZE], 0.1, at=AT, prior={SIZE: (x, 200)}).values[SIZE], 2000.0, 1),
+            MEASURED, TABLE, [SIZE], 0.1, at=FIXED, prior={SIZE: (x, 200)}).values[SIZE], 2000.0, 1),
 }  # fmt: skip
 """A value's result, the end of its range, and the side on which it ends."""
 
 
-@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.parametrize("name", RANGE_ENDS)
 def test_rounding_at_the_end_of_a_range_is_the_end(name):
-    call, end, side = ENDS[name]
+    call, end, side = RANGE_ENDS[name]
     sign = side * math.copysign(1.0, end) if end else side
     off = 4.0 * np.finfo(float).eps if end else 1e-10
-    there, beyond = near(end, sign * off), near(end, sign * 1e-6)
+    there, beyond = shift_relative(end, sign * off), shift_relative(end, sign * 1e-6)
     assert there != end
     np.testing.assert_array_equal(call(there), call(end))
-    with pytest.raises(Refusal) as caught:
+    with pytest.raises(InvalidValue) as caught:
         call(beyond)
     assert "\n" not in str(caught.value)
 
@@ -99,20 +99,20 @@ def test_an_angle_that_went_through_its_cosine():
     angle = math.degrees(math.acos(math.cos(math.radians(30.0))))
     assert angle != 30.0
     for table in (FROM_30, TABLE):
-        at = {SIZE: 60.0} if table is FROM_30 else {SIZE: 60.0, DIRT: 64.0}
+        at = {SIZE: 60.0} if table is FROM_30 else {SIZE: 60.0, SOOT: 64.0}
         np.testing.assert_allclose(
-            found_at(table, sza=angle, **at), found_at(table, sza=30.0, **at), rtol=1e-12
+            retrieve_at(table, sza=angle, **at), retrieve_at(table, sza=30.0, **at), rtol=1e-12
         )
 
 
 def test_what_is_inside_stays_as_it_is():
     inside = np.array([1e-300, 1e-15, 1.0 - 1e-12, 1.0])
-    np.testing.assert_array_equal(snap_to_ends(inside, 0.0, 1.0), inside)
-    assert in_range("x", 1e-300, 0.0, 1.0, open_low=True) == 1e-300
+    np.testing.assert_array_equal(snap_to_limits(inside, 0.0, 1.0), inside)
+    assert check_range("x", 1e-300, 0.0, 1.0, open_low=True) == 1e-300
     for open_end in (-1e-15, 0.0, 1.0, 1.0 + 1e-15):
-        with pytest.raises(Refusal):
-            in_range("x", open_end, 0.0, 1.0, open_low=True, open_high=True)
-    np.testing.assert_array_equal(snap_to_ends([math.nan, -math.inf, math.inf], 0.0, math.inf),
+        with pytest.raises(InvalidValue):
+            check_range("x", open_end, 0.0, 1.0, open_low=True, open_high=True)
+    np.testing.assert_array_equal(snap_to_limits([math.nan, -math.inf, math.inf], 0.0, math.inf),
                                   [math.nan, -math.inf, math.inf])  # fmt: skip
 
 
@@ -120,8 +120,8 @@ def test_what_is_inside_stays_as_it_is():
 def test_the_bottom_of_a_sample_is_the_bottom_on_either_side():
     """Or an interval would be as thick as a rounding error."""
     for thickness, depth in ((0.3, 0.1 + 0.2), (0.1 + 0.2, 0.3)):
-        with pytest.raises(Refusal, match="top and bottom are there in any case"):
-            splits.profile(splits.Snow(depth_m=thickness), [500.0], [depth])
+        with pytest.raises(InvalidValue, match="top and bottom are there in any case"):
+            splits.irradiance_profile(splits.Snow(depth_m=thickness), [500.0], [depth])
 
 
 def test_a_spectrum_over_the_visible_range_but_for_rounding_has_a_colour():

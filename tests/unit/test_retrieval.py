@@ -7,42 +7,42 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, snowlike, spectrum, table_of
+from formula_tables import W, make_snowlike_table, evaluate_spectrum, make_table
 from scipy.stats import binom
 
 import splits
-from splits.checks import Refusal
-from splits.retrieval.coordinates import Free
-from splits.retrieval.forward import OfTable, ranges_of
+from splits.core.validation import InvalidValue
+from splits.retrieval.state_vector import StateVector
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
-AT = {"incidence_deg": 30.0}
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
+FIXED = {"incidence_deg": 30.0}
 
 
 @pytest.fixture(scope="module")
 def table():
-    return snowlike()
+    return make_snowlike_table()
 
 
-def model_of(table, free, at=AT, noise=0.01):
+def make_model(table, free, at=FIXED, noise=0.01):
     measurement = Measurement.from_input((W, np.full(W.size, 0.5)), noise)
-    which = Free.from_ranges(free, None, ranges_of(table))
-    return OfTable(table, measurement, which, at)
+    which = StateVector.from_ranges(free, None, get_table_ranges(table))
+    return TableForwardModel(table, measurement, which, at)
 
 
 def test_values_are_those_of_the_table(table):
-    model = model_of(table, [SIZE, DIRT], {"incidence_deg": 20.0})
+    model = make_model(table, [SIZE, SOOT], {"incidence_deg": 20.0})
     places = np.random.default_rng(1).random((20, 2))
     found = model.evaluate(places)
     for place, row in zip(places, found, strict=True):
         size, dirt = model.state_vector.to_physical(place)
-        there = table.interp(**{SIZE: size, DIRT: dirt, "incidence_deg": 20.0})
+        there = table.interp(**{SIZE: size, SOOT: dirt, "incidence_deg": 20.0})
         np.testing.assert_allclose(row, there.reflectance, rtol=1e-9)
 
 
 def test_slopes_are_those_of_the_values(table):
-    model = model_of(table, [SIZE, DIRT, "level"])
+    model = make_model(table, [SIZE, SOOT, "level"])
     place = np.array([0.31, 0.62, 0.4])
     values, slopes = model.evaluate_with_jacobian(place)
     np.testing.assert_allclose(values, model.evaluate(place[np.newaxis])[0])
@@ -55,7 +55,7 @@ def test_linear_models_have_the_exact_answer():
     """Where all is linear and normal, the textbook's formulas hold (Rodgers 2000, chapter 2)."""
     rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
     nodes = np.linspace(-1.0, 1.0, 6)
-    linear = table_of(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+    linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
                       {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
     noise, prior = 0.02, {"a": (0.1, 0.2), "b": (-0.1, 0.3)}
     measured = 0.5 + 0.1 * (0.2 * rows[0] - 0.3 * rows[1])
@@ -79,9 +79,9 @@ def test_linear_models_have_the_exact_answer():
 
 def test_draws_follow_a_posterior_that_is_not_normal(table):
     """Little dirt, which the measurement hardly tells from none, against integration."""
-    measured = spectrum(200.0, 3.0)
-    found = splits.retrieve((W, measured), table, [DIRT], 0.01, at={**AT, SIZE: 200.0})
-    model = model_of(table, [DIRT], {**AT, SIZE: 200.0})
+    measured = evaluate_spectrum(200.0, 3.0)
+    found = splits.retrieve((W, measured), table, [SOOT], 0.01, at={**FIXED, SIZE: 200.0})
+    model = make_model(table, [SOOT], {**FIXED, SIZE: 200.0})
     u = np.linspace(0.0, 1.0, 20_001)
     best = np.sqrt(found.dataset.value.values / 1600.0)
     off = model.evaluate(u[:, np.newaxis]) - measured
@@ -99,13 +99,13 @@ def test_draws_follow_a_posterior_that_is_not_normal(table):
 @NEEDS_JIT
 def test_errors_cover_the_truth(table):
     random = np.random.default_rng(5)
-    model = model_of(table, [SIZE, DIRT])
+    model = make_model(table, [SIZE, SOOT])
     inside = np.zeros((2, 2), dtype=int)
     misfits, many = [], 200
     for number in range(many):
         size, dirt = model.state_vector.to_physical(random.random(2))
-        measured = spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), table, [SIZE, DIRT], 0.01, at=AT, seed=number)
+        measured = evaluate_spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, at=FIXED, seed=number)
         quantiles = found.dataset.quantiles.values
         for row, (low, high) in enumerate(((1, 3), (0, 4))):
             inside[row] += (quantiles[low] <= [size, dirt]) & ([size, dirt] <= quantiles[high])
@@ -118,14 +118,14 @@ def test_errors_cover_the_truth(table):
 
 def test_a_table_that_keeps_its_covariance_says_what_is_alike():
     """One error at all wavelengths, of the shape of dirt, does not average away."""
-    plain = snowlike(stderr=0.004)
+    plain = make_snowlike_table(stderr=0.004)
     shape = np.linspace(2.0, 0.5, W.size) * 0.004 / np.sqrt(32.0)
     dims = ("group", *plain.dataset.reflectance.dims)
     size = tuple(plain.dataset.reflectance.shape)
     signs = np.where(np.arange(32) % 2, 1.0, -1.0).reshape(-1, *[1] * len(size))
     groups = (signs * np.broadcast_to(shape, size)).astype(np.float32)
     both = plain.dataset.assign(reflectance_groups=(dims, groups))
-    model = model_of(splits.Table(both), [SIZE, DIRT], noise=0.001)
+    model = make_model(splits.Table(both), [SIZE, SOOT], noise=0.001)
     # In the middle of a cell, where weights of nodes are not all the same.
     found = model.compute_error_covariance(np.array([0.4, 0.3]))
     alike = 32.0 * np.outer(shape, shape)
@@ -135,8 +135,8 @@ def test_a_table_that_keeps_its_covariance_says_what_is_alike():
 
 
 def test_what_is_not_told_is_said(table):
-    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
-                            at={DIRT: 50.0})  # fmt: skip
+    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
+                            at={SOOT: 50.0})  # fmt: skip
     assert found.determined == {SIZE: True, "incidence_deg": False}
     assert any("not told by the measurement: incidence_deg" in line for line in found.warnings)
     assert "not told by the measurement" in repr(found)
@@ -144,15 +144,15 @@ def test_what_is_not_told_is_said(table):
 
 
 def test_one_band_does_not_tell_two_parameters(table):
-    found = splits.retrieve(([600.0], spectrum(200.0, 500.0, np.array([600.0]))), table,
-                            [SIZE, DIRT], 0.01, at=AT)  # fmt: skip
+    found = splits.retrieve(([600.0], evaluate_spectrum(200.0, 500.0, np.array([600.0]))), table,
+                            [SIZE, SOOT], 0.01, at=FIXED)  # fmt: skip
     assert not all(found.determined.values())
 
 
 def test_a_misfit_enlarges_the_errors(table):
-    bumpy = spectrum(200.0, 50.0) * (1.0 + 0.1 * np.sin(W / 60.0))
-    plain = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**AT, DIRT: 50.0})
-    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, at={**AT, DIRT: 50.0})
+    bumpy = evaluate_spectrum(200.0, 50.0) * (1.0 + 0.1 * np.sin(W / 60.0))
+    plain = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0})
+    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0})
     assert any("does not follow" in line for line in found.warnings)
     assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
@@ -164,8 +164,8 @@ def test_unknown_noise_is_found_from_the_misfit(table):
     factor = np.linalg.cholesky(alike)
     off, stated = [], []
     for number in range(100):
-        measured = spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), table, [SIZE], at={**AT, DIRT: 50.0}, seed=number)
+        measured = evaluate_spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
+        found = splits.retrieve((W, measured), table, [SIZE], at={**FIXED, SOOT: 50.0}, seed=number)
         own = np.log(found.dataset.draws.values[:, 0])
         off.append(own.mean() - np.log(200.0))
         stated.append(own.std())
@@ -177,8 +177,8 @@ def test_unknown_noise_is_found_from_the_misfit(table):
 
 
 def test_priors_count_where_noise_is_not_known(table):
-    measured = spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(W.size)
-    free, at = [SIZE], {**AT, DIRT: 50.0}
+    measured = evaluate_spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(W.size)
+    free, at = [SIZE], {**FIXED, SOOT: 50.0}
     plain = splits.retrieve((W, measured), table, free, at=at)
     held = splits.retrieve((W, measured), table, free, at=at, prior={SIZE: (300.0, 1.0)})
     assert held.values[SIZE] == pytest.approx(300.0, abs=4.0)
@@ -187,39 +187,39 @@ def test_priors_count_where_noise_is_not_known(table):
 
 
 def test_too_few_values_do_not_tell_noise(table):
-    with pytest.raises(Refusal, match=r"noise = None: must be given .*too few"):
-        splits.retrieve((W[:2], spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**AT, DIRT: 50.0})
+    with pytest.raises(InvalidValue, match=r"noise = None: must be given .*too few"):
+        splits.retrieve((W[:2], evaluate_spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**FIXED, SOOT: 50.0})
 
 
 def test_a_prior_that_excludes_the_truth_is_said(table):
-    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, [SIZE], 0.01,
-                            at={**AT, DIRT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
+    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.01,
+                            at={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
     assert any("prior and measurement are" in line for line in found.warnings)
 
 
 def test_the_end_of_a_range_is_said(table):
-    found = splits.retrieve((W, spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
-                            at={**AT, DIRT: 50.0})  # fmt: skip
+    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
+                            at={**FIXED, SOOT: 50.0})  # fmt: skip
     assert any("high end of its range, 150" in line for line in found.warnings)
 
 
 def test_the_level_of_a_panel(table):
-    measured = 1.12 * spectrum(200.0, 50.0)
-    found = splits.retrieve((W, measured), table, [SIZE, DIRT, "level"], 0.002, at=AT)
+    measured = 1.12 * evaluate_spectrum(200.0, 50.0)
+    found = splits.retrieve((W, measured), table, [SIZE, SOOT, "level"], 0.002, at=FIXED)
     assert found.values["level"] == pytest.approx(1.12, abs=4.0 * found.stderr["level"])
 
 
 def test_bands(table):
     bands = {"red": (600, 700), "near infrared": (800, 900), "1240": (1200, 1300)}
     w = np.linspace(500.0, 1500.0, 1001)
-    fine = spectrum(300.0, 200.0, w)
+    fine = evaluate_spectrum(300.0, 200.0, w)
     means = [fine[(w >= low) & (w <= high)].mean() for low, high in bands.values()]
-    found = splits.retrieve(means, table, [SIZE, DIRT], 0.003, at=AT, bands=bands)
+    found = splits.retrieve(means, table, [SIZE, SOOT], 0.003, at=FIXED, bands=bands)
     assert found.values[SIZE] == pytest.approx(300.0, abs=4.0 * found.stderr[SIZE])
 
 
 def test_series_and_arrays_say_the_same(table):
-    measured = spectrum(200.0, 50.0)
+    measured = evaluate_spectrum(200.0, 50.0)
     kinds = [
         (W, measured),
         pd.Series(measured, index=W),
@@ -227,46 +227,46 @@ def test_series_and_arrays_say_the_same(table):
         xr.DataArray(measured, {"wavelength": W}, "wavelength"),
     ]
     first, *others = (
-        splits.retrieve(one, table, [SIZE], 0.01, at={**AT, DIRT: 50.0}) for one in kinds
+        splits.retrieve(one, table, [SIZE], 0.01, at={**FIXED, SOOT: 50.0}) for one in kinds
     )
     for other in others:
         xr.testing.assert_equal(other.dataset, first.dataset)
 
 
-GOOD = (W, spectrum(200.0, 50.0))
-WRONG = {
+VALID_CALLS = (W, evaluate_spectrum(200.0, 50.0))
+INVALID_CALLS = {
     "gap": ({"measured": (W, np.where(W == 700.0, np.nan, 0.5))}, "1 gaps, the first at 700 nm"),
-    "per cent": ({"measured": (W, 100.0 * GOOD[1])}, "not per cent"),
+    "per cent": ({"measured": (W, 100.0 * VALID_CALLS[1])}, "not per cent"),
     "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),
     "columns": (
-        {"measured": pd.DataFrame({"a": GOOD[1], "b": GOOD[1]}, index=W)},
+        {"measured": pd.DataFrame({"a": VALID_CALLS[1], "b": VALID_CALLS[1]}, index=W)},
         "a DataFrame of 2 columns.*choose one",
     ),
     "noise elsewhere": (
         {"noise": pd.Series(0.01, index=W + 500.0)},
         "noise = .values at .*must be values at",
     ),
-    "counted": ({"measured": pd.Series(GOOD[1])}, "only counted.*index_col"),
+    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "only counted.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (
         {"noise": {"stderr": 1e-4 * np.eye(W.size), "correlation_nm": 100.0}},
         "one standard error or 11",
     ),
     "huge": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
-    "two angles": ({"at": {**AT, "sza": 20.0}}, "left out beside"),
+    "two angles": ({"at": {**FIXED, "sza": 20.0}}, "left out beside"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),
     "a level only": (
-        {"free": ["level"], "at": {**AT, SIZE: 100.0, DIRT: 10.0}},
+        {"free": ["level"], "at": {**FIXED, SIZE: 100.0, SOOT: 10.0}},
         "at least one axis",
     ),
     "a vague prior": ({"prior": {SIZE: (500.0, 5000.0)}}, "fits into the range"),
     "nothing free": ({"free": []}, "names of parameters"),
-    "contradictory": ({"free": {SIZE: (300.0, 200.0), DIRT: (0.0, 10.0)}}, "low < high"),
-    "beyond the table": ({"free": {SIZE: (10.0, 200.0), DIRT: (0.0, 10.0)}}, "40 <= low"),
+    "contradictory": ({"free": {SIZE: (300.0, 200.0), SOOT: (0.0, 10.0)}}, "low < high"),
+    "beyond the table": ({"free": {SIZE: (10.0, 200.0), SOOT: (0.0, 10.0)}}, "40 <= low"),
     "angle left out": ({"at": {}}, "at.incidence_deg"),
-    "free and given": ({"at": {**AT, SIZE: 100.0}}, "left out, as it is free"),
+    "free and given": ({"at": {**FIXED, SIZE: 100.0}}, "left out, as it is free"),
     "prior of nothing": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
     "prior outside": ({"prior": {SIZE: (5000.0, 10.0)}}, "a mean in the range"),
     "sure prior": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),
@@ -275,10 +275,10 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused_in_one_line(table, name):
-    other, message = WRONG[name]
-    given = {"measured": GOOD, "model": table, "free": [SIZE, DIRT], "noise": 0.01, "at": AT}
-    with pytest.raises(Refusal, match=message) as caught:
+    other, message = INVALID_CALLS[name]
+    given = {"measured": VALID_CALLS, "model": table, "free": [SIZE, SOOT], "noise": 0.01, "at": FIXED}
+    with pytest.raises(InvalidValue, match=message) as caught:
         splits.retrieve(**(given | other))
     assert "\n" not in str(caught.value)

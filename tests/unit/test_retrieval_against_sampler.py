@@ -5,27 +5,27 @@ from __future__ import annotations
 import emcee
 import numpy as np
 from chi2 import NEEDS_JIT
-from formula_tables import W, snowlike, spectrum
+from formula_tables import W, make_snowlike_table, evaluate_spectrum
 
 import splits
-from splits.retrieval.coordinates import Free
-from splits.retrieval.forward import OfTable, ranges_of
+from splits.retrieval.state_vector import StateVector
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
-AT = {"incidence_deg": 30.0}
-WALKERS, STEPS, FIRST = 32, 3000, 500
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
+FIXED = {"incidence_deg": 30.0}
+N_WALKERS, N_STEPS, N_BURN_IN = 32, 3000, 500
 
 
 @NEEDS_JIT
 def test_quantiles_are_those_of_an_ensemble_of_walkers():
     """Level, size and dirt go together where only the visible and 5 % of noise are at hand."""
-    w, table = W[:4], snowlike()
-    measured, names = spectrum(300.0, 20.0, w), [SIZE, DIRT, "level"]
-    ranges = {SIZE: (40.0, 2000.0), DIRT: (0.0, 1600.0), "level": (0.8, 1.2)}
-    found = splits.retrieve((w, measured), table, ranges, 0.05, at=AT)
+    w, table = W[:4], make_snowlike_table()
+    measured, names = evaluate_spectrum(300.0, 20.0, w), [SIZE, SOOT, "level"]
+    ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "level": (0.8, 1.2)}
+    found = splits.retrieve((w, measured), table, ranges, 0.05, at=FIXED)
     measurement = Measurement.from_input((w, measured), 0.05)
-    model = OfTable(table, measurement, Free.from_ranges(ranges, None, ranges_of(table)), AT)
+    model = TableForwardModel(table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED)
     best = model.state_vector.to_coordinates(found.dataset.value.values)
     covariance = measurement.covariance + model.compute_error_covariance(best)
     lower = np.linalg.cholesky(covariance)
@@ -36,18 +36,18 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
         height = -0.5 * (np.linalg.solve(lower, off.T) ** 2).sum(axis=0)
         return np.where(inside, height, -np.inf)
 
-    sampler = emcee.EnsembleSampler(WALKERS, len(names), probable, vectorize=True)
+    sampler = emcee.EnsembleSampler(N_WALKERS, len(names), probable, vectorize=True)
     sampler._random.seed(1)
-    start = np.random.default_rng(1).random((WALKERS, len(names)))
-    sampler.run_mcmc(start, STEPS)
-    chain = sampler.get_chain(discard=FIRST)
-    time = sampler.get_autocorr_time(discard=FIRST, tol=0)
+    start = np.random.default_rng(1).random((N_WALKERS, len(names)))
+    sampler.run_mcmc(start, N_STEPS)
+    chain = sampler.get_chain(discard=N_BURN_IN)
+    time = sampler.get_autocorr_time(discard=N_BURN_IN, tol=0)
     places = model.state_vector.to_coordinates(found.dataset.draws.values)
     for i in range(len(names)):
         for share in (0.16, 0.5, 0.84):
             other = np.quantile(chain[:, :, i], share)
             here = float((places[:, i] <= other).mean())
             many = 1.0 / (
-                1.0 / found.dataset.attrs["effective_draws"] + time[i] / (WALKERS * (STEPS - FIRST))
+                1.0 / found.dataset.attrs["effective_draws"] + time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
             )
             assert abs(here - share) < 4.0 * np.sqrt(share * (1.0 - share) / many), names[i]

@@ -6,34 +6,34 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from formula_tables import W, snowlike, spectrum
+from formula_tables import W, make_snowlike_table, evaluate_spectrum
 from pydantic import ValidationError
 
 import splits
-from splits.checks import Refusal
-from splits.experiments.check_retrieve import check_spectra
-from splits.experiments.model import Experiment
-from splits.experiments.retrieve_section import Noise, RetrieveSection
-from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
-from splits.figures.retrievals import retrievals
-from splits.figures.style import save_figure
+from splits.core.validation import InvalidValue
+from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
+from splits.experiments.run_retrieve import make_retrieval_table, run_retrieve, combine_samples
+from splits.plotting.retrieval import draw_retrievals
+from splits.plotting.style import save_figure
 
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 SECTION = {
     "measured": "some.csv",
-    "free": [SIZE, DIRT],
+    "free": [SIZE, SOOT],
     "noise": {"relative": 0.01, "absolute": 0.002, "correlation_nm": 50},
 }
 TABLE = {
     "name": "some",
     "medium": {"kind": "natural_snow"},
     "instrument": {"kind": "table", "wavelength_nm": [500, 900]},
-    "grid": {SIZE: [50, 100], DIRT: [0, 100]},
+    "grid": {SIZE: [50, 100], SOOT: [0, 100]},
     "retrieve": SECTION,
 }
 
 
-def by_sample(retrievals):
+def index_by_sample(retrievals):
     """Return what samples tell by their names."""
     return {one.sample: one.told for one in retrievals}
 
@@ -43,15 +43,15 @@ def measured():
     return pd.DataFrame(
         {
             "wavelength_nm": [400.0, *W],
-            "clean@30": [0.5, *spectrum(150.0, 1.0)],
-            "dirty@60": [0.5, *spectrum(600.0, 400.0)],
+            "clean@30": [0.5, *evaluate_spectrum(150.0, 1.0)],
+            "dirty@60": [0.5, *evaluate_spectrum(600.0, 400.0)],
         }
     )
 
 
 def test_samples_are_retrieved_where_the_table_reaches():
     section = RetrieveSection.model_validate(SECTION)
-    found = by_sample(run_retrieve(section, snowlike(), measured()))
+    found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))
     assert list(found) == ["clean@30", "dirty@60"]
     for name, size in (("clean@30", 150.0), ("dirty@60", 600.0)):
         assert found[name].dataset.sizes["wavelength"] == W.size
@@ -60,32 +60,32 @@ def test_samples_are_retrieved_where_the_table_reaches():
 
 def test_what_is_left_out_does_not_count():
     section = RetrieveSection.model_validate({**SECTION, "left_out_nm": [[650, 850]]})
-    found = by_sample(run_retrieve(section, snowlike(), measured()))["dirty@60"].dataset
+    found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))["dirty@60"].dataset
     assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
 
 
 def test_the_first_sample_tells_what_is_known_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
-    table["wetter@30"] = [0.5, *spectrum(150.0, 400.0)]
-    given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {DIRT: 1.0}}}
-    readings = run_retrieve(RetrieveSection.model_validate(given), snowlike(), pd.DataFrame(table))
-    found = by_sample(readings)
+    table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
+    given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {SOOT: 1.0}}}
+    readings = run_retrieve(RetrieveSection.model_validate(given), make_snowlike_table(), pd.DataFrame(table))
+    found = index_by_sample(readings)
     assert list(found["clean@30"].values) == [SIZE]
     section = RetrieveSection.model_validate(SECTION)
-    plain = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
+    plain = index_by_sample(run_retrieve(section, make_snowlike_table(), pd.DataFrame(table)))
     assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
-    assert list(together(readings, "some").sample.values) == ["wetter@30"]
+    assert list(combine_samples(readings, "some").sample.values) == ["wetter@30"]
     table["other@30"] = table["wetter@30"]
     given["prior_from"] |= {"of": "other"}
     section = RetrieveSection.model_validate(given)
-    alone = by_sample(run_retrieve(section, snowlike(), pd.DataFrame(table)))
+    alone = index_by_sample(run_retrieve(section, make_snowlike_table(), pd.DataFrame(table)))
     assert alone["wetter@30"].stderr == plain["wetter@30"].stderr
     assert alone["other@30"].stderr == found["wetter@30"].stderr
 
 
 def test_every_sample_is_read_with_every_model():
     """Of a model whose light is wrong the misfit is larger, and larger still at what is known."""
-    right = snowlike().dataset
+    right = make_snowlike_table().dataset
     wrong = right.assign(reflectance=right.reflectance * (1.0 - 1e-4 * right.wavelength))
     both = xr.concat([right, wrong], xr.IndexVariable("readings", ["right", "wrong"]))
     given = {**SECTION, "models": "readings", "known": {SIZE: {"dirty@60": 600.0}}}
@@ -97,25 +97,25 @@ def test_every_sample_is_read_with_every_model():
     for one in found[1::2]:
         assert one.reference_chi2 >= one.result.dataset.attrs["chi2"] - 1e-6
     assert found[3].reference_chi2 > 2.0 * found[1].reference_chi2
-    joined = together(found, "some")
+    joined = combine_samples(found, "some")
     assert joined.sizes["model"] == 2 and joined.sizes["sample"] == 2
-    assert retrieved_table(found, given["known"]).model.unique().tolist() == ["right", "wrong"]
+    assert make_retrieval_table(found, given["known"]).model.unique().tolist() == ["right", "wrong"]
 
 
 def test_tables_and_figures_show_all_samples(tmp_path):
-    found = run_retrieve(RetrieveSection.model_validate(SECTION), snowlike(), measured())
+    found = run_retrieve(RetrieveSection.model_validate(SECTION), make_snowlike_table(), measured())
     known = {SIZE: {"clean@30": 150.0, "dirty@60": 600.0}}
-    table = retrieved_table(found, known)
+    table = make_retrieval_table(found, known)
     assert len(table) == 4
     sizes = table[table.parameter == SIZE]
     assert sizes.known.tolist() == [150.0, 600.0]
     assert (sizes["2.5 %"] < sizes["median"]).all() and (sizes["median"] < sizes["97.5 %"]).all()
     assert sizes["told by the spectrum"].tolist() == ["yes", "yes"]
-    for path in save_figure(retrievals(together(found, "some"), known), tmp_path / "figure"):
+    for path in save_figure(draw_retrievals(combine_samples(found, "some"), known), tmp_path / "figure"):
         assert path.stat().st_size > 10_000
 
 
-WRONG = {
+INVALID_SECTIONS = {
     "no noise": ({"noise": {}}, "noise.absolute"),
     "one number": ({"noise": 0.01}, r"retrieve\.noise = 0.01: must be a mapping such as"),
     "negative noise": ({"noise": {"relative": -0.1}}, "noise.relative"),
@@ -124,26 +124,26 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_SECTIONS)
 def test_sections_that_make_no_sense_are_refused(name):
-    other, message = WRONG[name]
-    with pytest.raises((ValidationError, Refusal), match=message):
+    other, message = INVALID_SECTIONS[name]
+    with pytest.raises((ValidationError, InvalidValue), match=message):
         RetrieveSection.model_validate(SECTION | other)
 
 
 LAW = {"beside": "kokhanovsky_zege_2004"}
-NAMED = {**TABLE["grid"], "readings": {"one": {}, "other": "geometric"}}
-OF_EXPERIMENTS = {
+NAMED_SAMPLES = {**TABLE["grid"], "readings": {"one": {}, "other": "geometric"}}
+EXPERIMENT_ERRORS = {
     "models of numbers": (
         {"retrieve": {**SECTION, "models": SIZE}},
         r"retrieve\.models = .*no axis",
     ),
     "models and at": (
-        {"grid": NAMED, "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}}},
+        {"grid": NAMED_SAMPLES, "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}}},
         r"retrieve\.at\.readings",
     ),
     "no such model axis": (
-        {"grid": NAMED, "retrieve": {**SECTION, "models": "reading"}},
+        {"grid": NAMED_SAMPLES, "retrieve": {**SECTION, "models": "reading"}},
         "one of readings",
     ),
     "known beyond the table": (
@@ -155,7 +155,7 @@ OF_EXPERIMENTS = {
         "50 to 100",
     ),
     "nothing left of the first": (
-        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "at": {SIZE: 60, DIRT: 0}}}},
+        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "at": {SIZE: 60, SOOT: 0}}}},
         "not all that is free",
     ),
     "law of sand": (
@@ -191,35 +191,35 @@ OF_EXPERIMENTS = {
 }
 
 
-@pytest.mark.parametrize("name", OF_EXPERIMENTS)
+@pytest.mark.parametrize("name", EXPERIMENT_ERRORS)
 def test_experiments_that_cannot_retrieve_are_refused(name):
-    other, message = OF_EXPERIMENTS[name]
-    with pytest.raises((ValidationError, Refusal), match=message):
-        Experiment.model_validate(TABLE | other)
+    other, message = EXPERIMENT_ERRORS[name]
+    with pytest.raises((ValidationError, InvalidValue), match=message):
+        ExperimentConfig.model_validate(TABLE | other)
 
 
-OF_SAMPLES = {
-    "begins no name": ([{"sample": "clean@30", "at": {DIRT: 1}, "of": "dusty"}], r"prior_from\.of"),
-    "twice": ([{"sample": "clean@30", "at": {DIRT: 1}}] * 2, "different samples"),
-    "all": ([{"sample": s, "at": {DIRT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
+SAMPLE_ERRORS = {
+    "begins no name": ([{"sample": "clean@30", "at": {SOOT: 1}, "of": "dusty"}], r"prior_from\.of"),
+    "twice": ([{"sample": "clean@30", "at": {SOOT: 1}}] * 2, "different samples"),
+    "all": ([{"sample": s, "at": {SOOT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
 }
 
 
-@pytest.mark.parametrize("name", OF_SAMPLES)
+@pytest.mark.parametrize("name", SAMPLE_ERRORS)
 def test_first_samples_that_serve_none_are_refused(name):
-    first, message = OF_SAMPLES[name]
+    first, message = SAMPLE_ERRORS[name]
     section = RetrieveSection.model_validate({**SECTION, "prior_from": first})
-    with pytest.raises(Refusal, match=message):
-        run_retrieve(section, snowlike(), measured())
+    with pytest.raises(InvalidValue, match=message):
+        run_retrieve(section, make_snowlike_table(), measured())
 
 
 def test_samples_that_are_not_there_are_refused():
     section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
-    with pytest.raises(Refusal, match=r"retrieve\.samples"):
+    with pytest.raises(InvalidValue, match=r"retrieve\.samples"):
         section.select_spectra(measured(), W)
-    with pytest.raises(Refusal, match="column wavelength_nm"):
+    with pytest.raises(InvalidValue, match="column wavelength_nm"):
         RetrieveSection.model_validate(SECTION).select_spectra(measured().drop(columns="wavelength_nm"), W)
-    with pytest.raises(Refusal, match="as the table has them"):
+    with pytest.raises(InvalidValue, match="as the table has them"):
         RetrieveSection.model_validate(SECTION).select_spectra(measured(), 1100.0 + W)
 
 
@@ -237,51 +237,51 @@ def test_spectra_are_checked_before_anything_runs(name):
     sample, values, message = SPECTRA[name]
     grid = {**TABLE["grid"], "incidence_deg": [0, 60]}
     at = {} if "@" in sample or sample == "plain" else {"incidence_deg": 30}
-    experiment = Experiment.model_validate(
+    experiment = ExperimentConfig.model_validate(
         TABLE | {"grid": grid, "retrieve": {**SECTION, "at": at}}
     )
     table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
-    with pytest.raises(Refusal, match=message):
-        check_spectra(experiment, table)
+    with pytest.raises(InvalidValue, match=message):
+        check_measured_spectra(experiment, table)
 
 
 def test_without_noise_the_misfit_tells_the_errors():
     section = RetrieveSection.model_validate({**SECTION, "noise": None})
-    for reading in run_retrieve(section, snowlike(), measured()):
+    for reading in run_retrieve(section, make_snowlike_table(), measured()):
         assert reading.result.dataset.attrs["noise"] == "found from the misfit"
         assert np.isnan(reading.reference_chi2)
 
 
 def test_an_angle_that_is_none_is_refused():
-    with pytest.raises(Refusal, match="an angle after @"):
+    with pytest.raises(InvalidValue, match="an angle after @"):
         RetrieveSection.model_validate(SECTION).get_fixed_values("snow@noon", ["incidence_deg"])
 
 
 def test_noise_is_added_in_quadrature_unless_it_goes_together():
     values = np.array([0.5, 0.1])
-    plain = Noise(absolute=0.003, relative=0.01).evaluate(values)
+    plain = NoiseSection(absolute=0.003, relative=0.01).evaluate(values)
     np.testing.assert_allclose(plain, np.hypot(0.003, 0.01 * values))
-    both = Noise(absolute=0.003, relative=0.01, correlation_nm=100).evaluate(values)
+    both = NoiseSection(absolute=0.003, relative=0.01, correlation_nm=100).evaluate(values)
     assert both["independent"] == 0.003
 
 
 def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read():
     section = {key: value for key, value in SECTION.items() if key != "noise"}
-    experiment = Experiment.model_validate(TABLE | {"retrieve": section})
+    experiment = ExperimentConfig.model_validate(TABLE | {"retrieve": section})
     few = pd.DataFrame({"wavelength_nm": [500, 700, 900], "a": [0.9, 0.8, 0.5]})
     line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to find it"
     with pytest.raises(ValueError, match=line):
-        check_spectra(experiment, few)
-    check_spectra(Experiment.model_validate(TABLE), few)
+        check_measured_spectra(experiment, few)
+    check_measured_spectra(ExperimentConfig.model_validate(TABLE), few)
 
 
 @pytest.mark.parametrize(
     ("section", "line"),
     [
         ({"at": {SIZE: 50}}, r"retrieve\.at\.optical_radius_um = 50.0: must be left out"),
-        ({"free": ["level"], "at": {SIZE: 50, DIRT: 0}}, r"retrieve\.free = .*at least one para"),
+        ({"free": ["level"], "at": {SIZE: 50, SOOT: 0}}, r"retrieve\.free = .*at least one para"),
     ],
 )
 def test_what_retrievals_refuse_is_refused_when_the_file_is_read(section, line):
     with pytest.raises(ValueError, match=line):
-        Experiment.model_validate(TABLE | {"retrieve": SECTION | section})
+        ExperimentConfig.model_validate(TABLE | {"retrieve": SECTION | section})

@@ -7,20 +7,20 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from stated_errors import with_errors
+from stated_errors import list_variables_with_errors
 
 from splits import load, save
-from splits.analysis.sand_tables import UNDETERMINED, fitted_parameters
+from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments import run_fit as module
-from splits.experiments.fit import Effort
-from splits.experiments.model import Experiment
-from splits.experiments.settings import Accuracy
-from splits.figures import draw
+from splits.retrieval.sand_fit import Effort
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.settings import Accuracy
+from splits.plotting import draw
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
-TINY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
-TEXT = """
+TINY_ACCURACY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
+EXPERIMENT_TEXT = """
 medium: {kind: sand}
 instrument: {incidence_deg: 10}
 fit: {measured: mine.csv}
@@ -38,13 +38,13 @@ def experiment(tmp_path):
         table[name] = level + 2e-4 * (WAVELENGTHS - 400.0)
     table.to_csv(measured, index=False)
     path = tmp_path / "found.yaml"
-    path.write_text(TEXT, encoding="utf-8")
+    path.write_text(EXPERIMENT_TEXT, encoding="utf-8")
     return load_experiment(path, tmp_path / "media"), table
 
 
 @NEEDS_JIT
 def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "effort_for", lambda _: TINY)
+    monkeypatch.setattr(module, "effort_for", lambda _: TINY_ACCURACY)
     settings, table = experiment
     lines = []
     ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, log=lines.append)
@@ -53,16 +53,16 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     off = ds.reflectance - ds.measured
     np.testing.assert_allclose(ds.rmse, np.sqrt((off**2).mean("wavelength")), rtol=1e-12)
     assert (ds.value_stderr >= 0.0).all()
-    assert with_errors(ds) == {"reflectance", "value", "rmse"}
+    assert list_variables_with_errors(ds) == {"reflectance", "value", "rmse"}
     shares = ["partition_pure", "partition_mixed", "partition_coated"]
     np.testing.assert_allclose(ds.value.sel(parameter=shares).sum("parameter"), 1.0)
     np.testing.assert_allclose(ds.value.sel(parameter=["clay", "silt", "sand"]).sum("parameter"), 1)
     assert any("4/4 refractive_index=goethite k / 2 bright" in line for line in lines)
     save(ds, tmp_path / "found.nc")
     again = load(tmp_path / "found.nc")
-    rows = fitted_parameters(again)
+    rows = make_fit_table(again)
     assert len(rows) == ds.value.size
-    assert set(rows.verdict) <= {"determined", UNDETERMINED}
+    assert set(rows.verdict) <= {"determined", UNDETERMINED_VERDICT}
     assert again.reflectance_groups.dims == ("refractive_index", "sample", "group", "wavelength")
     square = (again.reflectance_groups.astype(float) ** 2).sum("group")
     assert (square <= again.reflectance_stderr**2 * (1.0 + 1e-6)).all()
@@ -81,12 +81,12 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
         },
         {"sample": ["near", "far"], "parameter": ["iron_oxide", "clay"]},
     )
-    rows = fitted_parameters(found).set_index(["sample", "parameter"])
+    rows = make_fit_table(found).set_index(["sample", "parameter"])
     assert rows.verdict.to_dict() == {
-        ("near", "iron_oxide"): UNDETERMINED,
+        ("near", "iron_oxide"): UNDETERMINED_VERDICT,
         ("near", "clay"): "determined",
         ("far", "iron_oxide"): "determined",
-        ("far", "clay"): UNDETERMINED,
+        ("far", "clay"): UNDETERMINED_VERDICT,
     }
     assert (rows.spectrum["near"] == "reproduced").all()
     assert (rows.spectrum["far"] == "not reproduced").all()
@@ -105,7 +105,7 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
 )
 def test_fits_that_cannot_be_run_are_refused(experiment, tmp_path, line, message):
     path = tmp_path / "wrong.yaml"
-    text = TEXT.replace("medium: {kind: sand}\n", "") if "medium:" in line else TEXT
+    text = EXPERIMENT_TEXT.replace("medium: {kind: sand}\n", "") if "medium:" in line else EXPERIMENT_TEXT
     path.write_text(text.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, tmp_path / "media")
@@ -165,6 +165,6 @@ def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, me
 
 
 def test_a_fit_is_the_same_after_a_round_trip(experiment):
-    again = Experiment.model_validate(experiment[0].simulation())
+    again = ExperimentConfig.model_validate(experiment[0].simulation())
     assert again.dump_simulation() == experiment[0].simulation()
     assert module.check_fit(again, experiment[1]) == ["dark", "bright"]

@@ -7,69 +7,69 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.instruments.ensemble import Ensemble, Manner
-from splits.instruments.runner import BATCH, LEGS, Runner
+from splits.simulation.tally import PathTally, TransportTraits
+from splits.simulation.runner import RAYS_PER_CHUNK, MAX_SEGMENTS_PER_JOB, Runner
 
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
 SNOW = splits.Snow(depth_m=0.02)
 
 
-def a_runner(threads, segments_per_ray=None):
+def make_runner(threads, segments_per_ray=None):
     """Return a runner and work for it: three levels, of rays that were so long so far."""
     runner = Runner(SNOW, 0.0, 1, threads, False, "scalar")
-    ensemble = Ensemble(
+    ensemble = PathTally(
         0, np.ones(3) + 0j, np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0], [99.0, 99.0, 99.0]]),
-        np.ones(3, dtype=bool), Manner(1e3),
+        np.ones(3, dtype=bool), TransportTraits(1e3),
     )  # fmt: skip
     assert len(ensemble.strata) == 3
     for level, legs in zip(ensemble.strata, segments_per_ray or (), strict=False):
-        level.n_rays, level.n_segments = BATCH, BATCH * legs
+        level.n_rays, level.n_segments = RAYS_PER_CHUNK, RAYS_PER_CHUNK * legs
     return runner, ensemble
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 7])
 @pytest.mark.parametrize("batches", [(1, 1, 1), (40, 30, 1000), (5, 30_000, 0)])
 def test_jobs_hold_every_batch_once_and_in_order(threads, batches):
-    runner, ensemble = a_runner(threads, (1000, 100, 10))
+    runner, ensemble = make_runner(threads, (1000, 100, 10))
     work = [
-        (ensemble, level, count * BATCH)
+        (ensemble, level, count * RAYS_PER_CHUNK)
         for level, count in zip(ensemble.strata, batches, strict=True)
         if count
     ]
     jobs = runner.make_jobs(work)
     for _, level, rays in work:
         firsts = [
-            first + BATCH * batch
+            first + RAYS_PER_CHUNK * batch
             for job in jobs
             for _, its, first, count in job
             for batch in range(count)
             if its is level
         ]
-        assert firsts == list(range(level.n_rays, level.n_rays + rays, BATCH))
+        assert firsts == list(range(level.n_rays, level.n_rays + rays, RAYS_PER_CHUNK))
     most = runner.compute_job_capacity(ensemble)
     assert all(sum(count for *_, count in job) <= most for job in jobs)
 
 
 def test_jobs_cost_about_the_same():
-    runner, ensemble = a_runner(4, (1000, 100, 10))
+    runner, ensemble = make_runner(4, (1000, 100, 10))
     counts = (100, 500, 2000)
     work = zip(ensemble.strata, counts, strict=True)
-    jobs = runner.make_jobs([(ensemble, level, count * BATCH) for level, count in work])
+    jobs = runner.make_jobs([(ensemble, level, count * RAYS_PER_CHUNK) for level, count in work])
     costs = [sum(count * runner.estimate_cost(level) for _, level, _, count in job) for job in jobs]
-    assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * LEGS
+    assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * MAX_SEGMENTS_PER_JOB
     assert len(jobs) % 4 == 0
 
 
 @pytest.mark.parametrize("threads, batches", [(2, 3), (8, 11), (16, 38), (64, 80), (64, 95)])
 def test_no_job_takes_much_more_than_its_part(threads, batches):
-    runner, ensemble = a_runner(threads, (10, 10, 10))
-    jobs = runner.make_jobs([(ensemble, ensemble.strata[0], batches * BATCH)])
+    runner, ensemble = make_runner(threads, (10, 10, 10))
+    jobs = runner.make_jobs([(ensemble, ensemble.strata[0], batches * RAYS_PER_CHUNK)])
     sizes = [sum(count for *_, count in job) for job in jobs]
     assert sum(sizes) == batches and max(sizes) <= -(-batches // threads) + 1
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("more", [1, 2 * BATCH, 11 * BATCH])
+@pytest.mark.parametrize("more", [1, 2 * RAYS_PER_CHUNK, 11 * RAYS_PER_CHUNK])
 def test_a_run_with_few_rays_left_ends(more):
     first_round = splits.spectrophotometer(SNOW, WAVELENGTHS, max_rays=1).attrs["rays"]
     asked = first_round + more

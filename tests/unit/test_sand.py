@@ -10,17 +10,17 @@ import xarray as xr
 import yaml
 
 import splits
-from splits import Sand, SandReadings
-from splits.dataset import attributes, provenance
-from splits.instruments.nodes import of_grains
-from splits.materials import refractive_index
-from splits.media.grain_statistics import surface_to_volume
-from splits.media.readings import CHOICES
+from splits import Sand, SandInterpretation
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.simulation.spectral_nodes import select_grain_interfaces
+from splits.materials import lookup
+from splits.media.grain_statistics import surface_to_volume_ratio
+from splits.media.interpretations import INTERPRETATION_CHOICES
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 ORDER = "min <= mean <= max <= 1"
-READINGS = list(SandReadings.__dataclass_fields__)
-EIGHT = {
+INTERPRETATIONS = list(SandInterpretation.__dataclass_fields__)
+EIGHT_TYPES = {
     "iron_oxide": 0.03,
     "hematite_ratio": 0.4,
     "magnetite": 0.05,
@@ -32,7 +32,7 @@ MATERIALS = ("air", "water", "quartz", "magnetite", *(
 ))  # fmt: skip
 WAVELENGTHS = np.array([450.0, 600.0, 900.0])
 TABLE = {"wavelength_nm": [400, 1000], "n": [2.4, 2.2], "k": [0.1, 0.01]}
-BAD = [
+INVALID_SANDS = [
     ("iron_oxide", -0.01, "[0, 1]"),
     ("iron_oxide", 0.06, "at most 0.0536, what a coating of goethite can hold"),
     ("iron_oxide", "1e-2", "[0, 1]"),
@@ -56,7 +56,7 @@ BAD = [
 ]
 
 
-class Refuse:
+class UnusedIndex:
     """An index that must not be asked for."""
 
     name = "refuses"
@@ -88,7 +88,7 @@ def test_the_samples_of_table_5_are_accepted(sample):
     assert sum(sand.composition.volume_fractions) == pytest.approx(1.0, abs=1e-14)
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SANDS)
 def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
     with pytest.raises(ValueError, match=f"^{key}") as caught:
         Sand(**{key: value})
@@ -118,18 +118,18 @@ def test_unknown_keywords_materials_and_readings_are_refused():
         Sand(readings={"size_is": "diameter"})
 
 
-@pytest.mark.parametrize("name", READINGS)
+@pytest.mark.parametrize("name", INTERPRETATIONS)
 def test_readings_are_checked_and_have_their_first_choice_by_default(name):
-    assert getattr(SandReadings(), name) == CHOICES[name][0]
+    assert getattr(SandInterpretation(), name) == INTERPRETATION_CHOICES[name][0]
     with pytest.raises(ValueError, match=f"readings.{name} = 'neither'"):
         Sand(readings={name: "neither"})
 
 
 def test_materials_are_listed_once_in_the_order_of_their_types():
-    assert Sand(**EIGHT).list_materials() == MATERIALS
+    assert Sand(**EIGHT_TYPES).list_materials() == MATERIALS
     plain = Sand(iron_oxide=0.0, partition=(0.2, 0.3, 0.5))
     assert plain.list_materials() == ("air", "water", "quartz", "kaolinite")
-    grains = Sand(**EIGHT).make_grain_population()
+    grains = Sand(**EIGHT_TYPES).make_grain_population()
     rows = zip(grains.types.material, grains.types.n_shells, strict=True)
     layers = [tuple(MATERIALS[m] for m in row[:n]) for row, n in rows]
     iron = [
@@ -146,12 +146,12 @@ def test_materials_are_listed_once_in_the_order_of_their_types():
 
 def test_indices_by_hand():
     """Eq 4 with volume fractions from the balance of volumes in each particle."""
-    sand = Sand(**EIGHT, saturation=0.1)
+    sand = Sand(**EIGHT_TYPES, saturation=0.1)
     index = dict(zip(MATERIALS, sand.compute_refractive_indices(WAVELENGTHS).T, strict=True))
-    pure = {m: refractive_index(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
+    pure = {m: lookup(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
     np.testing.assert_array_equal(index["air"], 1.0)
-    np.testing.assert_array_equal(index["water"], refractive_index("water")(WAVELENGTHS))
-    np.testing.assert_array_equal(index["magnetite"], refractive_index("magnetite")(WAVELENGTHS))
+    np.testing.assert_array_equal(index["water"], lookup("water")(WAVELENGTHS))
+    np.testing.assert_array_equal(index["magnetite"], lookup("magnetite")(WAVELENGTHS))
     for mineral, values in pure.items():
         np.testing.assert_array_equal(index[mineral], values)
     coat = 0.0337371413100692
@@ -173,38 +173,38 @@ def test_indices_by_hand():
 
 
 def test_water_is_asked_for_only_where_there_is_some():
-    dry = Sand(saturation=0.0, refractive_index={"water": Refuse()})
+    dry = Sand(saturation=0.0, refractive_index={"water": UnusedIndex()})
     assert (dry.compute_refractive_indices(WAVELENGTHS)[:, 1] == 1.0).all()
     with pytest.raises(AssertionError, match="asked for"):
-        Sand(saturation=0.01, refractive_index={"water": Refuse()}).compute_refractive_indices(WAVELENGTHS)
+        Sand(saturation=0.01, refractive_index={"water": UnusedIndex()}).compute_refractive_indices(WAVELENGTHS)
     # Nor are minerals that are not there.
-    absent = dict.fromkeys(("magnetite", "hematite"), Refuse())
+    absent = dict.fromkeys(("magnetite", "hematite"), UnusedIndex())
     assert np.isfinite(Sand(refractive_index=absent).compute_refractive_indices(WAVELENGTHS)).all()
 
 
 @pytest.mark.parametrize("goethite", [{"k_factor": 0.5}, 2.3 + 0.05j, TABLE], ids=str)
 def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
-    before = Sand(**EIGHT).compute_refractive_indices(WAVELENGTHS)
-    sand = Sand(**EIGHT, refractive_index={"goethite": goethite})
+    before = Sand(**EIGHT_TYPES).compute_refractive_indices(WAVELENGTHS)
+    sand = Sand(**EIGHT_TYPES, refractive_index={"goethite": goethite})
     changed = (sand.compute_refractive_indices(WAVELENGTHS) != before).all(axis=0)
     assert [m for m, c in zip(MATERIALS, changed, strict=True) if c] == [
         m for m in MATERIALS if "goethite" in m
     ]
     assert ((sand.compute_refractive_indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
     own = sand.compute_refractive_indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
-    np.testing.assert_array_equal(own, refractive_index("goethite", goethite)(WAVELENGTHS))
+    np.testing.assert_array_equal(own, lookup("goethite", goethite)(WAVELENGTHS))
 
 
 def test_description_is_written_to_a_file_and_read_again(tmp_path):
-    sand = Sand(**EIGHT, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
+    sand = Sand(**EIGHT_TYPES, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
     facts = sand.describe()
     inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "readings", "pores"}
-    assert inputs | {f"reading_{name}" for name in READINGS} <= set(facts)
+    assert inputs | {f"reading_{name}" for name in INTERPRETATIONS} <= set(facts)
     assert facts["refractive_index_goethite"] == "oscillators, k x 2"
     assert facts["refractive_index_water"] == "1.33+0j"
     assert len(facts["particle_types"].split(", ")) == len(facts["particle_volume_fractions"]) == 8
     path = tmp_path / "sand.nc"
-    splits.save(xr.Dataset({"x": 1.0}, attrs=attributes({**facts, **provenance()})), path)
+    splits.save(xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes({**facts, **make_provenance()})), path)
     read = splits.load(path).attrs
     for key, value in facts.items():
         if isinstance(value, str):
@@ -226,17 +226,17 @@ def test_mean_grain_distance():
     # Surface per mass of spheres: 6 per diameter and volume.
     assert sand.specific_surface_area_m2_kg == pytest.approx(6.0 * k1 / sand.density_kg_m3)
     one_shape = Sand(sphericity=(0.8, 0.8, 0.8, 0.1))
-    k2 = float(surface_to_volume(0.8)) / 4.0
+    k2 = float(surface_to_volume_ratio(0.8)) / 4.0
     assert one_shape.attenuation_per_m == pytest.approx(k2 * one_shape.sizes.size_attenuation_per_m, rel=1e-12)
 
 
 def test_meetings_with_interfaces_add_up():
-    sand = Sand(**EIGHT, saturation=0.3)
+    sand = Sand(**EIGHT_TYPES, saturation=0.3)
     volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.to_rows()}
-    outer = [i for i in of_grains(sand.list_interfaces()) if i.outer_material < 2]
+    outer = [i for i in select_grain_interfaces(sand.list_interfaces()) if i.outer_material < 2]
     assert sum(i.fraction for i in outer if i.outer_material == 1) == pytest.approx(0.3)
     assert sum(i.fraction for i in outer) == pytest.approx(1.0)
-    (face,) = [i for i in sand.list_interfaces() if i not in of_grains(sand.list_interfaces())]
+    (face,) = [i for i in sand.list_interfaces() if i not in select_grain_interfaces(sand.list_interfaces())]
     assert face[:3] == (pytest.approx(0.3), 0, 1)
     inner = {
         (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.list_interfaces() if i.near > 1

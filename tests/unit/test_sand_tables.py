@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.sand_tables import sand_trends, shifts
+from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 from splits.experiments import load_experiment
-from splits.experiments.composition_table import composition_table
+from splits.experiments.run import make_composition_table
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
 GRIDS = {
@@ -22,7 +22,7 @@ GRIDS = {
 }
 
 
-def made(dimension, values, step, error=0.005, redder=0.0):
+def make_spectra(dimension, values, step, error=0.005, redder=0.0):
     """Return spectra that rise with wavelength and change by `step` per value."""
     number = np.arange(len(values))[:, np.newaxis]
     slope = 1e-4 * (1.0 + redder * number)
@@ -36,34 +36,34 @@ def made(dimension, values, step, error=0.005, redder=0.0):
     )
 
 
-def datasets(error=0.0005):
-    found = {name: made(*grid, error=error) for name, grid in GRIDS.items()}
+def make_datasets(error=0.0005):
+    found = {name: make_spectra(*grid, error=error) for name, grid in GRIDS.items()}
     ratio = GRIDS["hematite_ratio"]
-    found["hematite_ratio"] = made(*ratio, error=error, redder=2.0)
+    found["hematite_ratio"] = make_spectra(*ratio, error=error, redder=2.0)
     return found
 
 
 def test_trends_that_hold_are_shown():
-    table = sand_trends(datasets())
+    table = make_sand_trend_table(make_datasets())
     assert (table.verdict == "agrees").all(), table.to_string()
     assert len(table) == 8
 
 
 def test_trends_that_do_not_hold_are_told_apart():
-    given = datasets()
-    given["iron_oxide"] = made("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
-    given["magnetite"] = made("magnetite", [0.0, 0.3], -1e-4, error=0.005)
-    table = sand_trends(given).set_index("quantity")
+    given = make_datasets()
+    given["iron_oxide"] = make_spectra("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
+    given["magnetite"] = make_spectra("magnetite", [0.0, 0.3], -1e-4, error=0.005)
+    table = make_sand_trend_table(given).set_index("quantity")
     verdicts = {q: v for q, v in table.verdict.items() if v != "agrees"}
     assert sorted(verdicts.values()) == ["not resolved at this accuracy", "outside"]
 
 
 def test_shifts_are_differences_to_the_reference_with_errors():
     both = xr.concat(
-        [made("medium", ["one", "two"], 0.0, 0.003), made("medium", ["one", "two"], 0.1, 0.004)],
+        [make_spectra("medium", ["one", "two"], 0.0, 0.003), make_spectra("medium", ["one", "two"], 0.1, 0.004)],
         dim=xr.DataArray(["default", "other"], dims="readings", name="readings"),
     )
-    table = shifts(both, "readings", "default").set_index("medium")
+    table = make_shift_table(both, "readings", "default").set_index("medium")
     assert table["value"].unique().tolist() == ["other"]
     assert table.mean_shift["one"] == pytest.approx(0.0)
     assert table.mean_shift["two"] == pytest.approx(0.1)
@@ -81,7 +81,7 @@ def test_compositions_are_listed_once_per_sand(tmp_path):
     )
     snow = tmp_path / "snow.yaml"
     snow.write_text("instrument: {wavelength_nm: [500]}\n", encoding="utf-8")
-    table = composition_table({p.stem: load_experiment(p) for p in (path, snow)})
+    table = make_composition_table({p.stem: load_experiment(p) for p in (path, snow)})
     assert set(table.experiment) == {"mine"}
     assert table.groupby("iron_oxide").size().tolist() == [3, 3]
     for _, rows in table.groupby("iron_oxide"):

@@ -6,81 +6,81 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from chi2 import largest_z
-from stated_errors import with_errors
+from chi2 import compute_z_bound
+from stated_errors import list_variables_with_errors
 
-from splits.analysis.sensitivity import NOISE, mean_sensitivity_index
-from splits.analysis.sensitivity_tables import (
-    QUANTITIES,
-    chosen_sensitivities,
-    pair_sensitivity,
-    sensitivity_table,
+from splits.analysis.sensitivity import NOISE_THRESHOLD_SIGMA, compute_mean_sensitivity_index
+from splits.experiments.papers.sensitivity_table import (
+    QUANTITY_CONDITIONS,
+    select_chosen_sensitivities,
+    compute_pair_sensitivity,
+    make_sensitivity_table,
 )
 
 WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
 PAIR = {"parameter": "saturation", "experiment": "e", "readings": "r", "low": 0, "high": 1}
 
 
-def spectra(scale, dimension, labels):
+def make_spectra(scale, dimension, labels):
     """Return reflectance scale[i] and half of it as transmittance over two depths."""
     values = np.asarray(scale)[:, np.newaxis, np.newaxis] * np.ones((1, 2, len(WAVELENGTHS)))
     dims = (dimension, "depth_m", "wavelength")
     variables = {"reflectance": values, "transmittance": 0.5 * values}
-    variables |= {f"{name}_stderr": np.full_like(values, 1e-3) for name in QUANTITIES}
+    variables |= {f"{name}_stderr": np.full_like(values, 1e-3) for name in QUANTITY_CONDITIONS}
     coordinates = {dimension: labels, "depth_m": [0.12, 0.02], "wavelength": WAVELENGTHS}
     return xr.Dataset({name: (dims, v) for name, v in variables.items()}, coordinates)
 
 
 def test_equal_spectra_have_no_sensitivity():
-    s = mean_sensitivity_index([0.5, 0.2], [0.01, 0.01], [0.5, 0.2], [0.01, 0.01])
+    s = compute_mean_sensitivity_index([0.5, 0.2], [0.01, 0.01], [0.5, 0.2], [0.01, 0.01])
     assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 1.0)
 
 
 def test_the_index_is_the_mean_relative_difference_to_the_larger():
-    s = mean_sensitivity_index([1.0, 0.2, 0.3], [0, 0, 0], [0.5, 0.8, 0.3], [0, 0, 0])
+    s = compute_mean_sensitivity_index([1.0, 0.2, 0.3], [0, 0, 0], [0.5, 0.8, 0.3], [0, 0, 0])
     assert s.index == pytest.approx((0.5 + 0.75 + 0.0) / 3)
     assert s.stderr == 0.0
 
 
 def test_the_order_of_the_two_does_not_matter():
     y, e, z, f = [0.9, 0.1, 0.0], [0.01, 0.02, 0.01], [0.3, 0.4, 0.2], [0.03, 0.01, 0.02]
-    assert mean_sensitivity_index(y, e, z, f) == mean_sensitivity_index(z, f, y, e)
+    assert compute_mean_sensitivity_index(y, e, z, f) == compute_mean_sensitivity_index(z, f, y, e)
 
 
 def test_where_both_are_below_the_noise_the_ratio_counts_as_nothing():
-    s = mean_sensitivity_index([0.8, 1e-3], [1e-3, 1e-3], [0.4, 0.0], [1e-3, 1e-3])
+    s = compute_mean_sensitivity_index([0.8, 1e-3], [1e-3, 1e-3], [0.4, 0.0], [1e-3, 1e-3])
     assert s.index == pytest.approx(0.25)
     assert s.index_resolved == pytest.approx(0.5)
     assert s.resolved_fraction == 0.5
 
 
 def test_all_below_the_noise():
-    s = mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
+    s = compute_mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
     assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 0.0)
-    nothing = mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    nothing = compute_mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
     assert nothing.stderr == 0.0
 
 
 def test_a_spectrum_that_vanishes_is_fully_sensitive():
-    s = mean_sensitivity_index([0.5, 0.4], [1e-3, 1e-3], [0.0, 0.0], [1e-3, 1e-3])
+    s = compute_mean_sensitivity_index([0.5, 0.4], [1e-3, 1e-3], [0.0, 0.0], [1e-3, 1e-3])
     assert s.index == 1.0
 
 
 def test_the_noise_limit_is_not_seen():
     for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
-        assert mean_sensitivity_index([NOISE * factor], [1.0], [0.0], [1.0]).resolved_fraction == resolved
+        assert compute_mean_sensitivity_index([NOISE_THRESHOLD_SIGMA * factor], [1.0], [0.0], [1.0]).resolved_fraction == resolved
 
 
 def test_the_error_is_that_of_many_noisy_pairs():
     rng = np.random.default_rng(5)
     y, e, z, f = 0.6, 0.006, 0.4, 0.008
     ratios = [
-        mean_sensitivity_index([y + e * a], [e], [z + f * b], [f]).index
+        compute_mean_sensitivity_index([y + e * a], [e], [z + f * b], [f]).index
         for a, b in rng.standard_normal((4000, 2))
     ]
-    stderr = mean_sensitivity_index([y], [e], [z], [f]).stderr
+    stderr = compute_mean_sensitivity_index([y], [e], [z], [f]).stderr
     # 4000 values know their scatter to 1/√8000.
-    assert np.std(ratios) == pytest.approx(stderr, rel=largest_z(1) / 8000**0.5)
+    assert np.std(ratios) == pytest.approx(stderr, rel=compute_z_bound(1) / 8000**0.5)
 
 
 @pytest.mark.parametrize("other", [0.0, 0.5])
@@ -88,46 +88,46 @@ def test_the_error_is_that_of_many_noisy_pairs():
 def test_the_error_covers_wavelengths_that_are_seen_in_some_runs_only(level, other):
     rng = np.random.default_rng(9)
     draws = np.maximum(rng.normal((level, other * level), 1.0, (2000, 2)), 0.0)
-    found = [mean_sensitivity_index([y], [1.0], [z], [1.0]) for y, z in draws]
+    found = [compute_mean_sensitivity_index([y], [1.0], [z], [1.0]) for y, z in draws]
     stated = np.sqrt(np.mean([s.stderr**2 for s in found]))
     # 2000 values know their scatter to 1/√4000.
-    assert np.std([s.index for s in found]) < stated * (1.0 + largest_z(18) / 4000**0.5)
+    assert np.std([s.index for s in found]) < stated * (1.0 + compute_z_bound(18) / 4000**0.5)
 
 
 def test_what_is_clearly_seen_has_the_error_of_its_ratio_alone():
     y, e, z, f = 0.8, 0.1, 0.4, 0.05
     exact = np.hypot(f / y, z * e / y**2)
-    assert mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(exact, rel=1e-4)
+    assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(exact, rel=1e-4)
 
 
 def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
-    dataset = spectra([0.8, 0.4], "saturation", [0.0, 1.0])
+    dataset = make_spectra([0.8, 0.4], "saturation", [0.0, 1.0])
     dataset.reflectance[0, 1] = 0.0
-    assert pair_sensitivity(dataset, "saturation", 0, 1, "reflectance").index == pytest.approx(0.5)
+    assert compute_pair_sensitivity(dataset, "saturation", 0, 1, "reflectance").index == pytest.approx(0.5)
     dataset.transmittance[1, 1, 2:] = 0.0
-    assert pair_sensitivity(dataset, "saturation", 0, 1, "transmittance").index == pytest.approx(
+    assert compute_pair_sensitivity(dataset, "saturation", 0, 1, "transmittance").index == pytest.approx(
         0.5
     )
 
 
 def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():
-    ranges = spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
+    ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
     readings = xr.concat(
-        [spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
+        [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
         dim=pd.Index(["default", "a", "b"], name="readings"),
     )
-    table = sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
+    table = make_sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
     assert len(table) == 2 * (3 + 2)
     chosen = table[table.chosen]
-    assert sorted(chosen.quantity) == sorted(QUANTITIES)
+    assert sorted(chosen.quantity) == sorted(QUANTITY_CONDITIONS)
     np.testing.assert_allclose(chosen.msi, 0.5)
     np.testing.assert_allclose(table[table.reading == "a"].msi, 0.75)
 
     published = pd.DataFrame(
         {"published": [0.4, 0.6]}, index=["msi_r_saturation", "msi_t_saturation"]
     )
-    dataset = chosen_sensitivities(table, published)
+    dataset = select_chosen_sensitivities(table, published)
     np.testing.assert_allclose(dataset.msi, 0.5)
     assert dataset.published.sel(quantity="transmittance", parameter="saturation") == 0.6
     assert all(v.attrs["long_name"] and v.attrs["units"] for v in dataset.data_vars.values())
-    assert with_errors(dataset) == {"msi"}
+    assert list_variables_with_errors(dataset) == {"msi"}

@@ -11,10 +11,10 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits import command
-from splits.experiments import ConfigError, Simulation, load_experiment, load_settings
+from splits import cli
+from splits.experiments import ConfigError, SimulationConfig, load_experiment, load_settings
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
+from splits.experiments.config.settings import Accuracy
 
 ROOT = Path(__file__).parents[2]
 MEDIA = ROOT / "config" / "media"
@@ -29,7 +29,7 @@ TABLE = "medium: {kind: natural_snow}\n"
 TABLE += "instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}}\n"
 TABLE += "grid: {optical_radius_um: [50, 100, 200]}\n"
 RETRIEVE = "retrieve: {measured: snow_albedo_letcher2022.csv, samples: [albedo_340mm], "
-IDLE = {
+UNUSED_SETTINGS = {
     SPECTRUM + GRID + "figure: {kind: points, ylim: [0, 1]}": "figure.ylim",
     SPECTRUM + GRID + f"figure: {{kind: points, {MEASURED}}}": "figure.measured",
     "instrument: {kind: refractive_index}\nfigure: {wavelength_nm: [400, 500]}":
@@ -60,14 +60,14 @@ IDLE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("text", IDLE, ids=range(len(IDLE)))
+@pytest.mark.parametrize("text", UNUSED_SETTINGS, ids=range(len(UNUSED_SETTINGS)))
 def test_settings_that_change_nothing_are_refused(tmp_path, text):
     path = tmp_path / "idle.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         load_experiment(path, MEDIA)
     line = str(caught.value)
-    assert line.startswith(f"{path}: {IDLE[text]} = ") and "must be " in line, line
+    assert line.startswith(f"{path}: {UNUSED_SETTINGS[text]} = ") and "must be " in line, line
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_angles_in_names_of_samples_count_or_are_refused(
 
 def test_a_fit_is_not_passed_over():
     section = {"measured": "sand_reflectance_jhu.csv"}
-    one = Simulation.model_validate({"name": "a", "medium": {"kind": "sand"}, "fit": section})
+    one = SimulationConfig.model_validate({"name": "a", "medium": {"kind": "sand"}, "fit": section})
     with pytest.raises(ValueError, match=r"fit = 'sand_reflectance_jhu\.csv': .*run_fit"):
         run(one, Accuracy(max_stderr=0.5))
 
@@ -127,7 +127,7 @@ def test_a_fit_is_not_passed_over():
 def test_a_seed_of_the_file_is_not_passed_over(tmp_path, capsys):
     path = tmp_path / "made.yaml"
     path.write_text("instrument: {wavelength_nm: [500], seed: 3}\n", encoding="utf-8")
-    assert command.main(["run", str(path), "--seed", "4", "--output", str(tmp_path / "out")]) == 1
+    assert cli.main(["run", str(path), "--seed", "4", "--output", str(tmp_path / "out")]) == 1
     assert "--seed = 4: must be left out (the file has instrument.seed = 3)" in (
         capsys.readouterr().err
     )

@@ -5,18 +5,30 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.transport.sums.notes import NOTE_EVENT, NOTE_LENGTH, NOTE_RAY, NOTE_WEIGHT
-from splits.transport.sums.slopes import slopes
-from splits.transport.sums.tally import BLOCK, EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, exit_rows, tally
+from splits.kernels.tallies.crossings import (
+    CROSSING_EVENT,
+    CROSSING_LENGTH,
+    CROSSING_RAY,
+    CROSSING_WEIGHT,
+)
+from splits.kernels.tallies.derivatives import tally_derivatives
+from splits.kernels.tallies.exits import (
+    BLOCK_SIZE,
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    allocate_exits,
+    tally_weights,
+)
 
 RAYS, MATERIALS, WAVELENGTHS, PARAMETERS = 48, 3, 5, 2
 STEP = 1e-2
 
 
-def rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
+def make_rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return exits and notes of made-up rays; those of a ground meet it up to three times."""
     rng = np.random.default_rng(5)
-    exits = exit_rows(RAYS, MATERIALS + ground)
+    exits = allocate_exits(RAYS, MATERIALS + ground)
     exits[:, EXIT_SIDE] = rng.choice([-1.0, 0.0] if ground else [-1.0, 0.0, 1.0], RAYS)
     exits[:, EXIT_WEIGHT] = rng.uniform(1.0, 3.0, RAYS)
     lengths = rng.exponential(1.0, (RAYS, MATERIALS))
@@ -27,29 +39,29 @@ def rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
         exits[:, -1] = meetings
         for ray, count in enumerate(meetings):
             for number in range(count):
-                row = np.zeros(NOTE_LENGTH + MATERIALS + 1)
-                row[NOTE_RAY], row[NOTE_EVENT] = ray, 2
-                row[NOTE_WEIGHT] = 1.5
-                row[NOTE_LENGTH:-1] = lengths[ray] * (number + 1.0) / (count + 1.0)
+                row = np.zeros(CROSSING_LENGTH + MATERIALS + 1)
+                row[CROSSING_RAY], row[CROSSING_EVENT] = ray, 2
+                row[CROSSING_WEIGHT] = 1.5
+                row[CROSSING_LENGTH:-1] = lengths[ray] * (number + 1.0) / (count + 1.0)
                 row[-1] = number
                 rows.append(row)
-    return exits, np.array(rows).reshape(-1, NOTE_LENGTH + MATERIALS + ground)
+    return exits, np.array(rows).reshape(-1, CROSSING_LENGTH + MATERIALS + ground)
 
 
 @pytest.mark.parametrize("ground", [False, True])
 def test_derivatives_are_those_of_the_sums(ground):
     """Central differences of the same rays, whose own error goes with the square of the step."""
-    exits, notes = rays(ground)
+    exits, notes = make_rays(ground)
     columns = MATERIALS + ground
     rng = np.random.default_rng(6)
     absorption = rng.uniform(0.1, 1.0, (WAVELENGTHS, columns))
     changes = rng.uniform(-1.0, 1.0, (PARAMETERS, WAVELENGTHS, columns))
     column = MATERIALS if ground else -1
-    found = slopes(exits, notes, absorption, changes, column)
-    assert found.shape == (RAYS // BLOCK, 2, PARAMETERS, WAVELENGTHS)
+    found = tally_derivatives(exits, notes, absorption, changes, column)
+    assert found.shape == (RAYS // BLOCK_SIZE, 2, PARAMETERS, WAVELENGTHS)
     for parameter, change in enumerate(changes):
         above, below = (
-            tally(exits, notes, absorption + sign * STEP * change, True, column)[0][:2, 0]
+            tally_weights(exits, notes, absorption + sign * STEP * change, True, column)[0][:2, 0]
             for sign in (1.0, -1.0)
         )
         difference = (above - below) / (2.0 * STEP)

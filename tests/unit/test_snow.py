@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from splits import Readings, Snow
+from splits import Interpretation, Snow
 from splits.materials import ice_density
-from splits.media.granular import check_room
-from splits.media.readings import CHOICES, together
+from splits.media.medium import check_thickness
+from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
 
 TABLE1 = Path(__file__).parents[2] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"
-BAD = [
+INVALID_SNOWS = [
     ("grain_size_um", (750, 300), "1 <= min <= max <= 100000"),
     ("grain_size_um", (0.5, 300), "1 <= min <= max <= 100000"),
     ("grain_size_um", (300, 2e5), "1 <= min <= max <= 100000"),
@@ -47,7 +47,7 @@ BAD = [
     ("readings", "projected", "must be one of geometric"),
 ]
 
-NAMES = [field.name for field in fields(Readings)]
+NAMES = [field.name for field in fields(Interpretation)]
 
 
 def test_defaults_are_the_shipped_sample_of_table_1():
@@ -95,10 +95,10 @@ def test_semi_axis_reading_doubles_the_grains():
     ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
     assert ratio == pytest.approx(2.0, rel=1e-14)
     with pytest.raises(ValueError, match=r"depth_m = 0.001: .*0.0015 m"):
-        check_room(Snow(depth_m=0.001, readings=Readings(size_is="semi_axis")))
+        check_thickness(Snow(depth_m=0.001, readings=Interpretation(size_is="semi_axis")))
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
 def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
     with pytest.raises(ValueError, match=f"^{key}") as caught:
         Snow(**{key: value})
@@ -124,30 +124,30 @@ def test_indices_of_unknown_materials_are_refused():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bad_readings_are_refused_by_name(name):
-    allowed = ", ".join(sorted(CHOICES[name]))
-    for make in (lambda r: Snow(readings=r), lambda r: Readings(**r)):
+    allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
+    for make in (lambda r: Snow(readings=r), lambda r: Interpretation(**r)):
         with pytest.raises(ValueError, match=f"readings.{name} = 'neither': .*{allowed}"):
             make({name: "neither"})
     with pytest.raises(ValueError, match=f"did you mean {name}"):
-        Snow(readings={f"{name}x": CHOICES[name][0]})
+        Snow(readings={f"{name}x": INTERPRETATION_CHOICES[name][0]})
 
 
 def test_sets_of_readings_have_names():
-    first = {name: CHOICES[name][0] for name in NAMES}
-    assert Readings.of("splits_2007").as_dict() == first
-    assert Snow().interpretation == Readings() == Readings.of("splitsnow_2021")
-    assert Readings().as_dict() == first | {"facets": "any", "wrong_side": "mirrored"}
-    beside = Readings.of({"set": "geometric", "facets": "any"})
+    first = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
+    assert Interpretation.of("splits_2007").as_dict() == first
+    assert Snow().interpretation == Interpretation() == Interpretation.of("splitsnow_2021")
+    assert Interpretation().as_dict() == first | {"facets": "any", "wrong_side": "mirrored"}
+    beside = Interpretation.of({"set": "geometric", "facets": "any"})
     assert (beside.entry, beside.facets) == ("projected", "any")
     with pytest.raises(ValueError, match=r"readings\.set = 'geo'.*geometric"):
-        Readings.of({"set": "geo"})
+        Interpretation.of({"set": "geo"})
 
 
 def test_readings_given_one_after_the_other():
-    assert together(["geometric"]) == "geometric"
-    assert together(["geometric", {"facets": "any"}]) == {"set": "geometric", "facets": "any"}
-    assert together([{"facets": "any"}, "splits_2007"]) == "splits_2007"
-    assert together([{"facets": "any"}, {"entry": "projected"}, {}]) == {
+    assert merge_interpretations(["geometric"]) == "geometric"
+    assert merge_interpretations(["geometric", {"facets": "any"}]) == {"set": "geometric", "facets": "any"}
+    assert merge_interpretations([{"facets": "any"}, "splits_2007"]) == "splits_2007"
+    assert merge_interpretations([{"facets": "any"}, {"entry": "projected"}, {}]) == {
         "facets": "any", "entry": "projected",
     }  # fmt: skip
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
-from formula_tables import W, table_of
+from formula_tables import W, make_table
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 
 A, B = np.linspace(0.1, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
 
@@ -17,7 +17,7 @@ A, B = np.linspace(0.1, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
 def product():
     """Return a table of a product, whose parts of the variance are known."""
     nodes = np.linspace(-0.5, 0.5, 6)
-    return table_of(lambda a, b: 0.4 * (1.0 + A * a) * (1.0 + B * b), {"a": nodes, "b": nodes})
+    return make_table(lambda a, b: 0.4 * (1.0 + A * a) * (1.0 + B * b), {"a": nodes, "b": nodes})
 
 
 @NEEDS_JIT
@@ -59,7 +59,7 @@ def test_other_seeds_scatter_as_errors_say(product):
 
 
 def test_what_does_not_vary_has_none(product):
-    still = table_of(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
+    still = make_table(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
                      {"a": [0.0, 1.0, 2.0], "b": [0.0, 1.0]})  # fmt: skip
     found = splits.sobol_indices(still, ["a", "b"], points=64)
     assert (found.first_order.sel(wavelength=slice(None, 750.0)) == 0.0).all()
@@ -68,7 +68,7 @@ def test_what_does_not_vary_has_none(product):
     )
 
 
-WRONG = {
+INVALID_CALLS = {
     "one": ({"free": ["a"], "at": {"b": 0.0}}, "two axes"),
     "level": ({"free": ["a", "level"], "at": {"b": 0.0}}, "two axes"),
     "odd": ({"points": 100}, "a power of 2"),
@@ -77,8 +77,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused(product, name):
-    other, message = WRONG[name]
-    with pytest.raises(Refusal, match=message):
+    other, message = INVALID_CALLS[name]
+    with pytest.raises(InvalidValue, match=message):
         splits.sobol_indices(**({"table": product, "free": ["a", "b"]} | other))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from splits.media.grain_statistics import TABLE_POINTS
-from splits.media.soil_sizes import LogNormal, soil_sizes
+from splits.media.grain_statistics import N_TABLE_POINTS
+from splits.media.soil_texture import TruncatedLogNormal, make_size_distribution
 
 LIMITS = {"clay": (5e-8, 2e-6), "silt": (2e-6, 5e-5), "sand": (5e-5, 2e-3)}
 TAIL = 1e-4
@@ -20,21 +20,21 @@ TEXTURES = {
     "no silt": (0.1, 0.0, 0.9),
 }
 # Clay barely more than the tail: its log-normal is so wide that only its slope is left.
-BARELY = {gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)}
-EVERY = {**TEXTURES, **BARELY}
+NEARLY_PURE = {gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)}
+ALL_TEXTURES = {**TEXTURES, **NEARLY_PURE}
 
 
-def density(piece: LogNormal, s):
+def evaluate_density(piece: TruncatedLogNormal, s):
     """Return f_g(s) of Eq 19."""
     score = (np.log(s) - piece.log_mean) / piece.log_sd
     return np.exp(-0.5 * score**2) / (piece.log_sd * np.sqrt(2.0 * np.pi))
 
 
-def integral(piece: LogNormal, power: float):
+def integrate_power(piece: TruncatedLogNormal, power: float):
     """Return ∫ s^power f_g(s) ds over the piece, by adaptive quadrature in sections."""
     edges = np.geomspace(piece.min_size_m, piece.max_size_m, 9)
     return sum(
-        integrate.quad(lambda s: s**power * density(piece, s), a, b, epsabs=0.0, epsrel=1e-11)[0]
+        integrate.quad(lambda s: s**power * evaluate_density(piece, s), a, b, epsabs=0.0, epsrel=1e-11)[0]
         for a, b in pairwise(edges)
     )
 
@@ -43,7 +43,7 @@ def integral(piece: LogNormal, power: float):
 def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
     texture = TEXTURES[name]
     bounds = np.clip([TAIL, *np.cumsum(texture)], TAIL, 1.0 - TAIL)
-    pieces = soil_sizes(texture).separates
+    pieces = make_size_distribution(texture).separates
     present = [i for i, mass in enumerate(texture) if mass > 0.0]
     assert [(p.min_size_m, p.max_size_m) for p in pieces] == [list(LIMITS.values())[i] for i in present]
     for piece, i in zip(pieces, present, strict=True):
@@ -57,7 +57,7 @@ def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
 def test_silt_and_sand_of_table_5_by_hand():
     """Scores Φ⁻¹ of 1e-4, 0.15 and 1 − 1e-4, from tables of the normal distribution."""
     low, middle = -3.719016485455709, -1.0364333894937898
-    silt, sand = soil_sizes((0.0, 0.15, 0.85)).separates
+    silt, sand = make_size_distribution((0.0, 0.15, 0.85)).separates
     assert silt.log_sd == pytest.approx(np.log(25.0) / (middle - low), rel=1e-12)
     assert silt.log_mean == pytest.approx(np.log(2e-6) - silt.log_sd * low, rel=1e-12)
     assert sand.log_sd == pytest.approx(np.log(40.0) / (-low - middle), rel=1e-12)
@@ -66,12 +66,12 @@ def test_silt_and_sand_of_table_5_by_hand():
 
 @pytest.mark.parametrize("name", TEXTURES)
 def test_mean_inverse_size_is_the_quotient_of_eq_23(name):
-    sizes = soil_sizes(TEXTURES[name])
+    sizes = make_size_distribution(TEXTURES[name])
     for piece in sizes.separates:
-        exact = integral(piece, -2.0) / integral(piece, -1.0)
+        exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
         assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
         assert 1.0 / piece.max_size_m < piece.mean_inverse_size_per_m < 1.0 / piece.min_size_m
-    by_mass = sum(p.mass_fraction * integral(p, -2.0) / integral(p, -1.0) for p in sizes.separates)
+    by_mass = sum(p.mass_fraction * integrate_power(p, -2.0) / integrate_power(p, -1.0) for p in sizes.separates)
     assert sizes.size_attenuation_per_m == pytest.approx(by_mass, rel=1e-9)
 
 
@@ -79,47 +79,47 @@ def test_mean_inverse_size_is_the_quotient_of_eq_23(name):
 def test_masses_of_eq_20_are_those_of_the_texture(name):
     """Between its limits a piece holds its separate's mass; outermost, less the tail."""
     texture = TEXTURES[name]
-    for piece in soil_sizes(texture).separates:
-        assert integral(piece, -1.0) == pytest.approx(piece.mass_fraction, abs=2.0001 * TAIL)
-    everything = sum(integral(p, -1.0) for p in soil_sizes(texture).separates)
+    for piece in make_size_distribution(texture).separates:
+        assert integrate_power(piece, -1.0) == pytest.approx(piece.mass_fraction, abs=2.0001 * TAIL)
+    everything = sum(integrate_power(p, -1.0) for p in make_size_distribution(texture).separates)
     assert everything == pytest.approx(1.0 - 2.0 * TAIL, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", TEXTURES)
 def test_struck_sizes_of_one_piece_have_the_density_of_eq_25(name):
-    for piece in soil_sizes(TEXTURES[name]).separates:
+    for piece in make_size_distribution(TEXTURES[name]).separates:
         median = float(piece.compute_struck_sizes(np.array([0.5]))[0])
-        whole = integral(piece, -2.0)
+        whole = integrate_power(piece, -2.0)
         below = integrate.quad(
-            lambda x, p=piece: np.exp(-x) * density(p, np.exp(x)), np.log(piece.min_size_m), np.log(median)
+            lambda x, p=piece: np.exp(-x) * evaluate_density(p, np.exp(x)), np.log(piece.min_size_m), np.log(median)
         )[0]
         assert below / whole == pytest.approx(0.5, abs=1e-6)
         assert piece.compute_struck_sizes(np.array([0.0, 1.0])) == pytest.approx([piece.min_size_m, piece.max_size_m])
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", ALL_TEXTURES)
 @pytest.mark.parametrize("pieces", ["separates", "single"])
 def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pieces):
     if (name, pieces) == ("sand alone", "single"):
         with pytest.raises(ValueError, match=r"readings\.sizes = 'single'.*one separate alone"):
-            soil_sizes(EVERY[name], TAIL, pieces)
+            make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
         return
-    sizes = soil_sizes(EVERY[name], TAIL, pieces)
+    sizes = make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
     table = sizes.tabulate_struck_inverse_sizes()
-    assert table.shape == (TABLE_POINTS,)
+    assert table.shape == (N_TABLE_POINTS,)
     assert np.isfinite(table).all() and (np.diff(table) > 0.0).all()
     largest, smallest = 1.0 / table[[0, -1]]
     assert largest == pytest.approx(sizes.largest_m) == pytest.approx(2e-3)
     assert smallest >= sizes.separates[0].min_size_m * (1.0 - 1e-12)
 
 
-@pytest.mark.parametrize("gap", BARELY)
+@pytest.mark.parametrize("gap", NEARLY_PURE)
 def test_hardly_more_clay_than_the_tail(gap):
     """A log-normal so wide is even in log size: ∫ s⁻² ds over ∫ s⁻¹ ds, up to a slope.
 
     Over the piece the score grows by gap·tail/φ(score) only, so f_g changes by score times that.
     """
-    sizes = soil_sizes(BARELY[gap])
+    sizes = make_size_distribution(NEARLY_PURE[gap])
     clay, sand = sizes.separates
     low, high = LIMITS["clay"]
     even = (1.0 / low - 1.0 / high) / np.log(high / low)
@@ -132,11 +132,11 @@ def test_hardly_more_clay_than_the_tail(gap):
 
 def test_clay_no_more_than_the_tail_is_left_out():
     for clay in (0.0, 0.5 * TAIL, TAIL):
-        sizes = soil_sizes((clay, 0.0, 1.0 - clay))
+        sizes = make_size_distribution((clay, 0.0, 1.0 - clay))
         (sand,) = sizes.separates
         assert (sand.min_size_m, sand.max_size_m) == LIMITS["sand"] and sand.mass_fraction == 1.0
-        assert sizes.size_attenuation_per_m == pytest.approx(soil_sizes((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4)
-    assert len(soil_sizes((TAIL, 0.0, 1.0 - TAIL), tail_mass=1e-5).separates) == 2
+        assert sizes.size_attenuation_per_m == pytest.approx(make_size_distribution((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4)
+    assert len(make_size_distribution((TAIL, 0.0, 1.0 - TAIL), tail_mass=1e-5).separates) == 2
 
 
 @pytest.mark.parametrize("texture", [(0.0, 0.15, 0.85), (0.01, 0.135, 0.855), (0.1, 0.0, 0.9)])
@@ -144,18 +144,18 @@ def test_one_log_normal_over_all_separates(texture):
     """Shirazi & Boersma 1984: mean and spread of ln of the separates' middles, by mass."""
     middle = np.log([1e-6, 26e-6, 1.025e-3])
     mean = np.dot(texture, middle)
-    (piece,) = soil_sizes(texture, size_model="single").separates
+    (piece,) = make_size_distribution(texture, size_model="single").separates
     assert piece.log_mean == pytest.approx(mean, rel=1e-12)
     assert piece.log_sd == pytest.approx(np.sqrt(np.dot(texture, (middle - mean) ** 2)), rel=1e-9)
     assert (piece.min_size_m, piece.max_size_m) == (5e-8 if texture[0] else 2e-6, 2e-3)
     assert piece.mass_fraction == 1.0
-    exact = integral(piece, -2.0) / integral(piece, -1.0)
+    exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
     assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
 
 
 def test_finer_soils_attenuate_more():
     by_texture = [(0.0, 0.0, 1.0), (0.0, 0.05, 0.95), (0.0, 0.15, 0.85), (0.01, 0.135, 0.855)]
-    attenuation = [soil_sizes(texture).size_attenuation_per_m for texture in by_texture]
+    attenuation = [make_size_distribution(texture).size_attenuation_per_m for texture in by_texture]
     assert (np.diff(attenuation) > 0.0).all()
 
 
@@ -171,15 +171,15 @@ def test_finer_soils_attenuate_more():
 )
 def test_textures_that_are_no_sand_are_refused(texture, message):
     with pytest.raises(ValueError, match=rf"^texture.*{message}") as caught:
-        soil_sizes(texture)
+        make_size_distribution(texture)
     assert repr(texture) in str(caught.value)
 
 
 def test_other_refusals():
     for tail in (1e-7, 0.02):
         with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
-            soil_sizes((0.0, 0.15, 0.85), tail)
+            make_size_distribution((0.0, 0.15, 0.85), tail)
     with pytest.raises(ValueError, match=r"^readings.sizes = 'single': .*'separates'"):
-        soil_sizes((0.0, 0.0, 1.0), size_model="single")
-    soil_sizes((0.1, 0.0, 0.9))
-    soil_sizes((0.0, 0.15 + 1e-10, 0.85 - 1e-10))
+        make_size_distribution((0.0, 0.0, 1.0), size_model="single")
+    make_size_distribution((0.1, 0.0, 0.9))
+    make_size_distribution((0.0, 0.15 + 1e-10, 0.85 - 1e-10))

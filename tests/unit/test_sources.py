@@ -6,24 +6,24 @@ import shutil
 
 import pytest
 
-from splits import sources
-from splits.sources import FITTING, PACKAGE, physics_digest
+from splits.core import provenance
+from splits.core.provenance import FIT_SOURCES, PACKAGE_FOLDER, hash_physics_sources
 
-digest = physics_digest.__wrapped__
+digest = hash_physics_sources.__wrapped__
 
 
 @pytest.fixture
 def package(monkeypatch, tmp_path):
     """Return a copy of the package that is asked instead."""
     copy = tmp_path / "elsewhere"
-    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(sources, "PACKAGE", copy)
+    shutil.copytree(PACKAGE_FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(provenance, "PACKAGE", copy)
     return copy
 
 
 def test_the_place_of_the_package_does_not_matter(package):
     there, fit = digest(), digest(fit=True)
-    assert (there, fit) == (physics_digest(), physics_digest(fit=True))
+    assert (there, fit) == (hash_physics_sources(), hash_physics_sources(fit=True))
     assert there != fit
 
 
@@ -54,7 +54,7 @@ def test_a_change_of_physics_changes_both_digests(package, name):
     )
 
 
-@pytest.mark.parametrize("name", FITTING)
+@pytest.mark.parametrize("name", FIT_SOURCES)
 def test_a_change_of_fitting_changes_the_digest_of_fits_only(package, name):
     before = digest(), digest(fit=True)
     with open(package / name, "a", encoding="utf-8") as file:

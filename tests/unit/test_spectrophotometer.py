@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import splits
-from splits.sources import physics_digest
+from splits.core.provenance import hash_physics_sources
 
 QUANTITIES = ("reflectance", "transmittance", "absorptance")
 WAVELENGTHS = [500.0, 1030.0, 1500.0]
-THIN = splits.Snow(depth_m=0.001)
-BAD = [
+THIN_SNOW = splits.Snow(depth_m=0.001)
+INVALID_CALLS = [
     ("wavelength_nm", 100, "in [200, 100000] nm"),
     ("wavelength_nm", [500, 1e6], "in [200, 100000] nm"),
     ("wavelength_nm", [], "numbers in nanometres, at least one"),
@@ -40,7 +40,7 @@ BAD = [
 
 def measure(**changes):
     settings = {"wavelength_nm": WAVELENGTHS, "max_stderr": 0.5, "threads": 1, **changes}
-    return splits.spectrophotometer(THIN, **settings)
+    return splits.spectrophotometer(THIN_SNOW, **settings)
 
 
 @pytest.fixture(scope="module", params=["spectral", "analog"])
@@ -77,12 +77,12 @@ def test_every_variable_says_what_it_is(measured):
 
 def test_attributes_hold_all_inputs_and_provenance(measured):
     facts = measured.attrs
-    assert {f"snow_{key}" for key in THIN.describe()} <= set(facts)
+    assert {f"snow_{key}" for key in THIN_SNOW.describe()} <= set(facts)
     for key, value in {"incidence_deg": "diffuse", "max_stderr": 0.5, "seed": 1}.items():
         assert facts[key] == value
     for key in ("Conventions", "source", "splits_version", "splits_commit", "date_created"):
         assert facts[key]
-    assert facts["physics_sources_sha256"] == physics_digest()
+    assert facts["physics_sources_sha256"] == hash_physics_sources()
     assert facts["threads"] == 1
     assert facts["stopped_by"] == "error"
     assert facts["rays"] > 0
@@ -122,7 +122,7 @@ def test_a_limit_of_rays_stops_the_run():
     assert stopped.attrs["max_stderr_reached"] > 1e-6
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_CALLS)
 def test_bad_arguments_are_refused_with_key_and_range(key, value, allowed):
     with pytest.raises(ValueError, match=f"^{key} = ") as caught:
         measure(**{key: value})

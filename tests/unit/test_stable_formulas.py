@@ -1,7 +1,7 @@
 """Formulas that lose digits if written down naively, against 50 digits by mpmath.
 
 A result may be off by 1e-12 of itself, or by what the last digit of a rounded argument does to it
-(`last_digit`): more no formula in float64 can give.
+(`compute_last_digit_change`): more no formula in float64 can give.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from chi2 import stream
+from chi2 import start_random_stream
 
 import splits
 from splits.materials import ice_density
 from splits.materials.mixing import maxwell_garnett
 from splits.media import grain_statistics as statistics
-from splits.media.soil_sizes import LIMITS_M, soil_sizes
-from splits.transport.grains import facets, spheroid
-from splits.transport.grains.spheroid import Spheroid
-from splits.transport.grains.surface import Numbers
-from splits.transport.numerics import rng
-from splits.transport.numerics.elementary import Angle
-from splits.transport.numerics.rng import table_probabilities
-from splits.transport.numerics.vectors import UP, Vector
-from splits.transport.optics.fresnel import interface
+from splits.media.soil_texture import SEPARATE_LIMITS_M, make_size_distribution
+from splits.kernels.grains import microfacet, spheroid
+from splits.kernels.grains.spheroid import Spheroid
+from splits.kernels.grains.interaction import InteractionVariates
+from splits.kernels.math import rng
+from splits.kernels.math.elementary import Angle
+from splits.kernels.math.rng import make_table_probabilities
+from splits.kernels.math.vectors import UP, Vector
+from splits.kernels.optics.fresnel import fresnel
 
 M = mp.mpf
 RELATIVE = 1e-12
 EPS = 2.0**-52
-QUANTILES = range(1, statistics.TABLE_POINTS - 1, 73)
+QUANTILES = range(1, statistics.N_TABLE_POINTS - 1, 73)
 
 
 @pytest.fixture(autouse=True)
@@ -39,11 +39,11 @@ def fifty_digits():
         yield
 
 
-def off(value, exact):
+def compute_relative_error(value, exact):
     return float(abs((M(float(value)) - exact) / exact))
 
 
-def last_digit(exact, x):
+def compute_last_digit_change(exact, x):
     """Return the relative change of exact(x) when x moves by its last digit, either way."""
     centre = exact(M(x))
     return max(float(abs(exact(M(x) * (1 + s * M(EPS))) / centre - 1)) for s in (1, -1))
@@ -52,7 +52,7 @@ def last_digit(exact, x):
 # --- shapes and sizes -------------------------------------------------------------------------
 
 
-def area(psi):
+def evaluate_area(psi):
     """A(Ψ) of SPLITSnow Eq A.9."""
     x2 = 1 - psi**4
     return 3 * (1 + (mp.asin(mp.sqrt(x2)) / mp.sqrt(x2) if x2 else M(1)) / psi**2)
@@ -60,8 +60,8 @@ def area(psi):
 
 def test_surface_to_volume():
     psi = np.concatenate([np.linspace(0.1, 1.0, 181), 1.0 - np.logspace(-16, -1, 181)])
-    for p, value in zip(psi, statistics.surface_to_volume(psi), strict=True):
-        assert off(value, area(M(float(p)))) < RELATIVE
+    for p, value in zip(psi, statistics.surface_to_volume_ratio(psi), strict=True):
+        assert compute_relative_error(value, evaluate_area(M(float(p)))) < RELATIVE
 
 
 def test_size_attenuation_from_one_size_to_a_ratio_of_1000():
@@ -69,19 +69,19 @@ def test_size_attenuation_from_one_size_to_a_ratio_of_1000():
         low, high = 2e-4, 2e-4 * (1.0 + spread)
         a, b = M(low), M(high)
         exact = 1 / a if a == b else (1 / a - 1 / b) / mp.log(b / a)
-        assert off(statistics.size_attenuation(low, high), exact) < RELATIVE
+        assert compute_relative_error(statistics.size_attenuation(low, high), exact) < RELATIVE
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.0 + 1e-12, 2.5, 1000.0])
 def test_struck_inverse_sizes(ratio):
     low, high = 1e-5, 1e-5 * ratio
-    u = table_probabilities(statistics.TABLE_POINTS)
-    attenuation = statistics.struck_inverse_sizes(low, high, "attenuation")
-    uniform = statistics.struck_inverse_sizes(low, high, "uniform")
+    u = make_table_probabilities(statistics.N_TABLE_POINTS)
+    attenuation = statistics.tabulate_struck_inverse_sizes(low, high, "attenuation")
+    uniform = statistics.tabulate_struck_inverse_sizes(low, high, "uniform")
     for i in QUANTILES:
         p, a, b = M(float(u[i])), M(low), M(high)
-        assert off(attenuation[i], (1 - p) / b + p / a) < RELATIVE
-        assert off(uniform[i], 1 / (b - p * (b - a))) < RELATIVE
+        assert compute_relative_error(attenuation[i], (1 - p) / b + p / a) < RELATIVE
+        assert compute_relative_error(uniform[i], 1 / (b - p * (b - a))) < RELATIVE
 
 
 SHAPES = {
@@ -94,7 +94,7 @@ SHAPES = {
 }
 
 
-def bell_integral(low, high, weight):
+def integrate_bell(low, high, weight):
     low, high = max(low, M(-14)), min(high, M(14))
     return mp.quad(lambda t: mp.exp(-t * t / 2) * weight(t), mp.linspace(low, high, 9))
 
@@ -102,20 +102,20 @@ def bell_integral(low, high, weight):
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_mean_and_quantiles_of_sphericity(shape):
     minimum, maximum, mean, sd = (M(x) for x in shape)
-    table = statistics.struck_sphericities(*shape)
-    u = table_probabilities(statistics.TABLE_POINTS)
+    table = statistics.tabulate_struck_sphericities(*shape)
+    u = make_table_probabilities(statistics.N_TABLE_POINTS)
     low, high = (minimum - mean) / sd, (maximum - mean) / sd
     with mp.workdps(25):
 
         def weighted(t):
-            return area(mean + sd * t)
+            return evaluate_area(mean + sd * t)
 
-        total = bell_integral(low, high, weighted)
-        plain = bell_integral(low, high, lambda t: M(1))
-        assert off(statistics.shape_attenuation(*shape), total / plain / 4) < RELATIVE
-        for i in (1, 100, 512, 900, statistics.TABLE_POINTS - 2):
+        total = integrate_bell(low, high, weighted)
+        plain = integrate_bell(low, high, lambda t: M(1))
+        assert compute_relative_error(statistics.shape_attenuation(*shape), total / plain / 4) < RELATIVE
+        for i in (1, 100, 512, 900, statistics.N_TABLE_POINTS - 2):
             score = (M(float(table[i])) - mean) / sd
-            gap = bell_integral(low, score, weighted) / total - M(float(u[i]))
+            gap = integrate_bell(low, score, weighted) / total - M(float(u[i]))
             slope = mp.exp(-score * score / 2) * weighted(score) / total / sd
             # A probability near 1 is rounded to EPS: what that moves the quantile.
             assert abs(gap / slope / table[i]) < RELATIVE + float(EPS / slope / table[i])
@@ -126,8 +126,8 @@ def test_mean_and_quantiles_of_sphericity(shape):
 )
 def test_truncated_normal(limits):
     minimum, maximum, mean, sd = (M(x) for x in limits)
-    table = statistics.truncated_normal(*map(float, limits))
-    u = table_probabilities(statistics.TABLE_POINTS)
+    table = statistics.tabulate_truncated_normal(*map(float, limits))
+    u = make_table_probabilities(statistics.N_TABLE_POINTS)
     low, high = (minimum - mean) / sd, (maximum - mean) / sd
     total = mp.ncdf(high) - mp.ncdf(low)
     for i in QUANTILES:
@@ -140,9 +140,9 @@ def test_truncated_normal(limits):
 @pytest.mark.parametrize("sd", [5e-324, 1e-308, 1e-20])
 def test_a_spread_too_small_to_see_is_one_value(sd):
     limits = (0.6, 0.95, 0.8, sd)
-    assert off(statistics.shape_attenuation(*limits), area(M(0.8)) / 4) < RELATIVE
-    for table in (statistics.truncated_normal(*limits), statistics.struck_sphericities(*limits)):
-        assert off(table[1], M(0.8)) < RELATIVE and off(table[-2], M(0.8)) < RELATIVE
+    assert compute_relative_error(statistics.shape_attenuation(*limits), evaluate_area(M(0.8)) / 4) < RELATIVE
+    for table in (statistics.tabulate_truncated_normal(*limits), statistics.tabulate_struck_sphericities(*limits)):
+        assert compute_relative_error(table[1], M(0.8)) < RELATIVE and compute_relative_error(table[-2], M(0.8)) < RELATIVE
         assert table.min() >= 0.6 and table.max() <= 0.95
 
 
@@ -156,9 +156,9 @@ TEXTURES = [
 @pytest.mark.parametrize("tail", [1e-6, 1e-4, 0.01])
 def test_soil_sizes(texture, tail):
     bounds = [min(max(b, tail), 1 - tail) for b in (tail, texture[0], sum(texture[:2]), 1 - tail)]
-    for piece in soil_sizes(texture, tail).separates:
+    for piece in make_size_distribution(texture, tail).separates:
         x0, x1, mean, sd = mp.log(piece.min_size_m), mp.log(piece.max_size_m), M(piece.log_mean), M(piece.log_sd)
-        i = LIMITS_M.index(piece.min_size_m)
+        i = SEPARATE_LIMITS_M.index(piece.min_size_m)
         for x, bound in ((x0, bounds[i]), (x1, bounds[i + 1])):
             assert float(abs(mp.ncdf((x - mean) / sd) - M(bound))) < RELATIVE * max(bound, 1e-3)
         with mp.workdps(25):
@@ -170,7 +170,7 @@ def test_soil_sizes(texture, tail):
                 return mp.quad(lambda y: shape(y, power), mp.linspace(x0, end, 12))
 
             inverse = integral(x1, -1)
-            assert off(piece.mean_inverse_size_per_m, inverse / integral(x1, 0) / M(piece.min_size_m)) < RELATIVE
+            assert compute_relative_error(piece.mean_inverse_size_per_m, inverse / integral(x1, 0) / M(piece.min_size_m)) < RELATIVE
             u = np.array([1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6])
             for p, size in zip(u, piece.compute_struck_sizes(u), strict=True):
                 x = mp.log(M(float(size)))
@@ -194,9 +194,9 @@ def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
         contrast, total = inner - outer, inner + 2 * outer
         exact = mp.sqrt(outer * (total + 2 * f * contrast) / (total - f * contrast))
         mixed = complex(maxwell_garnett(matrix, inclusion, fraction))
-        assert off(mixed.real, exact.real) < RELATIVE
+        assert compute_relative_error(mixed.real, exact.real) < RELATIVE
         if abs(exact.imag) > 1e-40:
-            assert off(mixed.imag, exact.imag) < RELATIVE
+            assert compute_relative_error(mixed.imag, exact.imag) < RELATIVE
         else:
             assert mixed.imag == 0.0
 
@@ -205,9 +205,9 @@ def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
 def test_porosity_up_to_solid_ice(below):
     ice = ice_density(-1.0)
     snow = splits.Snow(density_kg_m3=ice - below)
-    assert off(snow.porosity, (M(ice) - M(snow.density_kg_m3)) / M(ice)) < RELATIVE
+    assert compute_relative_error(snow.porosity, (M(ice) - M(snow.density_kg_m3)) / M(ice)) < RELATIVE
     distance = M(ice) / M(snow.density_kg_m3) / M(snow.attenuation_per_m)
-    assert off(snow.mean_grain_distance_m, distance) < RELATIVE
+    assert compute_relative_error(snow.mean_grain_distance_m, distance) < RELATIVE
 
 
 @pytest.mark.parametrize("temperature", [-40.0, -39.999999, -20.0, -1.0, -1e-12, 0.0])
@@ -216,13 +216,13 @@ def test_density_of_ice(temperature):
     i = min(int((temperature + 40.0) // 10), 3)
     (t0, d0), (t1, d1) = rows[i : i + 2]
     exact = M(d0) + (M(temperature) - t0) / (t1 - t0) * (M(d1) - M(d0))
-    assert off(ice_density(temperature), exact) < RELATIVE
+    assert compute_relative_error(ice_density(temperature), exact) < RELATIVE
 
 
 # --- Fresnel ----------------------------------------------------------------------------------
 
 
-def reflectance(n1, n2, k2, cos_i):
+def compute_exact_reflectance(n1, n2, k2, cos_i):
     m = mp.mpc(n2, k2) / M(n1)
     q = mp.sqrt(m * m - 1 + cos_i * cos_i)
     s = abs((cos_i - q) / (cos_i + q)) ** 2
@@ -230,7 +230,7 @@ def reflectance(n1, n2, k2, cos_i):
 
 
 COSINES = np.concatenate([np.logspace(-12, 0, 49), 1.0 - np.logspace(-15, -1, 29)])
-CLEAR = [
+NON_ABSORBING = [
     (1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 1e-12), (1.31, 1.0, 1e-12), (1.0, 1.0, 1.0),
     (1.0, 1.0, 3.0), (1.0, 1.31, 3.0), (1.0, 0.3, 3.0), (1.5, 1.31, 0.0), (1.0, 300.0, 0.0),
 ]  # fmt: skip
@@ -242,12 +242,12 @@ NEARLY_MATCHED = [
 
 def check_reflectance(indices, cosines):
     for cos_i in map(float, cosines):
-        exact = reflectance(*indices, M(cos_i))
-        allowed = RELATIVE + 4.0 * last_digit(lambda c: reflectance(*indices, c), cos_i)
-        assert off(interface(*indices, cos_i)[0], exact) < allowed, cos_i
+        exact = compute_exact_reflectance(*indices, M(cos_i))
+        allowed = RELATIVE + 4.0 * compute_last_digit_change(lambda c: compute_exact_reflectance(*indices, c), cos_i)
+        assert compute_relative_error(fresnel(*indices, cos_i)[0], exact) < allowed, cos_i
 
 
-@pytest.mark.parametrize("indices", CLEAR, ids=str)
+@pytest.mark.parametrize("indices", NON_ABSORBING, ids=str)
 def test_reflectance_from_normal_to_grazing(indices):
     check_reflectance(indices, COSINES)
 
@@ -270,19 +270,19 @@ def test_transmitted_share_at_grazing_incidence():
     n = 1.31
     for cos_i in np.logspace(-12, -8, 9):
         passed = 2.0 * cos_i * (1.0 + n * n) / math.sqrt(n * n - 1.0)
-        assert 1.0 - interface(1.0, n, 0.0, cos_i)[0] == pytest.approx(passed, rel=1e-6, abs=4e-16)
+        assert 1.0 - fresnel(1.0, n, 0.0, cos_i)[0] == pytest.approx(passed, rel=1e-6, abs=4e-16)
 
 
 # --- grains -----------------------------------------------------------------------------------
 
 
-def units(rng):
+def draw_directions(rng):
     for _ in range(60):
         vectors = rng.normal(size=(3, 3))
         yield vectors / np.linalg.norm(vectors, axis=1)[:, np.newaxis]
 
 
-def exact_chord(q, d, w, flattening):
+def compute_exact_chord(q, d, w, flattening):
     """Return chord and other end, and how far rounding of every product may carry it, in EPS."""
     q, d, w = ([M(float(x)) for x in v] for v in (q, d, w))
     f = M(flattening)
@@ -303,15 +303,15 @@ def exact_chord(q, d, w, flattening):
 @pytest.mark.parametrize("grazing", [1.0, 1e-3, 1e-6, 1e-9])
 def test_chord_down_to_a_grazing_ray(psi, grazing):
     flattening = 1.0 - psi * psi
-    for w, s, t in units(np.random.default_rng(7)):
+    for w, s, t in draw_directions(np.random.default_rng(7)):
         # A point of the unit sphere, and a direction along the surface there.
         grain = Spheroid(Vector(*s), Vector(*w), flattening, 1.0)
-        n = np.array(spheroid.normal_at(grain))
+        n = np.array(spheroid.compute_outward_normal(grain))
         tangent = np.cross(n, t)
         d = -grazing * n + math.sqrt(1.0 - grazing**2) * tangent / np.linalg.norm(tangent)
-        exact, end, spread = exact_chord(s, d, w, flattening)
-        value, there = spheroid.across(grain, Vector(*d))
-        assert off(value, exact) < RELATIVE + 4.0 * EPS * spread
+        exact, end, spread = compute_exact_chord(s, d, w, flattening)
+        value, there = spheroid.compute_chord(grain, Vector(*d))
+        assert compute_relative_error(value, exact) < RELATIVE + 4.0 * EPS * spread
         # In lengths of the grain this is always nothing.
         assert abs(value - float(exact)) < 1e-11 / (psi * psi)
         assert np.abs(np.array(there.q) - np.array(end, dtype=float)).max() < 1e-11
@@ -330,14 +330,14 @@ def test_tilt_of_a_nearly_smooth_facet(facetness):
 def check_tilt(facetness):
     # |ξ| < 1 is the tilt, n·n' = 1 − |ξ|.
     d = Vector(0.6, 0.0, -0.8)
-    smooth = facets.facing(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
+    smooth = microfacet.make_smooth_facet(d, Spheroid(UP, UP, 0.0, 1.0), 1.0)
     for ray in range(40):
-        normal = rng.half_normal(stream(ray))
+        normal = rng.sample_half_normal(start_random_stream(ray))
         tilt = 0.5 * facetness * normal
         if tilt >= 1.0:
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
-        numbers = Numbers(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
-        facet = facets.rough(d, smooth, 0.5 * facetness, numbers, False, facets.UNWEIGHTED)
+        numbers = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
+        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, numbers, False, microfacet.UNWEIGHTED_FACETS)
         assert facet.tilt.cos == 1.0 - tilt
-        assert off(0.6 * facet.tilt.sin, exact) < RELATIVE
+        assert compute_relative_error(0.6 * facet.tilt.sin, exact) < RELATIVE

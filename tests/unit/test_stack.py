@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.arguments import check_medium
-from splits.instruments.nodes import choose_nodes
-from splits.instruments.scenes import granular_scene
-from splits.media.readings import SETS
+from splits.simulation.arguments import check_medium
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.scene import build_scene
+from splits.media.interpretations import INTERPRETATION_SETS
 
-FRESH = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.02)
+FRESH_SNOW = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.02)
 SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
 
 
@@ -19,13 +19,13 @@ SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
     ("layers", "message"),
     [
         ([], "1 to 200"),
-        (FRESH, "a list of media, top first"),
+        (FRESH_SNOW, "a list of media, top first"),
         ("snow", "a list of media, top first"),
-        ([FRESH, 3], r"layers\[1\] = 3: must be splits.Snow"),
-        ([FRESH, splits.Snow], r"layers\[1\]"),
-        ([FRESH, splits.RoughSurface], r"layers\[1\]"),
+        ([FRESH_SNOW, 3], r"layers\[1\] = 3: must be splits.Snow"),
+        ([FRESH_SNOW, splits.Snow], r"layers\[1\]"),
+        ([FRESH_SNOW, splits.RoughSurface], r"layers\[1\]"),
         (
-            [FRESH, splits.Snow(readings={"entry": "projected"})],
+            [FRESH_SNOW, splits.Snow(readings={"entry": "projected"})],
             r"layers\[1\].readings .*those of layers\[0\]",
         ),
     ],
@@ -53,8 +53,8 @@ def test_a_thin_layer_has_room_in_a_thick_stack():
 
 
 def test_layers_keep_their_order_their_types_and_their_materials():
-    stack = splits.Stack([FRESH, SAND, splits.Snow()], readings="splits_2007")
-    scene = granular_scene(stack, 30.0, False)
+    stack = splits.Stack([FRESH_SNOW, SAND, splits.Snow()], readings="splits_2007")
+    scene = build_scene(stack, 30.0, False)
     assert scene.layers.boundaries == pytest.approx([0.0, -0.02, -0.12, -0.24])
     assert stack.depth_m == pytest.approx(0.24)
     sand = SAND.make_grain_population()
@@ -78,12 +78,12 @@ def test_layers_keep_their_order_their_types_and_their_materials():
     wavelengths = np.array([450.0, 900.0])
     index = stack.compute_refractive_indices(wavelengths)
     assert index.shape == (2, len(names))
-    assert np.array_equal(index[:, :3], FRESH.compute_refractive_indices(wavelengths))
+    assert np.array_equal(index[:, :3], FRESH_SNOW.compute_refractive_indices(wavelengths))
 
 
 def test_every_layer_bounds_what_interpolation_misses():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
-    for order in ([FRESH, SAND], [SAND, FRESH]):
+    for order in ([FRESH_SNOW, SAND], [SAND, FRESH_SNOW]):
         stack = splits.Stack(order, readings="splits_2007")
         nodes = choose_nodes(stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3)
         alone = choose_nodes(SAND.compute_refractive_indices(wavelengths), SAND.list_interfaces(), 1e-3)
@@ -92,7 +92,7 @@ def test_every_layer_bounds_what_interpolation_misses():
 
 
 def test_all_inputs_stand_in_the_description():
-    facts = splits.Stack([FRESH, splits.Snow()]).describe()
+    facts = splits.Stack([FRESH_SNOW, splits.Snow()]).describe()
     assert facts["layers_0_grain_size_um"] == (50.0, 100.0)
     assert facts["layers_1_grain_size_um"] == (300.0, 750.0)
     assert facts["layers_1_kind"] == "snow"
@@ -100,7 +100,7 @@ def test_all_inputs_stand_in_the_description():
 
 @pytest.mark.parametrize("above", [True, False])
 def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
-    lid = splits.Layer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
+    lid = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([lid, snow] if above else [snow, lid])
     names = stack.list_materials()
@@ -111,9 +111,9 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
 
 def test_a_set_replaces_all_that_layers_say_of_transport():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
-    for name in SETS:
+    for name in INTERPRETATION_SETS:
         (layer,) = splits.Stack([natural], readings=name).scene_layers
-        assert layer.interpretation == splits.Readings.of(name)
+        assert layer.interpretation == splits.Interpretation.of(name)
 
 
 def test_layers_of_a_stack_have_the_same_distances_between_grains():

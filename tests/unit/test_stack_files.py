@@ -9,16 +9,16 @@ import pytest
 from pydantic import ValidationError
 
 import splits
-from splits.dataset import save
+from splits.io.netcdf import save
 from splits.experiments import ConfigError, load_experiment
-from splits.experiments.coordinates import grid_coordinates
-from splits.experiments.model import Experiment
+from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.run import run
-from splits.experiments.settings import Accuracy
-from splits.figures.style import parameter_label
+from splits.experiments.config.settings import Accuracy
+from splits.plotting.style import format_parameter
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
-PACK = """
+SNOWPACK_TEXT = """
 medium:
   kind: stack
   layers:
@@ -30,14 +30,14 @@ instrument: {wavelength_nm: [500]}
 """
 
 
-def loaded(folder, text):
+def load_text(folder, text):
     path = folder / "pack.yaml"
     path.write_text(text)
     return load_experiment(path, MEDIA)
 
 
 def test_layers_stand_on_their_bases(tmp_path):
-    ((_, pack, _),) = loaded(tmp_path, PACK).iter_points()
+    ((_, pack, _),) = load_text(tmp_path, SNOWPACK_TEXT).iter_points()
     assert [layer.kind for layer in pack.layers] == ["snow", "sand"]
     assert pack.layers[0].density_kg_m3 == 120.0 and pack.layers[0].temperature_c == -1.0
     assert pack.ground.name == "albedo 0.2"
@@ -49,16 +49,16 @@ medium: {refractive_index: {brine: 1.38+2e-6j, oil: 1.47}, pores: {oil: 0.2}}
 grid: {pores: {little: {brine: 0.1}, much: {brine: 0.3}}}
 instrument: {wavelength_nm: [500]}
 """
-    found = [snow.pores for _, snow, _ in loaded(tmp_path, text).iter_points()]
+    found = [snow.pores for _, snow, _ in load_text(tmp_path, text).iter_points()]
     assert found == [{"oil": 0.2, "brine": 0.1}, {"oil": 0.2, "brine": 0.3}]
-    pack = PACK.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
+    pack = SNOWPACK_TEXT.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
     with pytest.raises(ConfigError, match=r"layers\.1\.pores = 'brine'.*give refractive_index"):
-        loaded(tmp_path, pack)
+        load_text(tmp_path, pack)
 
 
 def test_a_path_names_one_setting_of_a_layer(tmp_path):
     grid = "grid: {layers.0.depth_m: [0.01, 0.02], layers.1.depth_m: [0.02], ground: [0, 1]}\n"
-    experiment = loaded(tmp_path, PACK.replace("  ground: 0.2\n", "") + grid)
+    experiment = load_text(tmp_path, SNOWPACK_TEXT.replace("  ground: 0.2\n", "") + grid)
     found = [
         (*(layer.depth_m for layer in pack.layers), pack.ground.name)
         for _, pack, _ in experiment.iter_points()
@@ -67,9 +67,9 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         (0.01, 0.02, "albedo 0.0"), (0.01, 0.02, "albedo 1.0"),
         (0.02, 0.02, "albedo 0.0"), (0.02, 0.02, "albedo 1.0"),
     ]  # fmt: skip
-    about = grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
+    about = make_grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
     assert about == {"long_name": "thickness of the sample, layer 0", "units": "m"}
-    assert parameter_label("layers.0.depth_m") == "layer 0: depth (m)"
+    assert format_parameter("layers.0.depth_m") == "layer 0: depth (m)"
 
 
 @pytest.mark.parametrize(
@@ -82,14 +82,14 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
             "medium: {kind: stack, layers: [{kind: layer, bottom_albedo: 1}]}",
             "layers.0.bottom_albedo: unknown key",
         ),
-        (PACK + "grid: {layers: {a: [{kind: snw}]}}", "grid.layers.a.layers.0.kind = 'snw'"),
-        (PACK + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
+        (SNOWPACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}", "grid.layers.a.layers.0.kind = 'snw'"),
+        (SNOWPACK_TEXT + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
         (
-            PACK + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
+            SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
             r"layers.1.depth_m = 'layer 1': must be 0 to 0",
         ),
         (
-            PACK + "figure: {kind: points, quantity: mean_grain_distance}",
+            SNOWPACK_TEXT + "figure: {kind: points, quantity: mean_grain_distance}",
             "stacks not one distance",
         ),
         (
@@ -103,19 +103,19 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ("medium: {kind: stack, layers: [{ground: 1}]}", "layers.0.ground = 1: must be left out"),
         ("medium: {kind: stack, layers: [{base: non}]}", "medium.layers.0.base = 'non'"),
         ("medium: {kind: stack, layers: [{depth_m: 1e-5}]}", "more than the largest grain"),
-        (PACK + "grid: {layers.2.depth_m: [1]}", r"must be 0 to 1 \(counted from the top\)"),
-        (PACK + "grid: {layers.1.density_kg_m3: [1]}", "layers.1.density_kg_m3: unknown key"),
-        (PACK + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
+        (SNOWPACK_TEXT + "grid: {layers.2.depth_m: [1]}", r"must be 0 to 1 \(counted from the top\)"),
+        (SNOWPACK_TEXT + "grid: {layers.1.density_kg_m3: [1]}", "layers.1.density_kg_m3: unknown key"),
+        (SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
         ("grid: {layers.1.depth_m: [1]}", "grid.layers.1.depth_m: unknown key"),
         (
-            PACK.replace("{wave", "{kind: goniophotometer, wave") + "figure: {quantity: btdf}",
+            SNOWPACK_TEXT.replace("{wave", "{kind: goniophotometer, wave") + "figure: {quantity: btdf}",
             "figure.quantity = 'btdf': must be brdf over a ground",
         ),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as refused:
-        loaded(tmp_path, text)
+        load_text(tmp_path, text)
     assert "\n" not in str(refused.value)
 
 
@@ -127,7 +127,7 @@ def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
     }
     order = [first, *(set(values) - {first})]
     grid = "grid: {" + ", ".join(f"{key}: {values[key]}" for key in order) + "}\n"
-    experiment = loaded(tmp_path, PACK + grid)
+    experiment = load_text(tmp_path, SNOWPACK_TEXT + grid)
     before = experiment.dump_simulation()
     found = sorted(tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.iter_points())
     assert found == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
@@ -139,7 +139,7 @@ def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
         "medium: {kind: stack, layers: [{readings: {size_is: semi_axis}}]}\n"
         "grid: {layers.0.readings: {struck: {struck_size: uniform}}}\n"
     )
-    ((_, pack, _),) = loaded(tmp_path, text).iter_points()
+    ((_, pack, _),) = load_text(tmp_path, text).iter_points()
     readings = pack.layers[0].readings.as_dict()
     assert (readings["size_is"], readings["struck_size"]) == ("semi_axis", "uniform")
 
@@ -147,8 +147,8 @@ def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
 def test_tables_by_path_are_known_by_their_content(tmp_path):
     table = tmp_path / "ice.csv"
     table.write_text("wavelength_nm,n,k\n400,1.31,1e-8\n900,1.30,1e-7\n")
-    text = PACK + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
-    experiment = loaded(tmp_path, text)
+    text = SNOWPACK_TEXT + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
+    experiment = load_text(tmp_path, text)
     assert experiment.list_table_paths() == [str(table)]
     assert "ice.csv sha256:" in experiment.dump_configuration()
     assert str(tmp_path) not in experiment.dump_configuration()
@@ -158,10 +158,10 @@ def test_the_example_of_the_documents_can_be_run(tmp_path):
     text = (MEDIA.parents[1] / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
-    assert len(list(loaded(tmp_path, example).iter_points())) == 6
+    assert len(list(load_text(tmp_path, example).iter_points())) == 6
 
 
-def endless(kind):
+def make_semi_infinite_text(kind):
     return {
         "name": "endless",
         "medium": {"kind": "snow", "saturation": 0.0},
@@ -172,11 +172,11 @@ def endless(kind):
 
 def test_packs_without_end_are_for_the_spectrophotometer():
     with pytest.raises(ValidationError, match=r"medium.depth_m = inf: must be finite"):
-        Experiment.model_validate(endless("goniophotometer"))
+        ExperimentConfig.model_validate(make_semi_infinite_text("goniophotometer"))
 
 
 def test_a_pack_without_end_in_a_grid_is_run_and_kept(tmp_path):
-    experiment = Experiment.model_validate(endless("spectrophotometer"))
+    experiment = ExperimentConfig.model_validate(make_semi_infinite_text("spectrophotometer"))
     save(run(experiment, Accuracy(max_stderr=0.1)), tmp_path / "endless.nc")
     ds = splits.load(tmp_path / "endless.nc")
     assert ds.depth_m.values.tolist() == [0.02, math.inf]

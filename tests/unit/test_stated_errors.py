@@ -4,42 +4,42 @@ from __future__ import annotations
 
 import pytest
 from chi2 import NEEDS_JIT
-from stated_errors import with_errors
+from stated_errors import list_variables_with_errors
 
 import splits
 from splits import instruments
-from splits.analysis.ordinates import discrete_ordinates
-from splits.analysis.radiative_transfer import packed
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.asymptotic import correct_dense_packing
 
-LAYER = splits.Layer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
+LAYER = splits.ParticleLayer(optical_thickness=1.0, bottom_albedo=None, polarized=True)
 SURFACE = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
-WAVES = splits.Layer(depth_m=100.0, surface=SURFACE)
+WAVES = splits.ParticleLayer(depth_m=100.0, surface=SURFACE)
 TOTALS = {"reflectance", "transmittance"}
 ANGLES = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *TOTALS}
 ANGLES |= {"specular_reflectance", "direct_transmittance"}
 STOKES = {f"{name}_{part}" for name in ("brdf", "btdf") for part in "quv"}
-FEW = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
+FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
 GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_share"}
 GRAINS |= {"displacement_before", "displacement_after", "displacement_square"}
-THEORY = {*TOTALS, "absorptance"}
+THEORY_CASES = {*TOTALS, "absorptance"}
 CASES = {
-    "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY),
+    "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY_CASES),
     "spectrophotometer, derivatives": (
         splits.Snow(), ([600.0],),
         {"max_stderr": 0.1, "jacobian": ["impurities_ng_g.black_carbon"]},
-        THEORY | {"reflectance_jacobian", "transmittance_jacobian"},
+        THEORY_CASES | {"reflectance_jacobian", "transmittance_jacobian"},
     ),
-    "spectra": ({"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY),
-    "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW, ANGLES),
+    "spectra": ({"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY_CASES),
+    "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW_DIRECTIONS, ANGLES),
     "goniophotometer, diffuse": (
-        splits.Snow(), ([600.0], "diffuse", 1), FEW,
+        splits.Snow(), ([600.0], "diffuse", 1), FEW_DIRECTIONS,
         {"reflectance_factor", "transmittance_factor", "anisotropy_factor", *TOTALS},
     ),
     "goniophotometer, cells": (
         LAYER, ([600.0], 0.0, 1000), {"estimator": "cells", "cells": (2, 4)}, ANGLES | STOKES,
     ),
     "goniophotometer, local": (
-        LAYER, ([600.0], 30.0, 1000), {"estimator": "local", **FEW}, ANGLES | STOKES,
+        LAYER, ([600.0], 30.0, 1000), {"estimator": "local", **FEW_DIRECTIONS}, ANGLES | STOKES,
     ),
     "bssrdf": (
         splits.Snow(), ([900.0], 0.0, 1), {},
@@ -67,7 +67,7 @@ CASES = {
 def test_instruments_name_their_errors(case):
     medium, given, settings, expected = CASES[case]
     dataset = getattr(instruments, case.split(",")[0])(medium, *given, **settings)
-    assert with_errors(dataset) == expected
+    assert list_variables_with_errors(dataset) == expected
 
 
 def test_no_instrument_is_left_out():
@@ -80,6 +80,6 @@ def test_no_instrument_is_left_out():
 @NEEDS_JIT
 def test_theories_name_their_errors():
     pytest.importorskip("PythonicDISORT")
-    optics = packed(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
-    assert with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
-    assert with_errors(discrete_ordinates(optics, streams=4)) == THEORY
+    optics = correct_dense_packing(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
+    assert list_variables_with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
+    assert list_variables_with_errors(solve_discrete_ordinates(optics, streams=4)) == THEORY_CASES

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.angular_trends import angular_trends
-from splits.experiments import ConfigError, Experiment, load_experiments, load_settings
-from splits.experiments.load import read_yaml
-from splits.experiments.studies import left_out
+from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
+from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
+from splits.experiments.config.load import read_yaml
+from splits.experiments.config.study import find_incomplete_studies
 
 ROOT = Path(__file__).parents[2]
-CONTENT = read_yaml(ROOT / "config" / "config.yaml")
-CONTENT |= {
+SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
+SETTINGS_CONTENT |= {
     f"{name}_folder": str(ROOT / "config" / name) for name in ("media", "measured", "published")
 }
 
@@ -26,14 +26,14 @@ def shipped():
     return load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
 
 
-def settings(studies):
-    return load_settings({**CONTENT, "studies": CONTENT["studies"] | studies})
+def make_settings(studies):
+    return load_settings({**SETTINGS_CONTENT, "studies": SETTINGS_CONTENT["studies"] | studies})
 
 
 def test_shipped_studies_have_all_that_they_need(shipped):
-    made = load_settings(CONTENT)
+    made = load_settings(SETTINGS_CONTENT)
     assert set(made.select_experiments(shipped)) == set(shipped)
-    assert left_out(made.studies, shipped, shipped) == {}
+    assert find_incomplete_studies(made.studies, shipped, shipped) == {}
     paths = {p for name, one in made.studies.items() for ps in one.list_product_paths(name).values() for p in ps}
     figures = (
         "fig23_sensitivity", "readings_together", "letcher2022_measured",
@@ -69,9 +69,9 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
      "sand_fit_parameters", "angular_trends", "sand_colours"],
 )  # fmt: skip
 def test_names_that_studies_and_fits_have_are_refused(shipped, name):
-    taken = Experiment.model_validate({"name": name})
+    taken = ExperimentConfig.model_validate({"name": name})
     with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be one that"):
-        load_settings(CONTENT).select_experiments({**shipped, name: taken})
+        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: taken})
 
 
 @pytest.mark.parametrize(
@@ -129,13 +129,13 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
 )  # fmt: skip
 def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
     with pytest.raises(ConfigError, match=message) as caught:
-        settings({"own": study}).select_experiments(shipped)
+        make_settings({"own": study}).select_experiments(shipped)
     assert "\n" not in str(caught.value)
 
 
 def test_what_a_study_lacks_is_said(shipped):
     own = {"kind": "angular_trends", "experiments": {"facetness": "fig22_facetnes"}}
-    lacking = left_out(settings({"own": own}).studies, {}, shipped)
+    lacking = find_incomplete_studies(make_settings({"own": own}).studies, {}, shipped)
     assert lacking["own"] == (
         "study own is left out: no such experiment: fig22_facetnes (did you mean fig22_facetness?)"
     )
@@ -155,28 +155,28 @@ def test_a_study_of_some_roles_has_their_rows():
     mine = xr.Dataset(
         {"brdf": (tuple(about), values), "brdf_stderr": (tuple(about), 0.0 * values + 1e-3)}, about
     )
-    rows = angular_trends({"incidence": mine})
+    rows = make_brdf_trend_rows({"incidence": mine})
     assert [row["quantity"] for row in rows] == [
         "nearly Lambertian at 0°, 700 nm: 0.2 less the relative range within 60°",
         "forward peak above the nadir at 40°, 700 nm",
         "forward side (60°) over the nadir rises with incidence, 0°, 40°: smallest step",
     ]
     assert all(row["verdict"] == "agrees" for row in rows)
-    assert len(angular_trends({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
+    assert len(make_brdf_trend_rows({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
 
 
 def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
     study = {"kind": "sobol", "experiments": {"a": "explorer_snow"}}
-    studies = {**CONTENT["studies"], "retrieved_dozier_retrieved": study}
+    studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
     with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
-        load_settings({**CONTENT, "studies": studies}).select_experiments(shipped)
+        load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)
 
 
 def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
     shutil.copytree(ROOT / "config" / "measured", tmp_path / "measured")
     file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
     file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
-    content = {**CONTENT, "measured_folder": str(tmp_path / "measured")}
+    content = {**SETTINGS_CONTENT, "measured_folder": str(tmp_path / "measured")}
     with pytest.raises(ConfigError, match=r"studies\.agreement\.files\.aviris = .*line 4: refl"):
         load_settings(content).select_experiments(shipped)
 
@@ -184,4 +184,4 @@ def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
 @pytest.mark.parametrize("name", ["con", "nul", "com1", "lpt9"])
 def test_names_are_files_on_all_systems(name):
     with pytest.raises(ValueError, match=f"name = '{name}'.*no device such as con"):
-        Experiment.model_validate({"name": name})
+        ExperimentConfig.model_validate({"name": name})

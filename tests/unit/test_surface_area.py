@@ -7,35 +7,35 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.radiative_transfer import kz04
+from splits.analysis.theory.asymptotic import kz04
 from splits.analysis.surface_area import (
     AREA,
-    FIELD_NM,
-    LAWS,
-    WINDOWS,
-    field_law,
-    fit_area,
-    inside,
-    overlay,
-    surface_areas,
+    FIELD_WAVELENGTH_NM,
+    PUBLISHED_ALBEDO_LAWS,
+    FIT_WINDOWS_NM,
+    make_field_table,
+    fit_surface_area,
+    is_in_windows,
+    make_overlay_table,
+    retrieve_surface_areas,
 )
-from splits.figures import area_law, fitted_spectra
+from splits.plotting import draw_area_law, draw_fitted_spectra
 
 AREAS = np.array([2.5, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0, 45.0, 70.0])
 WAVELENGTHS = np.arange(600.0, 2401.0, 20.0)
-GROUPS = 8
+N_BATCHES = 8
 
 
-def modelled(areas=AREAS, wavelengths=WAVELENGTHS):
+def compute_reflectance(areas=AREAS, wavelengths=WAVELENGTHS):
     """Return reflectance by asymptotic theory."""
     return np.stack([kz04(wavelengths, area).reflectance.values for area in areas])
 
 
-def snow(angles=(30.0, 60.0), noise=0.0, seed=1):
+def make_dataset(angles=(30.0, 60.0), noise=0.0, seed=1):
     """Return a dataset as an experiment makes it, its groups so far off on average."""
-    exact = modelled()
+    exact = compute_reflectance()
     random = np.random.default_rng(seed)
-    groups = noise / np.sqrt(GROUPS) * random.normal(size=(GROUPS, *exact.shape))
+    groups = noise / np.sqrt(N_BATCHES) * random.normal(size=(N_BATCHES, *exact.shape))
     dims, over = (AREA, "incidence_deg", "wavelength"), (AREA, "wavelength")
     table = xr.Dataset(
         {
@@ -51,28 +51,28 @@ def snow(angles=(30.0, 60.0), noise=0.0, seed=1):
 def measured(**areas):
     """Return spectra of snow of these areas under 60° at other wavelengths, a tenth too bright."""
     wavelengths = np.arange(400.0, 2501.0, 5.0)
-    columns = {f"{name}@60": 1.1 * modelled([area], wavelengths)[0] for name, area in areas.items()}
+    columns = {f"{name}@60": 1.1 * compute_reflectance([area], wavelengths)[0] for name, area in areas.items()}
     return pd.DataFrame({"wavelength_nm": wavelengths, **columns})
 
 
 @pytest.mark.parametrize("area", [2.5, 5.0, 17.3, 60.0, 70.0])
 def test_what_is_put_in_comes_out(area):
-    fit = fit_area(AREAS, modelled(), 0.9 * modelled([area])[0])
+    fit = fit_surface_area(AREAS, compute_reflectance(), 0.9 * compute_reflectance([area])[0])
     assert fit.area == pytest.approx(area, rel=2e-3)
     assert fit.scale == pytest.approx(0.9, rel=1e-3)
     assert fit.rmse < 1e-3
 
 
 def test_a_spectrum_beyond_the_grid_is_flagged():
-    table = surface_areas(snow(), measured(inside=20.0, beyond=150.0))
+    table = retrieve_surface_areas(make_dataset(), measured(inside=20.0, beyond=150.0))
     flags = table.set_index(["spectrum", "window"]).at_the_end
     assert not flags["inside@60"].any() and flags["beyond@60"]["all"]
 
 
 def test_stated_errors_are_the_scatter_between_runs():
     spectra = measured(one=16.0)
-    found = [surface_areas(snow(noise=0.001, seed=seed), spectra) for seed in range(60)]
-    for window in WINDOWS:
+    found = [retrieve_surface_areas(make_dataset(noise=0.001, seed=seed), spectra) for seed in range(60)]
+    for window in FIT_WINDOWS_NM:
         rows = [table[table.window == window].iloc[0] for table in found]
         for name in ("area", "level"):
             values = np.array([row[name] for row in rows])
@@ -82,19 +82,19 @@ def test_stated_errors_are_the_scatter_between_runs():
 
 
 def test_overlay_has_the_level_and_says_what_was_fitted():
-    dataset, spectra = snow(), measured(a=16.0)
-    table = overlay(dataset, spectra, surface_areas(dataset, spectra))
+    dataset, spectra = make_dataset(), measured(a=16.0)
+    table = make_overlay_table(dataset, spectra, retrieve_surface_areas(dataset, spectra))
     assert list(table.wavelength_nm) == list(WAVELENGTHS)
     used = table[table.fitted]
     assert used.difference.abs().max() < 2e-3
-    assert set(used.wavelength_nm) == set(WAVELENGTHS[inside(WAVELENGTHS, WINDOWS["all"])])
+    assert set(used.wavelength_nm) == set(WAVELENGTHS[is_in_windows(WAVELENGTHS, FIT_WINDOWS_NM["all"])])
     assert not table.fitted[table.wavelength_nm == 1400.0].any()
-    assert fitted_spectra(table).axes
+    assert draw_fitted_spectra(table).axes
 
 
 def test_a_spectrum_under_an_angle_that_was_not_run_is_refused():
     with pytest.raises(ValueError, match=r"column = 'a@60': must be .* ends with @10 or @20"):
-        surface_areas(snow([10.0, 20.0]), measured(a=16.0))
+        retrieve_surface_areas(make_dataset([10.0, 20.0]), measured(a=16.0))
 
 
 def test_published_laws_stand_beside_ours():
@@ -106,10 +106,10 @@ def test_published_laws_stand_beside_ours():
                 np.full((1, AREAS.size, 1), 0.01),
             ),
         },
-        {"medium": ["spheres"], AREA: AREAS, "wavelength": [FIELD_NM]},
+        {"medium": ["spheres"], AREA: AREAS, "wavelength": [FIELD_WAVELENGTH_NM]},
     )
-    table = field_law(dataset)
-    assert list(dict.fromkeys(table.snow)) == ["spheres", *LAWS]
-    law = table[table.snow == next(iter(LAWS))]
+    table = make_field_table(dataset)
+    assert list(dict.fromkeys(table.snow)) == ["spheres", *PUBLISHED_ALBEDO_LAWS]
+    law = table[table.snow == next(iter(PUBLISHED_ALBEDO_LAWS))]
     assert law.reflectance.is_monotonic_increasing and law.stderr.isna().all()
-    assert area_law(table).axes
+    assert draw_area_law(table).axes

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 import yaml
-from rough_surfaces import GAUSSIAN, PRINTED, SPECTRUM, TABLE
+from rough_surfaces import GAUSSIAN, TABULATED, SPECTRUM, TABLE
 from scipy import integrate, special
 
-from splits.media.rough_surface import RoughSurface, SurfaceField
-from splits.media.surface_laws import LAWS
-from splits.transport.rough import waves as kernels
+from splits.media.rough_surface import RoughSurface, RandomHeightField
+from splits.media.height_spectra import HEIGHT_SPECTRA
+from splits.kernels.rough_surface import realization as kernels
 
-BAD = [
+INVALID_SURFACES = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),
     ("rms_height_m", "1e-1", "this is text, not a number"),
     ("wave_number_per_m", 0.0, "in [1e-09, 1e+09] 1/m"),
@@ -29,7 +29,7 @@ BAD = [
     ("band_limit_per_m", None, "name the finest waves that light shall see, or infinity"),
     ("spectrum", TABLE, 'left out unless correlation is "spectrum"'),
 ]
-BAD_TABLES = [
+INVALID_TABLES = [
     (None, "spectrum = None: must be a mapping"),
     ({"wave_number_per_m": [1.0, 2.0]}, "must be a mapping"),
     (TABLE | {"density": [1.0, 2.0]}, "must be a mapping"),
@@ -41,24 +41,24 @@ BAD_TABLES = [
 ]
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), BAD)
+@pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SURFACES)
 def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
     good = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "band_limit_per_m": 10.0}
     with pytest.raises(ValueError, match=f"^{key} = ") as caught:
-        SurfaceField(**good | {key: value})
+        RandomHeightField(**good | {key: value})
     assert repr(value) in str(caught.value) and allowed in str(caught.value)
 
 
-@pytest.mark.parametrize(("table", "message"), BAD_TABLES)
+@pytest.mark.parametrize(("table", "message"), INVALID_TABLES)
 def test_bad_spectra_are_refused(table, message):
     with pytest.raises(ValueError, match=message):
-        SurfaceField(0.1, correlation="spectrum", spectrum=table)
+        RandomHeightField(0.1, correlation="spectrum", spectrum=table)
 
 
 @pytest.mark.parametrize("key", ["wave_number_per_m", "band_limit_per_m"])
 def test_a_spectrum_needs_no_scale_and_no_limit(key):
     with pytest.raises(ValueError, match=rf"{key} = 1.0: must be left out"):
-        SurfaceField(**SPECTRUM | {key: 1.0})
+        RandomHeightField(**SPECTRUM | {key: 1.0})
 
 
 def test_refusals_say_which_field():
@@ -94,14 +94,14 @@ def test_surfaces_come_from_yaml():
         surface.fields = ()
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", HEIGHT_SPECTRA)
 @pytest.mark.parametrize("limit", [0.5, 3.0, 10.0])
 def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit):
-    field = SurfaceField(0.3, 2.0, name, band_limit_per_m=2.0 * limit)
+    field = RandomHeightField(0.3, 2.0, name, band_limit_per_m=2.0 * limit)
     numbers = RoughSurface(field).make_height_fields()
 
     def drawn(u):
-        return kernels.wave_number(numbers, 0, u)
+        return kernels.wave_number_quantile(numbers, 0, u)
 
     # At probability 1 the whole band is drawn.
     assert drawn(1.0) == pytest.approx(2.0 * limit, rel=1e-6)
@@ -112,11 +112,11 @@ def test_expectations_are_integrals_over_the_law_as_kernels_draw_it(name, limit)
     assert RoughSurface(field).rms_slope() == pytest.approx(0.3 * math.sqrt(square), rel=1e-8)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", HEIGHT_SPECTRA)
 def test_a_far_limit_is_none(name):
     r = np.array([0.0, 0.1, 1.0, 3.0])
     near, far = (
-        SurfaceField(1.0, 2.0, name, band_limit_per_m=limit).compute_correlation(r)
+        RandomHeightField(1.0, 2.0, name, band_limit_per_m=limit).compute_correlation(r)
         for limit in (2e5, math.inf)
     )
     # What the limit cuts off exp(−k0 r) is a share of k0/limit.
@@ -124,13 +124,13 @@ def test_a_far_limit_is_none(name):
 
 
 def test_the_printed_law_is_not_exponential():
-    assert RoughSurface(PRINTED).correlation(10.0) == pytest.approx(0.7615975857, abs=1e-9)
-    assert RoughSurface(PRINTED).rms_slope() == math.inf
+    assert RoughSurface(TABULATED).correlation(10.0) == pytest.approx(0.7615975857, abs=1e-9)
+    assert RoughSurface(TABULATED).rms_slope() == math.inf
 
 
 def test_correlation_and_slope_of_a_spectrum():
     k = np.linspace(0.0, 14.0, 2001)
-    field = SurfaceField(
+    field = RandomHeightField(
         0.5, correlation="spectrum",
         spectrum={"wave_number_per_m": k, "density": np.exp(-0.25 * k * k)},
     )  # fmt: skip
@@ -141,15 +141,15 @@ def test_correlation_and_slope_of_a_spectrum():
 
 def test_gaps_in_a_spectrum_stay_empty():
     table = {"wave_number_per_m": [0, 1, 2, 3, 4, 5], "density": [0, 0, 1, 0, 0, 0]}
-    quantiles = SurfaceField(1.0, correlation="spectrum", spectrum=table).wave_number_quantiles
+    quantiles = RandomHeightField(1.0, correlation="spectrum", spectrum=table).wave_number_quantiles
     assert 1.0 <= quantiles[0] < 1.01 and 2.99 < quantiles[-1] <= 3.0
     assert (np.diff(quantiles) > 0.0).all()
 
 
 def test_fields_superpose():
     r = np.array([0.0, 0.1, 1.0])
-    one, other = RoughSurface(PRINTED), RoughSurface(GAUSSIAN)
-    both = RoughSurface([PRINTED, GAUSSIAN])
+    one, other = RoughSurface(TABULATED), RoughSurface(GAUSSIAN)
+    both = RoughSurface([TABULATED, GAUSSIAN])
     shares = np.array([4.0, 0.25]) / 4.25
     np.testing.assert_allclose(
         both.correlation(r), shares @ [one.correlation(r), other.correlation(r)], rtol=1e-14

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
-from formula_tables import table_of
+from formula_tables import make_table
 
 import splits
-from splits.checks import Refusal
+from splits.core.validation import InvalidValue
 
 W = np.array([500.0, 900.0])
 
 
-def light(size, angle, water):
+def evaluate_light(size, angle, water):
     """Return light that bends along every axis, and its slopes."""
     scale = np.array([0.02, 0.05])
     mu = np.cos(np.radians(angle))
@@ -33,7 +33,7 @@ def table():
         "incidence_deg": np.array([0.0, 20.0, 35.0, 50.0, 65.0]),
         "liquid_water_content": np.array([0.0, 0.01, 0.04, 0.09, 0.15]),
     }
-    return table_of(lambda *point: light(*point)[0], axes, 1e-6, W)
+    return make_table(lambda *point: evaluate_light(*point)[0], axes, 1e-6, W)
 
 
 @pytest.mark.parametrize("place", [(130.0, 30.0, 0.02), (700.0, 60.0, 0.1), (50.0, 10.0, 0.005)])
@@ -41,7 +41,7 @@ def test_derivatives_are_those_of_the_light(table, place):
     names = ["optical_radius_um", "incidence_deg", "liquid_water_content"]
     at = dict(zip(names, place, strict=True))
     found = table.derivatives(names, **at)
-    exact = light(*place)[1]
+    exact = evaluate_light(*place)[1]
     for i, name in enumerate(names):
         off = np.abs(found.reflectance_jacobian.values[i] - exact[name])
         error = found.reflectance_jacobian_stderr.values[i]
@@ -66,7 +66,7 @@ def test_a_table_with_covariance_knows_them_better():
     def snow(radius):
         return splits.Snow.natural(optical_radius_um=radius)
 
-    made = splits.table(snow, grid, [800.0, 1030.0], max_stderr=0.01, covariance=True)
+    made = splits.build_table(snow, grid, [800.0, 1030.0], max_stderr=0.01, covariance=True)
     with_it = splits.Table(made).derivatives(["radius"], radius=150.0)
     without = splits.Table(made.drop_vars("reflectance_groups")).derivatives(
         ["radius"], radius=150.0
@@ -82,7 +82,7 @@ def test_a_table_with_covariance_knows_them_better():
     assert (np.abs(off) < 4.0 * error).all()
 
 
-WRONG = {
+INVALID_CALLS = {
     "no axis": (["depth_m"], {}, "depth_m"),
     "text": ("optical_radius_um", {}, "a list of"),
     "twice": (["incidence_deg"] * 2, {}, "each once"),
@@ -92,9 +92,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused(table, name):
-    names, other, message = WRONG[name]
+    names, other, message = INVALID_CALLS[name]
     at = {"optical_radius_um": 100.0, "incidence_deg": 30.0, "liquid_water_content": 0.02} | other
-    with pytest.raises(Refusal, match=message):
+    with pytest.raises(InvalidValue, match=message):
         table.derivatives(names, **at)

@@ -6,56 +6,56 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import snowlike
+from formula_tables import make_snowlike_table
 
 import splits
-from splits.checks import Refusal
-from splits.lookup.isofit import for_isofit
-from splits.phase_functions import for_eradiate
+from splits.core.validation import InvalidValue
+from splits.tables.isofit import convert_to_isofit
+from splits.analysis.theory.phase_function import to_eradiate
 
-SIZE, DIRT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
-AT = {SIZE: 300.0, DIRT: 50.0, ANGLE: 33.0}
+SIZE, SOOT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
+FIXED = {SIZE: 300.0, SOOT: 50.0, ANGLE: 33.0}
 
 
 @pytest.fixture(scope="module")
 def dataset():
-    return snowlike().dataset
+    return make_snowlike_table().dataset
 
 
-def shuffled(ds):
+def shuffle(ds):
     random = np.random.default_rng(1)
     return ds.isel({name: random.permutation(ds.sizes[name]) for name in ds.dims})
 
 
-def through_pandas(ds):
+def convert_through_pandas(ds):
     return ds.to_dataframe().to_xarray().assign_attrs(ds.attrs)
 
 
-def objects(ds):
+def to_object_labels(ds):
     return ds.assign_coords({ANGLE: (ANGLE, ds[ANGLE].values.astype(object))})
 
 
-WAYS = {
+CONVERSIONS = {
     "as it was": lambda ds: ds,
     "one axis descends": lambda ds: ds.sortby(ANGLE, ascending=False),
     "all axes descend": lambda ds: ds.sortby(list(ds.dims), ascending=False),
-    "shuffled": shuffled,
+    "shuffled": shuffle,
     "transposed": lambda ds: ds.transpose("wavelength", ...),
-    "through pandas": through_pandas,
-    "numbers as objects": objects,
+    "through pandas": convert_through_pandas,
+    "numbers as objects": to_object_labels,
     "whole numbers": lambda ds: ds.assign_coords({ANGLE: ds[ANGLE].astype(int)}),
-    "several of these": lambda ds: through_pandas(shuffled(ds)).transpose("wavelength", ...),
+    "several of these": lambda ds: convert_through_pandas(shuffle(ds)).transpose("wavelength", ...),
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", CONVERSIONS)
 def test_a_table_in_any_order_gives_the_same(way, dataset):
-    plain, other = splits.Table(dataset), splits.Table(WAYS[way](dataset))
+    plain, other = splits.Table(dataset), splits.Table(CONVERSIONS[way](dataset))
     for read in (
-        lambda table: table.interp(**AT),
-        lambda table: table.interp(**AT, wavelength=[777.0]),
-        lambda table: table.derivatives([SIZE, DIRT], **AT),
-        lambda table: table.to_isofit(**{DIRT: 0.0}),
+        lambda table: table.interp(**FIXED),
+        lambda table: table.interp(**FIXED, wavelength=[777.0]),
+        lambda table: table.derivatives([SIZE, SOOT], **FIXED),
+        lambda table: table.to_isofit(**{SOOT: 0.0}),
     ):
         expected, found = read(plain), read(other)
         xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
@@ -64,22 +64,22 @@ def test_a_table_in_any_order_gives_the_same(way, dataset):
 
 @pytest.mark.parametrize("way", ["all axes descend", "shuffled", "transposed"])
 def test_a_file_of_a_table_in_any_order(way, dataset, tmp_path, monkeypatch):
-    splits.save(WAYS[way](dataset), tmp_path / "table.nc")
-    expected = splits.Table(dataset).interp(**AT)
+    splits.save(CONVERSIONS[way](dataset), tmp_path / "table.nc")
+    expected = splits.Table(dataset).interp(**FIXED)
     for limit in (2**28, 1):
         monkeypatch.setattr("splits.lookup.reading.IN_MEMORY", limit)
-        found = splits.open_table(tmp_path / "table.nc").interp(**AT)
+        found = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
         xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_a_part_of_a_table(dataset):
-    at = {name: value for name, value in AT.items() if name != ANGLE}
+    at = {name: value for name, value in FIXED.items() if name != ANGLE}
     part = splits.Table(dataset.isel({ANGLE: 1, "wavelength": [4, 2]}))
-    expected = splits.Table(dataset).interp(**AT | {ANGLE: 30.0}, wavelength=[700.0, 900.0])
+    expected = splits.Table(dataset).interp(**FIXED | {ANGLE: 30.0}, wavelength=[700.0, 900.0])
     np.testing.assert_allclose(part.interp(**at).reflectance, expected.reflectance, rtol=1e-9)
 
 
-REFUSED = {
+INVALID_TABLES = {
     "no dataset": (lambda ds: ds.reflectance, "table = 'DataArray': must be what splits.table"),
     "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
     "a table": (splits.Table, "table = 'Table': must be"),
@@ -94,10 +94,10 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", INVALID_TABLES)
 def test_what_is_no_whole_table_is_refused_when_it_is_made(name, dataset):
-    change, line = REFUSED[name]
-    with pytest.raises(Refusal, match=line):
+    change, line = INVALID_TABLES[name]
+    with pytest.raises(InvalidValue, match=line):
         splits.Table(change(dataset))
 
 
@@ -108,8 +108,8 @@ def test_directions_for_isofit_in_any_order(dataset):
     }  # fmt: skip
     values = np.random.default_rng(1).random([len(row) for row in axes.values()])
     directions = xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
-    expected = for_isofit(dataset, directions, **{DIRT: 0.0})
-    found = for_isofit(dataset, directions.sortby([*axes], ascending=False), **{DIRT: 0.0})
+    expected = convert_to_isofit(dataset, directions, **{SOOT: 0.0})
+    found = convert_to_isofit(dataset, directions.sortby([*axes], ascending=False), **{SOOT: 0.0})
     xr.testing.assert_equal(found, expected)
 
 
@@ -120,10 +120,10 @@ ORDERS = {
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("function", [splits.phase_function, splits.with_diffraction, for_eradiate])
+@pytest.mark.parametrize("function", [splits.phase_function, splits.with_diffraction, to_eradiate])
 def test_moments_in_any_order(function):
     optics = splits.single_scattering(splits.Snow(), [500, 900], moments=64, rays=1000)
     for change in ORDERS.values():
         xr.testing.assert_equal(function(change(optics)), function(optics))
-    with pytest.raises(Refusal, match=r"optics.order = \[0, 2, 4, .*: must be 0, 1, 2"):
+    with pytest.raises(InvalidValue, match=r"optics.order = \[0, 2, 4, .*: must be 0, 1, 2"):
         function(optics.isel(order=slice(0, None, 2)))

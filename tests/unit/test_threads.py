@@ -12,12 +12,12 @@ from chi2 import NEEDS_JIT
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import splits
-from splits.instruments.arguments import check_threads
-from splits.instruments.runner import Runner
-from splits.instruments.threads import Threads, cpus, linear_algebra_alone
+from splits.simulation.arguments import check_threads
+from splits.simulation.runner import Runner
+from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
 
 SNOW = splits.Snow(depth_m=0.02)
-LONG_S = 20.0
+LONG_TIME_S = 20.0
 """How long a job would take that nobody waits for."""
 
 
@@ -25,17 +25,17 @@ def test_systems_without_affinity_count_their_cpus(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "process_cpu_count", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert cpus() == check_threads(None) == Runner(SNOW, 0.0, 1, None, False).threads == 6
+    assert count_cpus() == check_threads(None) == Runner(SNOW, 0.0, 1, None, False).threads == 6
     monkeypatch.setattr(os, "process_cpu_count", lambda: 4, raising=False)
-    assert cpus() == 4
+    assert count_cpus() == 4
     monkeypatch.setattr(os, "process_cpu_count", lambda: None)
-    assert cpus() == 1
+    assert count_cpus() == 1
 
 
 def test_cpus_are_those_that_this_process_may_use():
     if not hasattr(os, "sched_getaffinity"):
         pytest.skip("this system does not tell")
-    assert cpus() == len(os.sched_getaffinity(0))
+    assert count_cpus() == len(os.sched_getaffinity(0))
 
 
 def test_linear_algebra_is_left_one_thread():
@@ -45,7 +45,7 @@ def test_linear_algebra_is_left_one_thread():
     # Whatever it was given at the start: tests that run side by side leave it one thread, too.
     with threadpool_limits(limits=2, user_api="blas"):
         assert set(blas()) == {2}
-        with linear_algebra_alone():
+        with limit_blas_threads():
             assert set(blas()) == {1}
         assert set(blas()) == {2}
 
@@ -56,7 +56,7 @@ def test_results_come_in_order(number):
         time.sleep(0.002 * (x % 3))
         return x * x
 
-    with Threads(number) as threads:
+    with DaemonThreadPool(number) as threads:
         assert list(threads.map(late, range(30))) == [x * x for x in range(30)]
         assert list(threads.map(late, range(3))) == [0, 1, 4]
     with pytest.raises(CancelledError):
@@ -70,11 +70,11 @@ def test_no_more_threads_than_asked_for_nor_than_jobs():
         time.sleep(0.01)
         seen.add(threading.get_ident())
 
-    with Threads(3) as threads:
+    with DaemonThreadPool(3) as threads:
         list(threads.map(note, range(20)))
     assert len(seen) <= 3
     before = threading.active_count()
-    with Threads(100) as threads:
+    with DaemonThreadPool(100) as threads:
         list(threads.map(note, range(2)))
         assert threading.active_count() <= before + 2
 
@@ -86,7 +86,7 @@ def test_an_error_of_a_job_is_passed_on(error):
             raise error("at one")
         return x
 
-    with pytest.raises(error, match="at one"), Threads(2) as threads:
+    with pytest.raises(error, match="at one"), DaemonThreadPool(2) as threads:
         list(threads.map(fail, range(5)))
 
 
@@ -95,15 +95,15 @@ def test_nobody_waits_for_jobs_of_a_run_that_is_broken_off():
 
     def wait(x):
         begun.append(x)
-        go_on.wait(LONG_S)
+        go_on.wait(LONG_TIME_S)
 
     since = time.perf_counter()
-    with pytest.raises(KeyboardInterrupt), Threads(2) as threads:
+    with pytest.raises(KeyboardInterrupt), DaemonThreadPool(2) as threads:
         threads.map(wait, range(10))
         while len(begun) < 2:
             time.sleep(0.001)
         raise KeyboardInterrupt
-    assert time.perf_counter() - since < LONG_S / 2
+    assert time.perf_counter() - since < LONG_TIME_S / 2
     go_on.set()
     time.sleep(0.1)
     assert begun == [0, 1]
@@ -114,17 +114,17 @@ def test_a_job_that_shares_out_work_ends_with_the_run_it_belongs_to():
 
     def outer(x):
         try:
-            with Threads(1) as inner:
+            with DaemonThreadPool(1) as inner:
                 while True:
                     list(inner.map(abs, [x]))
                     inside.set()
-                    go_on.wait(LONG_S)
+                    go_on.wait(LONG_TIME_S)
         except CancelledError:
             ended.append(x)
 
-    with Threads(1) as threads:
+    with DaemonThreadPool(1) as threads:
         threads.submit(outer, 1)
-        assert inside.wait(LONG_S)
+        assert inside.wait(LONG_TIME_S)
     go_on.set()
     for _ in range(1000):
         if ended:

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.trends import (
-    SIGNIFICANT,
-    _halving,
-    _steepest_band,
-    band_mean,
-    beyond,
-    monotone,
-    steps,
+from splits.experiments.papers.snow_trends import (
+    MIN_TREND_SIGMA,
+    _make_depth_rows,
+    _make_band_comparison_row,
+    compute_band_mean,
+    make_significance_row,
+    make_monotone_row,
+    compute_steps,
 )
 
 WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
 
 
-def over_depth(values, stderr=0.01):
+def make_transmittance(values, stderr=0.01):
     """Return transmittance, one value per depth in 400-600 nm and 9 elsewhere."""
     rows = np.repeat(np.asarray(values, dtype=float)[:, np.newaxis], len(WAVELENGTHS), axis=1)
     rows[:, -1] = 9.0
@@ -33,43 +33,43 @@ def over_depth(values, stderr=0.01):
     )
 
 
-def verdict(values, sign, stderr=0.01):
-    made = over_depth(values, stderr)
-    return monotone(made, "transmittance", "depth_m", sign, (400, 600), "falls", "Fig 0")
+def compute_verdict(values, sign, stderr=0.01):
+    made = make_transmittance(values, stderr)
+    return make_monotone_row(made, "transmittance", "depth_m", sign, (400, 600), "falls", "Fig 0")
 
 
 def test_a_band_mean_takes_its_band_only():
-    dataset = over_depth([0.2, 0.4])
-    np.testing.assert_allclose(band_mean(dataset, "transmittance", 400, 600), [0.2, 0.4])
-    np.testing.assert_allclose(band_mean(dataset, "transmittance", 850, 950), 9.0)
+    dataset = make_transmittance([0.2, 0.4])
+    np.testing.assert_allclose(compute_band_mean(dataset, "transmittance", 400, 600), [0.2, 0.4])
+    np.testing.assert_allclose(compute_band_mean(dataset, "transmittance", 850, 950), 9.0)
 
 
 def test_steps_and_their_errors():
-    dataset = over_depth([0.8, 0.5, 0.4], stderr=[0.03, 0.04, 0.0])
-    step, error = steps(dataset, "transmittance", "depth_m", 400, 600)
+    dataset = make_transmittance([0.8, 0.5, 0.4], stderr=[0.03, 0.04, 0.0])
+    step, error = compute_steps(dataset, "transmittance", "depth_m", 400, 600)
     np.testing.assert_allclose(step, [-0.3, -0.1])
     np.testing.assert_allclose(error, [0.05, 0.04])
 
 
 def test_steps_along_any_dimension_of_a_grid():
-    first, second = over_depth([0.8, 0.5, 0.4], [0.03, 0.04, 0.0]), over_depth([0.9, 0.2, 0.1])
+    first, second = make_transmittance([0.8, 0.5, 0.4], [0.03, 0.04, 0.0]), make_transmittance([0.9, 0.2, 0.1])
     dataset = xr.concat([first, second], dim="saturation")
-    step, error = steps(dataset, "transmittance", "depth_m", 400, 600)
+    step, error = compute_steps(dataset, "transmittance", "depth_m", 400, 600)
     assert step.shape == error.shape == (2, 2)
     np.testing.assert_allclose(step, [[-0.3, -0.1], [-0.7, -0.1]])
     np.testing.assert_allclose(error, [[0.05, 0.04], [0.01 * np.sqrt(2)] * 2])
 
 
 def test_a_trend_is_shown_when_its_least_sure_step_is_significant():
-    assert verdict([0.8, 0.5, 0.3], -1)["verdict"] == "agrees"
-    assert verdict([0.8, 0.5, 0.3], +1)["verdict"] == "outside"
-    assert verdict([0.8, 0.5, 0.49], -1)["verdict"] == "not resolved at this accuracy"
-    assert verdict([0.8, 0.5, 0.51], -1)["verdict"] == "not resolved at this accuracy"
-    assert verdict([0.3, 0.5, 0.8], +1)["verdict"] == "agrees"
+    assert compute_verdict([0.8, 0.5, 0.3], -1)["verdict"] == "agrees"
+    assert compute_verdict([0.8, 0.5, 0.3], +1)["verdict"] == "outside"
+    assert compute_verdict([0.8, 0.5, 0.49], -1)["verdict"] == "not resolved at this accuracy"
+    assert compute_verdict([0.8, 0.5, 0.51], -1)["verdict"] == "not resolved at this accuracy"
+    assert compute_verdict([0.3, 0.5, 0.8], +1)["verdict"] == "agrees"
 
 
 def test_the_row_holds_the_least_sure_step():
-    row = verdict([0.8, 0.5, 0.3], -1, stderr=[0.001, 0.001, 0.04])
+    row = compute_verdict([0.8, 0.5, 0.3], -1, stderr=[0.001, 0.001, 0.04])
     assert row["ours"] == pytest.approx(0.2)
     assert row["stderr"] == pytest.approx(np.hypot(0.001, 0.04))
     assert row["id"] == "trend"
@@ -86,8 +86,8 @@ def test_the_row_holds_the_least_sure_step():
     ],
 )
 def test_the_bar_is_three_standard_errors(value, expected):
-    assert SIGNIFICANT == 3.0
-    row = beyond("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
+    assert MIN_TREND_SIGMA == 3.0
+    row = make_significance_row("q", "p", np.array([10.0, value]), np.array([1.0, 1.0]))
     assert row["verdict"] == expected
     np.testing.assert_equal(row["ours"], value)
     assert "3 standard errors" in row["bar"]
@@ -109,7 +109,7 @@ def test_the_steepest_band_errs_as_its_ends_do():
     visible, near = np.random.default_rng(1).normal(0.0, 0.01, (2, 5, 20_000))
     fall = (visible[-1] - visible[0]) - (near[-1] - near[0])
     # 20 000 draws know a standard deviation to 0.5 %: four of these.
-    assert _steepest_band(dataset)["stderr"] == pytest.approx(fall.std(), rel=0.02)
+    assert _make_band_comparison_row(dataset)["stderr"] == pytest.approx(fall.std(), rel=0.02)
 
 
 @pytest.mark.parametrize(("shallow", "deep"), [(0.2, 0.06), (0.04, 0.03)])
@@ -124,6 +124,6 @@ def test_doubling_the_depth_errs_at_both_depths(shallow, deep):
         {"depth_m": [0.01, 0.02], "wavelength": [400.0, 700.0, 1030.0]},
     )  # fmt: skip
     draws = np.random.default_rng(2).normal((shallow, deep), 0.002, (20_000, 2))
-    stated = _halving(dataset)[-1]["stderr"]
+    stated = _make_depth_rows(dataset)[-1]["stderr"]
     # As above; the ratio bends a little.
     assert stated == pytest.approx((draws[:, 1] / draws[:, 0]).std(), rel=0.03)

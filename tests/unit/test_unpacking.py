@@ -14,10 +14,10 @@ from hashlib import sha256
 
 import pytest
 
-import splits.unpacking
-from splits.archive import pack
-from splits.crate import METADATA
-from splits.unpacking import ArchiveError, unpack, verify
+import splits.io.unarchive
+from splits.experiments.archive import pack_archive
+from splits.io.ro_crate import METADATA_FILE
+from splits.io.unarchive import ArchiveError, unpack_archive, verify_archive
 
 DATA = "data/a.nc"
 
@@ -31,7 +31,7 @@ def packed(tmp_path_factory):
         path.parent.mkdir(parents=True)
         path.write_bytes(name.encode() * 100)
     results = [path for path in (root / "out").rglob("*") if path.is_file()]
-    pack(results, {"config/config.yaml": b"seed: 1\n"}, root / "out" / "archive" / "made.zip")
+    pack_archive(results, {"config/config.yaml": b"seed: 1\n"}, root / "out" / "archive" / "made.zip")
     return root / "out" / "archive" / "made.zip"
 
 
@@ -47,7 +47,7 @@ def refused(tmp_path):
 
     def check(path, match):
         before = sorted(tmp_path.rglob("*"))
-        for attempt in (verify, lambda archive: unpack(archive, tmp_path / "target")):
+        for attempt in (verify_archive, lambda archive: unpack_archive(archive, tmp_path / "target")):
             with pytest.raises(ArchiveError, match=match) as caught:
                 attempt(path)
             assert "\n" not in str(caught.value)
@@ -57,9 +57,9 @@ def refused(tmp_path):
     return check
 
 
-def listed(members, add=(), change=None):
+def list_members(members, add=(), change=None):
     """Return members whose metadata list further files, or are changed besides."""
-    crate = json.loads(members[METADATA])
+    crate = json.loads(members[METADATA_FILE])
     graph = {entity["@id"]: entity for entity in crate["@graph"]}
     for name, content in dict(add).items():
         graph[name] = {
@@ -70,10 +70,10 @@ def listed(members, add=(), change=None):
     crate["@graph"] = list(graph.values())
     if change:
         change(crate, graph)
-    return members | dict(add) | {METADATA: json.dumps(crate).encode()}
+    return members | dict(add) | {METADATA_FILE: json.dumps(crate).encode()}
 
 
-def zipped(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
+def write_zip(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
     """Write a zip file of plain files; `edit` takes it before its directory is written."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of names that come twice
@@ -89,14 +89,14 @@ def zipped(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
 
 
 def test_what_was_packed_is_unpacked(packed, members, tmp_path):
-    report = unpack(packed, tmp_path / "target")
+    report = unpack_archive(packed, tmp_path / "target")
     found = {
         path.relative_to(tmp_path / "target").as_posix(): path.read_bytes()
         for path in (tmp_path / "target").rglob("*")
         if path.is_file()
     }
     assert found == members
-    assert report == verify(packed)
+    assert report == verify_archive(packed)
     assert report.sha256 == sha256(packed.read_bytes()).hexdigest()
     assert report.n_files == len(members)
     assert report.n_bytes == sum(map(len, members.values()))
@@ -108,16 +108,16 @@ def test_what_was_packed_is_unpacked(packed, members, tmp_path):
 
 def test_an_empty_folder_is_filled_and_another_one_is_not(packed, tmp_path):
     (tmp_path / "empty").mkdir()
-    unpack(packed, tmp_path / "empty")
+    unpack_archive(packed, tmp_path / "empty")
     assert (tmp_path / "empty" / DATA).is_file()
     (tmp_path / "link").symlink_to(tmp_path / "empty")
     (tmp_path / "file").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
     for taken in ("empty", "link", "file"):
         with pytest.raises(ValueError, match=r"^folder = .*: must be a new or an empty folder$"):
-            unpack(packed, tmp_path / taken)
+            unpack_archive(packed, tmp_path / taken)
     with pytest.raises(ValueError, match=r"^folder = .*: must be in a folder that exists$"):
-        unpack(packed, tmp_path / "none" / "target")
+        unpack_archive(packed, tmp_path / "none" / "target")
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -175,12 +175,12 @@ def test_unpacking_needs_no_more_than_the_core():
     ],
 )
 def test_names_that_lead_elsewhere_are_refused(name, why, members, tmp_path, refused):
-    path = zipped(tmp_path / "bad.zip", listed(members, {name: b"x"}))
+    path = write_zip(tmp_path / "bad.zip", list_members(members, {name: b"x"}))
     refused(path, why)
 
 
 def test_a_name_that_is_cut_short_is_refused(members, tmp_path, refused):
-    path = zipped(tmp_path / "bad.zip", listed(members, {"data/xy.nc": b"x"}))
+    path = write_zip(tmp_path / "bad.zip", list_members(members, {"data/xy.nc": b"x"}))
     path.write_bytes(path.read_bytes().replace(b"data/xy.nc", b"data/x\0.nc"))
     refused(path, "a name with characters")
 
@@ -204,38 +204,38 @@ def test_what_is_no_plain_file_is_refused(attributes, why, members, tmp_path, re
     def edit(file):
         file.NameToInfo[DATA].external_attr = attributes
 
-    refused(zipped(tmp_path / "bad.zip", members, edit), f"'{DATA}' is {why}")
+    refused(write_zip(tmp_path / "bad.zip", members, edit), f"'{DATA}' is {why}")
 
 
 @pytest.mark.parametrize(
     "more", [DATA, "data/A.nc", "data/a.nc/b.nc", "data/ａ.nc", "Config/config.yaml"]
 )
 def test_names_that_are_the_same_somewhere_are_refused(more, members, tmp_path, refused):
-    both = [*listed(members, {more: b"x"}).items()]
+    both = [*list_members(members, {more: b"x"}).items()]
     both += [(DATA, b"x")] if more == DATA else []
     why = "no file" if more.startswith("C") else "is there twice, or its name differs in case only"
-    refused(zipped(tmp_path / "bad.zip", both), why)
+    refused(write_zip(tmp_path / "bad.zip", both), why)
 
 
 def test_folders_that_differ_in_case_are_refused(members, tmp_path, refused):
     more = {"tables/Deep/other.csv": b"x"}
-    refused(zipped(tmp_path / "bad.zip", listed(members, more)), "differs in case only")
+    refused(write_zip(tmp_path / "bad.zip", list_members(members, more)), "differs in case only")
 
 
 def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
-    bomb = listed(members, {"data/bomb.nc": bytes(2**25)})
-    refused(zipped(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
-    path = zipped(tmp_path / "large.zip", members)
+    bomb = list_members(members, {"data/bomb.nc": bytes(2**25)})
+    refused(write_zip(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
+    path = write_zip(tmp_path / "large.zip", members)
     with monkeypatch.context() as patch:
-        patch.setattr(splits.unpacking, "MOST_BYTES", 1000)
+        patch.setattr(splits.io.unarchive, "MOST_BYTES", 1000)
         refused(path, "it would unpack to more than")
     with monkeypatch.context() as patch:
-        patch.setattr(splits.unpacking, "MOST_METADATA", 1000)
+        patch.setattr(splits.io.unarchive, "MOST_METADATA", 1000)
         refused(path, "has more than")
     with monkeypatch.context() as patch:
-        patch.setattr(splits.unpacking, "MOST_MEMBERS", 3)
+        patch.setattr(splits.io.unarchive, "MOST_MEMBERS", 3)
         refused(path, "more than 3 members")
-    assert verify(path).n_files == len(members)
+    assert verify_archive(path).n_files == len(members)
 
 
 @pytest.mark.parametrize("declared", [10, 10**6])
@@ -243,7 +243,7 @@ def test_sizes_that_are_not_declared_are_refused(declared, members, tmp_path, re
     def edit(file):
         file.NameToInfo[DATA].file_size = declared
 
-    refused(zipped(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
+    refused(write_zip(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
 
 
 def test_members_that_share_bytes_are_refused(members, tmp_path, refused):
@@ -254,38 +254,38 @@ def test_members_that_share_bytes_are_refused(members, tmp_path, refused):
             setattr(again, key, getattr(first, key))
         file.filelist.append(again)
 
-    more = listed(members, {"data/again.nc": members[DATA]})
+    more = list_members(members, {"data/again.nc": members[DATA]})
     more.pop("data/again.nc")
-    refused(zipped(tmp_path / "bad.zip", more, edit), "shares bytes|no sound zip file")
+    refused(write_zip(tmp_path / "bad.zip", more, edit), "shares bytes|no sound zip file")
 
 
 def test_encrypted_and_unusual_members_are_refused(members, tmp_path, refused):
     def encrypt(file):
         file.NameToInfo[DATA].flag_bits |= 1
 
-    refused(zipped(tmp_path / "secret.zip", members, encrypt), "is encrypted")
-    odd = zipped(tmp_path / "odd.zip", members, method=zipfile.ZIP_LZMA)
+    refused(write_zip(tmp_path / "secret.zip", members, encrypt), "is encrypted")
+    odd = write_zip(tmp_path / "odd.zip", members, method=zipfile.ZIP_LZMA)
     refused(odd, "is compressed in an unusual way")
 
 
 def test_members_missing_unlisted_or_changed_are_refused(members, tmp_path, refused):
     path = tmp_path / "bad.zip"
     less = {name: content for name, content in members.items() if name != DATA}
-    refused(zipped(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
-    refused(zipped(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)")
+    refused(write_zip(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
+    refused(write_zip(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)")
     other = members | {DATA: members[DATA][:-1] + b"!"}
-    refused(zipped(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists")
+    refused(write_zip(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists")
     longer = members | {DATA: members[DATA] + b"!"}
-    refused(zipped(path, longer), r"data/a\.nc is not the file that")
-    less = {name: content for name, content in members.items() if name != METADATA}
-    refused(zipped(path, less), "no RO-Crate, ro-crate-metadata.json is missing")
+    refused(write_zip(path, longer), r"data/a\.nc is not the file that")
+    less = {name: content for name, content in members.items() if name != METADATA_FILE}
+    refused(write_zip(path, less), "no RO-Crate, ro-crate-metadata.json is missing")
 
 
-def _drop(identifier, key):
+def _make_drop_edit(identifier, key):
     return lambda crate, graph: graph[identifier].pop(key)
 
 
-def _set(identifier, key, value):
+def _make_set_edit(identifier, key, value):
     return lambda crate, graph: graph[identifier].__setitem__(key, value)
 
 
@@ -297,31 +297,31 @@ def _set(identifier, key, value):
         (lambda crate, graph: crate.pop("@context"), r"another @context"),
         (lambda crate, graph: crate["@graph"].append({"@id": DATA}), r"an @id of their own"),
         (lambda crate, graph: crate["@graph"].append({"@type": "File"}), r"an @id of their own"),
-        (_set(METADATA, "about", {"@id": "data/"}), "does not describe itself"),
-        (_set(METADATA, "conformsTo", {"@id": "https://example.org"}), "does not describe itself"),
-        (_set("./", "@type", "File"), "no root dataset"),
-        (_drop("./", "name"), "has no name"),
-        (_drop("./", "description"), "has no description"),
-        (_drop("./", "datePublished"), "has no datePublished"),
-        (_set("./", "license", 3), "has no license"),
-        (_set("./", "hasPart", {"@id": DATA}), "no part of the root dataset"),
-        (_drop(DATA, "sha256"), "listed without sha256"),
-        (_set(DATA, "sha256", "a" * 63), "listed without sha256"),
-        (_drop(DATA, "contentSize"), "listed without contentSize"),
-        (_set(DATA, "contentSize", "-1"), "listed without contentSize"),
-        (_set(DATA, "@type", "Thing"), "is not listed"),
-        (_set(DATA, "@id", "data/%61.nc"), "no part of the root dataset"),
+        (_make_set_edit(METADATA_FILE, "about", {"@id": "data/"}), "does not describe itself"),
+        (_make_set_edit(METADATA_FILE, "conformsTo", {"@id": "https://example.org"}), "does not describe itself"),
+        (_make_set_edit("./", "@type", "File"), "no root dataset"),
+        (_make_drop_edit("./", "name"), "has no name"),
+        (_make_drop_edit("./", "description"), "has no description"),
+        (_make_drop_edit("./", "datePublished"), "has no datePublished"),
+        (_make_set_edit("./", "license", 3), "has no license"),
+        (_make_set_edit("./", "hasPart", {"@id": DATA}), "no part of the root dataset"),
+        (_make_drop_edit(DATA, "sha256"), "listed without sha256"),
+        (_make_set_edit(DATA, "sha256", "a" * 63), "listed without sha256"),
+        (_make_drop_edit(DATA, "contentSize"), "listed without contentSize"),
+        (_make_set_edit(DATA, "contentSize", "-1"), "listed without contentSize"),
+        (_make_set_edit(DATA, "@type", "Thing"), "is not listed"),
+        (_make_set_edit(DATA, "@id", "data/%61.nc"), "no part of the root dataset"),
     ],
 )
 def test_metadata_that_are_no_crate_are_refused(change, why, members, tmp_path, refused):
-    refused(zipped(tmp_path / "bad.zip", listed(members, change=change)), why)
+    refused(write_zip(tmp_path / "bad.zip", list_members(members, change=change)), why)
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"\xff", b"{", b"[" * 100_000, b'{"a": 1, "a": 2}', b"[]", b"9" * 5000]
 )
 def test_metadata_that_are_no_json_are_refused(content, members, tmp_path, refused):
-    refused(zipped(tmp_path / "bad.zip", members | {METADATA: content}), "is not JSON|no RO-Crate")
+    refused(write_zip(tmp_path / "bad.zip", members | {METADATA_FILE: content}), "is not JSON|no RO-Crate")
 
 
 def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
@@ -333,9 +333,9 @@ def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
     path.write_bytes(b"#!/bin/sh\n" + content)
     refused(path, "no sound zip file")
     with pytest.raises(ValueError, match=r"^archive = .*must be a zip file$"):
-        verify(tmp_path)
+        verify_archive(tmp_path)
     with pytest.raises(FileNotFoundError):
-        verify(tmp_path / "none.zip")
+        verify_archive(tmp_path / "none.zip")
 
 
 def test_no_damage_gets_through(packed, members, tmp_path):
@@ -352,7 +352,7 @@ def test_no_damage_gets_through(packed, members, tmp_path):
         damaged[place] ^= draw.randrange(1, 256)
         path.write_bytes(damaged)
         try:
-            report = verify(path)
+            report = verify_archive(path)
         except ArchiveError as error:
             assert "\n" not in str(error)
             refusals += 1
@@ -362,12 +362,12 @@ def test_no_damage_gets_through(packed, members, tmp_path):
 
 
 def test_words_of_the_metadata_cannot_steer_a_terminal(members, tmp_path):
-    named = listed(members, change=_set("./", "name", "\x1b[2J\nall is well"))
-    report = verify(zipped(tmp_path / "odd.zip", named))
+    named = list_members(members, change=_make_set_edit("./", "name", "\x1b[2J\nall is well"))
+    report = verify_archive(write_zip(tmp_path / "odd.zip", named))
     assert "\x1b" not in str(report) and len(str(report).splitlines()) == 3
 
 
-KILLED = """
+KILLED_PROGRAM = """
 import os, signal, sys
 import splits.unpacking
 
@@ -381,9 +381,9 @@ splits.unpacking.unpack(*sys.argv[1:])
 
 
 def test_what_a_killed_unpack_leaves_is_removed_by_the_next(packed, tmp_path):
-    command = [sys.executable, "-c", KILLED, str(packed), str(tmp_path / "target")]
+    command = [sys.executable, "-c", KILLED_PROGRAM, str(packed), str(tmp_path / "target")]
     assert subprocess.run(command).returncode == -signal.SIGKILL
     lock, left = sorted(tmp_path.iterdir())
     assert left.name.startswith(f"{lock.name}.") and (left / "half").exists()
-    unpack(packed, tmp_path / "other")
+    unpack_archive(packed, tmp_path / "other")
     assert [path.name for path in tmp_path.iterdir()] == ["other"]

@@ -6,44 +6,44 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import scaled
+from chi2 import scale_sample_size
 from mpmath import mp
-from rough_surfaces import SURFACES, realised, summed
+from rough_surfaces import SURFACES, draw_realization, sum_waves
 
 from splits.media.rough_surface import RoughSurface
-from splits.transport.numerics.vectors import Vector
-from splits.transport.rough import march
-from splits.transport.rough import waves as kernels
-from splits.transport.rough.wave_sums import AMPLITUDE, KX, KY, LANES, PHASE
+from splits.kernels.math.vectors import Vector
+from splits.kernels.rough_surface import intersection
+from splits.kernels.rough_surface import realization as kernels
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, N_WAVE_LANES, PHASE
 
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_heights_are_sums_of_waves_and_slopes_their_derivatives(name):
-    waves = realised(SURFACES[name]).waves
-    assert waves.shape[1] % LANES == 0
+    waves = draw_realization(SURFACES[name]).waves
+    assert waves.shape[1] % N_WAVE_LANES == 0
     assert (waves[AMPLITUDE] > 0.0).sum() == sum(
         f.waves for f in RoughSurface(SURFACES[name]).fields
     )
     x, y = np.random.default_rng(1).uniform(-30.0, 30.0, (2, 200))
-    height, (slope_x, slope_y) = kernels.reliefs_at(waves, x, y)
+    height, (slope_x, slope_y) = kernels.compute_heights_and_slopes(waves, x, y)
     scale = waves[AMPLITUDE].sum()
-    np.testing.assert_allclose(height, summed(waves, x, y), atol=1e-13 * scale)
+    np.testing.assert_allclose(height, sum_waves(waves, x, y), atol=1e-13 * scale)
     step = 1e-5 / (2.0 * np.pi * np.hypot(waves[KX], waves[KY]).max())
     for slope, dx, dy in ((slope_x, step, 0.0), (slope_y, 0.0, step)):
-        rise = summed(waves, x + dx, y + dy) - summed(waves, x - dx, y - dy)
+        rise = sum_waves(waves, x + dx, y + dy) - sum_waves(waves, x - dx, y - dy)
         np.testing.assert_allclose(slope, rise / (2.0 * step), atol=1e-10 * scale / step)
-    assert kernels.relief_at(waves, x[0], y[0]) == (height[0], (slope_x[0], slope_y[0]))
+    assert kernels.compute_height_and_slope(waves, x[0], y[0]) == (height[0], (slope_x[0], slope_y[0]))
 
 
 def test_arguments_up_to_a_million_are_reduced_exactly():
     # One wave of amplitude 1 along x: the argument is 2πx, of which every digit counts.
-    waves = np.zeros((4, LANES))
+    waves = np.zeros((4, N_WAVE_LANES))
     waves[AMPLITUDE, 0] = waves[KX, 0] = 1.0
     generator = np.random.default_rng(2)
     x = np.concatenate([
         np.linspace(-1.5, 1.5, 601), generator.uniform(-1.0, 1.0, 2000) * 1e6 / (2.0 * np.pi)
     ])  # fmt: skip
-    height, (slope, across) = kernels.reliefs_at(waves, x, np.zeros_like(x))
+    height, (slope, across) = kernels.compute_heights_and_slopes(waves, x, np.zeros_like(x))
     with mp.workdps(30):
         turned = [2 * mp.mpf(float(v)) for v in x]
         cosine = np.array([float(mp.cospi(v)) for v in turned])
@@ -57,16 +57,16 @@ def test_arguments_up_to_a_million_are_reduced_exactly():
 @pytest.mark.parametrize("name", SURFACES)
 def test_bounds_bound(name):
     for number in range(3):
-        surface = realised(SURFACES[name], number)
+        surface = draw_realization(SURFACES[name], number)
         waves, bands, count = surface.waves, surface.bands, surface.n_bands
         # Coarse to fine, every wave in the first band.
         k = np.hypot(waves[KX], waves[KY])
-        ends = bands[kernels.END, :count]
+        ends = bands[kernels.BAND_END, :count]
         assert ends[0] == waves.shape[1] and (np.diff(ends) < 0).all()
         for azimuth in np.linspace(0.0, 3.0, 4):
             dx, dy = 0.8 * math.cos(azimuth), 0.8 * math.sin(azimuth)
-            march.set_leg(surface, Vector(dx, dy, 0.6))
-            s = np.linspace(0.0, 200.0, scaled(4000))
+            intersection.set_ray_bounds(surface, Vector(dx, dy, 0.6))
+            s = np.linspace(0.0, 200.0, scale_sample_size(4000))
             t = (
                 2.0
                 * np.pi
@@ -82,7 +82,7 @@ def test_bounds_bound(name):
                 assert np.abs((a * q)[:end] @ np.sin(t[:end])).max() <= slope
                 assert np.abs((a * q * q)[:end] @ np.cos(t[:end])).max() <= curvature
                 assert slope <= surface.max_slope * 0.8 * (1.0 + 1e-12)
-        assert np.abs(summed(waves, s, 0.3 * s)).max() <= surface.max_height
+        assert np.abs(sum_waves(waves, s, 0.3 * s)).max() <= surface.max_height
 
 
 @pytest.mark.parametrize("curvature", [0.0, 1e-3, 1.0, 30.0])
@@ -90,14 +90,14 @@ def test_bounds_bound(name):
 def test_a_safe_step_ends_above_what_the_bounds_allow(rate, curvature):
     slope, climb = 1.2, 0.1
     for gap in (1e-12, 1e-3, 1.0, 50.0):
-        step = march.safe_step(gap, rate, slope, curvature, climb)
+        step = intersection.compute_safe_step(gap, rate, slope, curvature, climb)
         # The lowest that the surface can be along the ray, by either bound.
         s = np.linspace(0.0, min(step, 1e6), 101)
         bent = gap + rate * s - 0.5 * curvature * s * s
         straight = gap - (slope - climb) * s
         assert (np.maximum(bent, straight) >= -1e-12 * gap).all()
         assert step >= gap / (slope - climb)
-    assert march.safe_step(1.0, rate, 0.1, curvature, 0.2) == math.inf
+    assert intersection.compute_safe_step(1.0, rate, 0.1, curvature, 0.2) == math.inf
 
 
 def test_realisations_are_what_a_ray_draws():

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from splits import Sand
-from splits.media.grain_statistics import surface_to_volume
-from splits.media.wetness import LITTLE, THICKEST, narrowest, wetness
+from splits.media.grain_statistics import surface_to_volume_ratio
+from splits.media.wetness import (
+    MAX_SERIES_SATURATION,
+    MAX_RELATIVE_FILM_THICKNESS,
+    narrow_pore_fraction,
+    distribute_water,
+)
 
 W = np.array([700.0, 1450.0])
 
@@ -18,26 +23,26 @@ def test_the_shortest_legs_fill_first(saturation):
     many = 1_000_000
     legs = np.sort(-np.log((np.arange(many) + 0.5) / many))
     share = np.searchsorted(legs.cumsum() / legs.sum(), saturation) / many
-    assert narrowest(saturation) == pytest.approx(share, abs=2e-5)
+    assert narrow_pore_fraction(saturation) == pytest.approx(share, abs=2e-5)
 
 
 def test_narrow_pores_at_the_ends_of_the_range():
-    assert (narrowest(0.0), narrowest(1.0)) == (0.0, 1.0)
-    assert narrowest(LITTLE * 0.999999) == pytest.approx(narrowest(LITTLE), rel=1e-5)
-    assert narrowest(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
-    rising = [narrowest(s) for s in np.linspace(0.0, 1.0, 201)]
+    assert (narrow_pore_fraction(0.0), narrow_pore_fraction(1.0)) == (0.0, 1.0)
+    assert narrow_pore_fraction(MAX_SERIES_SATURATION * 0.999999) == pytest.approx(narrow_pore_fraction(MAX_SERIES_SATURATION), rel=1e-5)
+    assert narrow_pore_fraction(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
+    rising = [narrow_pore_fraction(s) for s in np.linspace(0.0, 1.0, 201)]
     assert (np.diff(rising) > 0.0).all()
 
 
 @pytest.mark.parametrize("saturation", [0.05, 0.3, 0.8])
 def test_every_reading_holds_the_same_water(saturation):
     porosity, sphericity = 0.4, 0.8
-    surface = float(surface_to_volume(sphericity))
+    surface = float(surface_to_volume_ratio(sphericity))
     for reading in ("whole_pores", "narrow_pores", "film"):
-        water = wetness(saturation, porosity, sphericity, reading)
+        water = distribute_water(saturation, porosity, sphericity, reading)
         on_grains = water.relative_film_thickness * surface * (1.0 - porosity) / porosity
         assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(saturation, rel=1e-9)
-        assert water.relative_film_thickness <= THICKEST and 0.0 <= water.wet_fraction <= 1.0
+        assert water.relative_film_thickness <= MAX_RELATIVE_FILM_THICKNESS and 0.0 <= water.wet_fraction <= 1.0
 
 
 def test_films_are_the_outermost_coating():
@@ -61,7 +66,7 @@ def test_films_are_the_outermost_coating():
 
 def test_what_a_film_cannot_hold_fills_pores():
     sand = Sand(saturation=0.9, readings={"water": "film"})
-    assert sand._water.film == THICKEST and 0.7 < sand.wet_fraction < 0.9
+    assert sand._water.film == MAX_RELATIVE_FILM_THICKNESS and 0.7 < sand.wet_fraction < 0.9
     assert Sand(saturation=1.0, readings={"water": "film"}).wet_fraction == 1.0
 
 

@@ -12,12 +12,12 @@ import pytest
 
 import splits
 from splits.media.ground import Ground
-from splits.media.parameters import with_value
-from splits.media.rough_surface import SurfaceField
-from splits.skies.bands import Band
+from splits.media.parameters import replace_parameter
+from splits.media.rough_surface import RandomHeightField
+from splits.illumination.bands import SpectralBand
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 50, "correlation": "gaussian"}
-LIMITED = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}
+LIMITED_NORMAL = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}
 WORDS = [
     "Snow()",
     "Snow(specific_surface_area_m2_kg=18.3389)",
@@ -38,7 +38,7 @@ WORDS = [
     "Layer()",
     "Layer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
     f"Layer(surface={WAVES})",
-    f"RoughSurface([{WAVES}, {LIMITED}])",
+    f"RoughSurface([{WAVES}, {LIMITED_NORMAL}])",
     "Readings.of('splitsnow_2021')",
     "Readings.of({'facets': 'projected'})",
     "SandReadings.of('splits_2007')",
@@ -74,7 +74,7 @@ def test_a_surface_area_outlives_what_is_done_to_snow():
         "Snow.natural(specific_surface_area_m2_kg=40, depth_m=1)"
     )
     assert "specific_surface_area_m2_kg=12," in repr(
-        with_value(snow, "specific_surface_area_m2_kg", 12)
+        replace_parameter(snow, "specific_surface_area_m2_kg", 12)
     )
     inside = repr(splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], readings="geometric"))
     assert "    Snow(specific_surface_area_m2_kg=9, readings='geometric'),\n" in inside
@@ -88,11 +88,11 @@ def test_tables_do_not_fill_the_page():
         splits.Snow(ground=table),
         Ground.from_input(table),
         splits.Snow(refractive_index={"ice": {"wavelength_nm": w, "n": w / w, "k": 0.0 * w}}),
-        splits.Layer(phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}),
-        SurfaceField(0.1, correlation="spectrum", spectrum=spectrum),
+        splits.ParticleLayer(phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}),
+        RandomHeightField(0.1, correlation="spectrum", spectrum=spectrum),
         splits.sky({"wavelength_nm": w, "direct": w, "diffuse": w}, zenith_deg=50),
         splits.sky("midlatitude_winter"),
-        Band(w, w),
+        SpectralBand(w, w),
     ):
         assert "\n" not in repr(one) and len(repr(one)) < 200
     assert repr(splits.Snow(ground=table)) == (

@@ -10,32 +10,32 @@ import pytest
 import yaml
 
 from splits.experiments import ConfigError, load_experiment
-from splits.experiments.yaml_files import MAX_DIGITS, read_yaml, yaml_of
+from splits.core.yaml import MAX_NUMBER_CHARS, read_yaml, dump_yaml
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]
+SHIPPED_FILES = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]
 NUMBERS = {
     "045": 45, "0500": 500, "08": 8, "-012": -12, "+7": 7, "0o17": 15, "0x1F": 31, "0": 0,
     "1e5": 1e5, "1E-3": 1e-3, ".5": 0.5, "1.": 1.0, "-.5e1": -5.0, "012.5": 12.5,
     ".inf": math.inf, "-.INF": -math.inf, "+.Inf": math.inf,
 }  # fmt: skip
-OTHERS = {"~": None, "null": None, "": None, "true": True, "False": False, "TRUE": True}
+OTHER_SCALARS = {"~": None, "null": None, "": None, "true": True, "False": False, "TRUE": True}
 TEXTS = [
     "1:15", "190:20:30.5", "yes", "no", "on", "off", "y", "N", "2001-01-01", "2001-99-99",
     "1_000", "0b11", "1e", "tRue", "=", "0o8", "+0x1F", ".", "1.2.3", "inf", "nan", "٤٥",
 ]  # fmt: skip
 
 
-def read(folder, text):
+def read_text(folder, text):
     path = folder / "made.yaml"
     path.write_text(text, encoding="utf-8")
     return read_yaml(path)
 
 
-@pytest.mark.parametrize("text", [*NUMBERS, *OTHERS, *TEXTS])
+@pytest.mark.parametrize("text", [*NUMBERS, *OTHER_SCALARS, *TEXTS])
 def test_scalars_are_those_of_the_core_schema(tmp_path, text):
-    wanted = {**NUMBERS, **OTHERS, **{one: one for one in TEXTS}}[text]
-    found = read(tmp_path, f"key: {text}\n")["key"]
+    wanted = {**NUMBERS, **OTHER_SCALARS, **{one: one for one in TEXTS}}[text]
+    found = read_text(tmp_path, f"key: {text}\n")["key"]
     assert found == wanted and type(found) is type(wanted)
 
 
@@ -60,16 +60,16 @@ def test_words_switch_nothing(tmp_path):
         load_experiment(path)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=[path.name for path in SHIPPED])
+@pytest.mark.parametrize("path", SHIPPED_FILES, ids=[path.name for path in SHIPPED_FILES])
 def test_shipped_files_say_the_same_in_both_versions(path):
     assert read_yaml(path) == yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("value", [*TEXTS, *NUMBERS, *OTHERS, 1e-7, 1e22, 45, math.inf, None, True])
+@pytest.mark.parametrize("value", [*TEXTS, *NUMBERS, *OTHER_SCALARS, 1e-7, 1e22, 45, math.inf, None, True])
 def test_what_is_written_is_read_in_both_versions(tmp_path, value):
     content = {"key": value, "keys": {str(value): [value]}}
-    text = yaml_of(content)
-    assert read(tmp_path, text) == content
+    text = dump_yaml(content)
+    assert read_text(tmp_path, text) == content
     assert yaml.safe_load(text) == content
 
 
@@ -81,7 +81,7 @@ def test_what_is_written_is_read_in_both_versions(tmp_path, value):
 )  # fmt: skip
 def test_long_scalars_are_texts_soon(tmp_path, scalar):
     begun = time.perf_counter()
-    assert read(tmp_path, f"key: {scalar}\n")["key"] == scalar
+    assert read_text(tmp_path, f"key: {scalar}\n")["key"] == scalar
     assert time.perf_counter() - begun < 2.0
 
 
@@ -89,18 +89,18 @@ def test_long_scalars_are_texts_soon(tmp_path, scalar):
 def test_long_numbers_are_refused(tmp_path, number):
     text = number + 40_000 * "1"
     begun = time.perf_counter()
-    with pytest.raises(ConfigError, match=rf"line 1: .*number of more than {MAX_DIGITS} digits"):
-        read(tmp_path, f"key: {text}\n")
+    with pytest.raises(ConfigError, match=rf"line 1: .*number of more than {MAX_NUMBER_CHARS} digits"):
+        read_text(tmp_path, f"key: {text}\n")
     assert time.perf_counter() - begun < 2.0
 
 
 @pytest.mark.parametrize("number", ["1e400", "-1e999", "1" + 500 * "0" + ".0"])
 def test_numbers_that_are_too_large_are_not_infinite(tmp_path, number):
     with pytest.raises(ConfigError, match="is too large a number"):
-        read(tmp_path, f"depth_m: {number}\n")
+        read_text(tmp_path, f"depth_m: {number}\n")
 
 
 @pytest.mark.parametrize("text", ["!!int 1:15", "!!float ''", "!!bool yes", "!!int 0b1"])
 def test_tags_do_not_bring_other_schemas_back(tmp_path, text):
     with pytest.raises(ConfigError, match=r"not YAML .* is no "):
-        read(tmp_path, f"key: {text}\n")
+        read_text(tmp_path, f"key: {text}\n")

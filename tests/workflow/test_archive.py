@@ -13,17 +13,17 @@ import yaml
 from rocrate.rocrate import ROCrate
 
 import splits
-from splits.archive import configuration_members, pack
-from splits.crate import METADATA, Author
-from splits.credits import software
-from splits.dataset import commit, package_version, without_volatile
+from splits.experiments.archive import make_configuration_members, pack_archive
+from splits.io.ro_crate import METADATA_FILE, Author
+from splits.io.citation import make_software_info
+from splits.io.netcdf import get_git_commit, get_package_version, drop_run_specific_attributes
 from splits.experiments import ConfigError, load_experiment, load_settings
-from splits.experiments.settings import Settings
-from splits.unpacking import unpack
+from splits.experiments.config.settings import Settings
+from splits.io.unarchive import unpack_archive
 
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
 TABLES = "refractive_index: {ice: %s, water: my_water.csv}"
-ALWAYS = {"CITATION.cff", "LICENSE", "README.md", "SHA256SUMS", METADATA, "versions.json"}
+ALWAYS = {"CITATION.cff", "LICENSE", "README.md", "SHA256SUMS", METADATA_FILE, "versions.json"}
 ROOT = Path(__file__).parents[2]
 ADA = {"name": "Ada Example", "orcid": "0000-0002-1825-0097", "affiliation": "A University"}
 
@@ -38,7 +38,7 @@ def check_sums(members):
     """Check that SHA256SUMS lists every other member but the metadata, and rightly so."""
     lines = members["SHA256SUMS"].decode().splitlines()
     sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
-    assert set(sums) == set(members) - {"SHA256SUMS", METADATA}
+    assert set(sums) == set(members) - {"SHA256SUMS", METADATA_FILE}
     for name, digest in sums.items():
         assert hashlib.sha256(members[name]).hexdigest() == digest
 
@@ -72,7 +72,7 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert {"numpy", "numba", "snakemake", "xarray"} <= {name.lower() for name in versions}
 
     empty = tmp_path_factory.mktemp("empty")
-    report = unpack(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip", empty)
+    report = unpack_archive(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip", empty)
     assert report.license == "https://spdx.org/licenses/CC-BY-4.0"
     assert (empty / "CITATION.cff").read_bytes() == (ROOT / "CITATION.cff").read_bytes()
     own.unlink()
@@ -81,7 +81,7 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert run.code == 0, run.text
     packed = splits.load(empty / "data" / "single.nc")
     repeated = splits.load(empty / "results" / "tiny" / "data" / "single.nc")
-    xr.testing.assert_identical(without_volatile(repeated), without_volatile(packed))
+    xr.testing.assert_identical(drop_run_specific_attributes(repeated), drop_run_specific_attributes(packed))
     assert packed.attrs["seed"] == 7
     assert packed.attrs["snow_refractive_index_ice"] == "my_ice.csv"
     assert len(packed.attrs["snow_refractive_index_ice_sha256"]) == 64
@@ -98,7 +98,7 @@ def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory
     assert run.code == 0, run.text
     archive = project.folder / "results" / "tiny" / "archive" / "splits-results.zip"
     again = tmp_path_factory.mktemp("again")
-    unpack(archive, again)
+    unpack_archive(archive, again)
     run = type(project)(again, environment).snakemake("--cores", 2, "--dry-run", config="")
     assert run.code == 0, run.text
     jobs = [f"{what} {name}" for what in ("Drawing", "Simulating") for name in ("one", "two")]
@@ -131,7 +131,7 @@ def test_packing_keeps_relative_places(tmp_path, monkeypatch):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
     configuration = {"config/c.yaml": b"c", "config/deep/d.yaml": b"d"}
-    pack(["out/data/a.nc", "out/tables/b.csv"], configuration, "out/archive/made.zip")
+    pack_archive(["out/data/a.nc", "out/tables/b.csv"], configuration, "out/archive/made.zip")
     members = contents("out/archive/made.zip")
     assert set(members) - ALWAYS == {"data/a.nc", "tables/b.csv", *configuration}
     assert members["config/deep/d.yaml"] == b"d"
@@ -150,7 +150,7 @@ def made(tmp_path, monkeypatch):
 
     def make(name="made", **more):
         target = tmp_path / "out" / "archive" / f"{name}.zip"
-        pack(results, {"config/config.yaml": b"seed: 1\n"}, target, **more)
+        pack_archive(results, {"config/config.yaml": b"seed: 1\n"}, target, **more)
         return target
 
     return make
@@ -161,7 +161,7 @@ def test_an_archive_is_an_ro_crate(made, tmp_path):
         accuracies={"standard": {"max_stderr": 0.1}}, archive_authors=[ADA]
     ).list_authors()
     path = made(repository=ROOT, licence="https://example.org/licence", authors=authors)
-    unpack(path, tmp_path / "crate")
+    unpack_archive(path, tmp_path / "crate")
     crate = ROCrate(tmp_path / "crate")
     root, program, run = crate.root_dataset, crate.get("#splits"), crate.get("#run")
     assert root["datePublished"] == "2023-11-14"
@@ -171,8 +171,8 @@ def test_an_archive_is_an_ro_crate(made, tmp_path):
     assert root["author"][0]["affiliation"]["name"] == "A University"
     assert root["mentions"] == run and run.type == "CreateAction"
     assert run["instrument"] == program and program.type == "SoftwareApplication"
-    assert program["version"] == package_version()
-    assert program["identifier"]["value"] == commit()
+    assert program["version"] == get_package_version()
+    assert program["identifier"]["value"] == get_git_commit()
     assert program["license"].id == "https://spdx.org/licenses/MIT"
     assert program["author"][0]["name"] == "The SPLITS developers"
     assert [entity.id for entity in run["result"]] == ["data/a.nc", "tables/of%20all.csv"]
@@ -180,7 +180,7 @@ def test_an_archive_is_an_ro_crate(made, tmp_path):
     members = contents(path)
     files = {Path(entity.source).relative_to(tmp_path / "crate").as_posix(): entity
              for entity in crate.get_by_type("File")}  # fmt: skip
-    assert set(files) == set(members) - {METADATA}
+    assert set(files) == set(members) - {METADATA_FILE}
     for name, entity in files.items():
         assert entity["sha256"] == hashlib.sha256(members[name]).hexdigest()
         assert entity["contentSize"] == str(len(members[name]))
@@ -226,9 +226,9 @@ def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
     ada["orcid"] = "https://orcid.org/0000-0002-1825-0097"
     citation = {"authors": [ada, {"name": "A group"}], "license": "MIT"}
     (tmp_path / "CITATION.cff").write_text(yaml.safe_dump(citation))
-    authors = software(tmp_path).authors
+    authors = make_software_info(tmp_path).authors
     assert authors == (Author(**ADA), Author("A group", is_person=False))
-    crate = json.loads(contents(made(repository=tmp_path))[METADATA])
+    crate = json.loads(contents(made(repository=tmp_path))[METADATA_FILE])
     root = next(entity for entity in crate["@graph"] if entity["@id"] == "./")
     assert root["author"] == [{"@id": "https://orcid.org/0000-0002-1825-0097"}, {"@id": "#A-group"}]
 
@@ -255,14 +255,14 @@ def test_authors_and_licences_that_are_none_are_refused(given, line):
 @pytest.mark.parametrize("names", [("config/A.yaml", "config/a.yaml"), ("config/aux.yaml",)])
 def test_what_could_not_be_unpacked_everywhere_is_not_packed(tmp_path, names):
     with pytest.raises(ValueError, match=r"^archive = 'config/a.*\.yaml': must be of members that"):
-        pack([], dict.fromkeys(names, b"x"), tmp_path / "out" / "archive" / "made.zip")
+        pack_archive([], dict.fromkeys(names, b"x"), tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 
 @pytest.mark.parametrize("name", ["/etc/config.yaml", "../config.yaml", "config/../../x.yaml"])
 def test_members_outside_of_the_archive_are_refused(tmp_path, name):
     with pytest.raises(ValueError, match=r"^archive = '.*x?\.yaml': must be of members"):
-        pack([], {name: b"x"}, tmp_path / "out" / "archive" / "made.zip")
+        pack_archive([], {name: b"x"}, tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 
@@ -273,7 +273,7 @@ def test_results_of_elsewhere_are_refused(tmp_path, monkeypatch, result):
         (tmp_path / folder).mkdir()
     (tmp_path / "elsewhere" / "a.nc").write_text("a")
     with pytest.raises(ValueError, match=r"^archive = '.*a\.nc': must be of "):
-        pack([result], {}, "out/archive/made.zip")
+        pack_archive([result], {}, "out/archive/made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 
@@ -300,7 +300,7 @@ def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch
         accuracies={"rough": {"max_stderr": 0.1}}, results="/somewhere/results",
         experiments_folder=str(tmp_path / "experiments"), media_folder="experiments/../media",
     )  # fmt: skip
-    members = configuration_members(settings)
+    members = make_configuration_members(settings)
     digest = hashlib.sha256(b"moved").hexdigest()[:16]
     place = f"config/tables/{digest}/moved.csv"
     assert set(members) == {
@@ -328,12 +328,12 @@ def test_hidden_files_are_not_packed_and_unusual_ones_are_refused(tmp_path, monk
     for name in ("snow.csv", "notes.md", ".DS_Store"):
         (folder / name).write_text("x", encoding="utf-8")
     settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
-    members = set(configuration_members(settings)) - {"config/config.yaml"}
+    members = set(make_configuration_members(settings)) - {"config/config.yaml"}
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")
     line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*no kind of file that archives"
     with pytest.raises(ValueError, match=line):
-        configuration_members(settings)
+        make_configuration_members(settings)
 
 
 def test_words_of_authors_are_no_markdown(made):
@@ -345,7 +345,7 @@ def test_words_of_authors_are_no_markdown(made):
 
 def test_nothing_is_left_when_a_result_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.nc"):
-        pack([tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip")
+        pack_archive([tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.dataset import without_volatile
+from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = pytest.mark.slow
 
@@ -54,7 +54,7 @@ def test_damaged_and_swapped_datasets_are_made_again(project):
         assert what in line
         assert f"set aside as {name}.nc.damaged" in line
         xr.testing.assert_identical(
-            without_volatile(splits.load(data / f"{name}.nc")), without_volatile(before[name])
+            drop_run_specific_attributes(splits.load(data / f"{name}.nc")), drop_run_specific_attributes(before[name])
         )
     assert (data / "damaged.nc.damaged").read_bytes() == content
     assert not list(data.glob(".aside.*"))

@@ -15,12 +15,12 @@ import yaml
 from compliance import remarks
 
 import splits
-from splits.experiments import Experiment, Simulation, load_experiment, load_settings
+from splits.experiments import ExperimentConfig, SimulationConfig, load_experiment, load_settings
 from splits.experiments.run import run
-from splits.experiments.sections import FIGURES
-from splits.figures import draw
-from splits.figures.style import SUFFIXES
-from splits.files import whole
+from splits.experiments.config.sections import FIGURE_KINDS
+from splits.plotting import draw
+from splits.plotting.style import FIGURE_SUFFIXES
+from splits.core.atomic import atomic_write
 
 pytestmark = pytest.mark.slow
 
@@ -143,11 +143,11 @@ def do(project, name, results):
     experiment = read(project, name)
     simulation, figure = json.loads(json.dumps([experiment.dump_simulation(), experiment.resolve_figure()]))
     accuracy = settings.accuracies["tiny"]
-    dataset = run(Simulation.model_validate(simulation), accuracy, settings.seed)
+    dataset = run(SimulationConfig.model_validate(simulation), accuracy, settings.seed)
     path = results / "data" / f"{name}.nc"
     splits.save(dataset, path)
     figure = draw(splits.load(path), figure)
-    with whole(results / "figures" / f"{name}.png") as aside:
+    with atomic_write(results / "figures" / f"{name}.png") as aside:
         figure.savefig(aside)
 
 
@@ -167,8 +167,8 @@ def finished(make_project, tmp_path_factory):
 def test_each_kind_is_there(finished):
     project, _ = finished
     made = [read(project, name) for name in CASES]
-    assert {one.instrument.kind for one in made} == set(FIGURES)
-    assert {one.resolve_figure()["kind"] for one in made} >= {kinds[0] for kinds in FIGURES.values()}
+    assert {one.instrument.kind for one in made} == set(FIGURE_KINDS)
+    assert {one.resolve_figure()["kind"] for one in made} >= {kinds[0] for kinds in FIGURE_KINDS.values()}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -176,7 +176,7 @@ def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
     project, jobs = finished
     results = project.folder / "results" / "tiny"
     assert (results / "data" / f"{name}.nc").is_file(), jobs.text[-3000:]
-    for suffix in SUFFIXES if name in BY_JOBS else SUFFIXES[:1]:
+    for suffix in FIGURE_SUFFIXES if name in BY_JOBS else FIGURE_SUFFIXES[:1]:
         assert (results / "figures" / f"{name}{suffix}").is_file(), jobs.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name
@@ -204,6 +204,6 @@ def test_a_dataset_follows_the_cf_conventions(finished, name):
 def test_what_a_job_is_handed_is_the_same_simulation(finished, name):
     project, _ = finished
     experiment = read(project, name)
-    handed = Simulation.model_validate(experiment.dump_simulation())
+    handed = SimulationConfig.model_validate(experiment.dump_simulation())
     assert handed.dump_simulation() == experiment.dump_simulation()
-    assert isinstance(experiment, Experiment)
+    assert isinstance(experiment, ExperimentConfig)

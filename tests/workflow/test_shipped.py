@@ -10,7 +10,7 @@ import pytest
 
 import splits
 from splits.experiments import load_experiments
-from splits.experiments.run_table import parts_of
+from splits.experiments.run_table import count_parts
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +48,7 @@ def test_everything_can_be_planned(shipped):
     for rule, count in (
         ("simulate", len(experiments) - len(tables)), ("figure", len(drawn) - len(read)),
         ("retrieve", len(read)),
-        ("table", len(tables)), ("table_part", sum(map(parts_of, tables))), ("explorer", 1),
+        ("table", len(tables)), ("table_part", sum(map(count_parts, tables))), ("explorer", 1),
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (

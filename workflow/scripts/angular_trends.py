@@ -3,9 +3,9 @@
 import pandas as pd
 
 from splits import load
-from splits.analysis.angular_trends import angular_trends
-from splits.analysis.tables import write_table
+from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
+from splits.experiments.papers.paper_tables import write_table
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
-write_table(pd.DataFrame(angular_trends(datasets)), snakemake.output[0])
+write_table(pd.DataFrame(make_brdf_trend_rows(datasets)), snakemake.output[0])

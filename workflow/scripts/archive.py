@@ -1,12 +1,12 @@
 """Pack results for deposit (map snakemake to `splits.archive`)."""
 
-from splits.archive import configuration_members, pack
-from splits.experiments.settings import Settings
+from splits.experiments.archive import make_configuration_members, pack_archive
+from splits.experiments.config.settings import Settings
 
 settings = Settings.model_validate(snakemake.params.settings)
-pack(
+pack_archive(
     snakemake.input.results,
-    configuration_members(settings),
+    make_configuration_members(settings),
     snakemake.output[0],
     snakemake.params.repository,
     settings.archive_license,

@@ -4,12 +4,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from splits.progress_log import progress_log
+from splits.core.progress import open_progress_log
 
 program = Path(__file__).parents[2] / "benchmarks" / snakemake.params.program
 command = [sys.executable, str(program), snakemake.output[0], *snakemake.params.options]
 with (
-    progress_log(snakemake.log[0]) as say,
+    open_progress_log(snakemake.log[0]) as say,
     subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process,

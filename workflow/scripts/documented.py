@@ -3,15 +3,15 @@
 import sys
 from pathlib import Path
 
-from splits.analysis.marks import documents, write_marked
-from splits.analysis.quoted import quoted
-from splits.figures.gallery import write_gallery
-from splits.progress_log import write_line
+from _numbers.marks import list_documents, update_documents
+from _numbers.values import collect_quoted_numbers
+from _numbers.gallery_images import write_gallery
+from splits.core.progress import write_line
 
 RESULTS = Path(snakemake.log[0]).parents[1]
 try:
-    texts = quoted(RESULTS)
-    changed = write_marked(texts, documents(), "docs/numbers.json")
+    texts = collect_quoted_numbers(RESULTS)
+    changed = update_documents(texts, list_documents(), "docs/numbers.json")
     images, deleted = write_gallery(
         RESULTS / "figures", snakemake.params.figures, "docs/gallery/images"
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from splits import load
 from splits.analysis.measured import read_spectra
-from splits.figures import draw, save_figure
+from splits.plotting import draw, save_figure
 
 measured = [read_spectra(path) for path in snakemake.input.measured]
 figure = draw(load(snakemake.input.data), json.loads(snakemake.params.figure), *measured)

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import splits
 from splits.analysis.measured import read_spectra
-from splits.analysis.tables import write_table
-from splits.experiments.retrieve_section import RetrieveSection
-from splits.experiments.run_retrieve import retrieved_table, run_retrieve, together
-from splits.figures.retrievals import retrievals
-from splits.figures.style import save_figure
-from splits.progress_log import progress_log
+from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.config.retrieve import RetrieveSection
+from splits.experiments.run_retrieve import make_retrieval_table, run_retrieve, combine_samples
+from splits.plotting.retrieval import draw_retrievals
+from splits.plotting.style import save_figure
+from splits.core.progress import open_progress_log
 
-with progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as say:
     section = RetrieveSection.model_validate_json(snakemake.params.retrieve)
     found = run_retrieve(
         section,
@@ -20,7 +20,7 @@ with progress_log(snakemake.log[0]) as say:
         snakemake.params.seed,
         say,
     )
-    write_table(retrieved_table(found, section.known), snakemake.output.table)
-    joined = together(found, snakemake.wildcards.experiment)
-    figure = retrievals(joined, section.known, section.list_sample_prefixes())
+    write_table(make_retrieval_table(found, section.known), snakemake.output.table)
+    joined = combine_samples(found, snakemake.wildcards.experiment)
+    figure = draw_retrievals(joined, section.known, section.list_sample_prefixes())
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -2,12 +2,12 @@
 
 import json
 
-from splits.analysis.tables import write_table
-from splits.experiments.composition_table import composition_table
-from splits.experiments.simulation import Simulation
+from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.run import make_composition_table
+from splits.experiments.config.simulation import SimulationConfig
 
 experiments = {
-    name: Simulation.model_validate(content)
+    name: SimulationConfig.model_validate(content)
     for name, content in json.loads(snakemake.params.experiments).items()
 }
-write_table(composition_table(experiments), snakemake.output[0])
+write_table(make_composition_table(experiments), snakemake.output[0])

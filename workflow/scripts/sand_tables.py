@@ -3,21 +3,21 @@
 import pandas as pd
 
 from splits import load
-from splits.analysis.colour import colours
-from splits.analysis.sand_tables import sand_trends, shifts
-from splits.analysis.tables import write_table
+from splits.analysis.colour import make_colour_table
+from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
+from splits.experiments.papers.paper_tables import write_table
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
 weights = [
-    shifts(datasets["mineral_weight"], "refractive_index", "as modelled"),
-    shifts(datasets["readings"], "readings", "default"),
-    shifts(datasets["size_tail"], "size_tail", 1e-4),
+    make_shift_table(datasets["mineral_weight"], "refractive_index", "as modelled"),
+    make_shift_table(datasets["readings"], "readings", "default"),
+    make_shift_table(datasets["size_tail"], "size_tail", 1e-4),
 ]
 swatches = [
-    colours(datasets[role]).assign(experiment=datasets[role].attrs["experiment"])
+    make_colour_table(datasets[role]).assign(experiment=datasets[role].attrs["experiment"])
     for role in ("wet_colours", "colours")
 ]
-write_table(sand_trends(datasets), snakemake.output.trends)
+write_table(make_sand_trend_table(datasets), snakemake.output.trends)
 write_table(pd.concat(weights), snakemake.output.weights)
 write_table(pd.concat(swatches), snakemake.output.colours)

@@ -1,8 +1,8 @@
 """Run one experiment (map snakemake to `splits.experiments.run`)."""
 
-from splits.interrupts import end_on_signals
+from splits.core.interrupts import exit_on_signals
 
-end_on_signals(
+exit_on_signals(
     snakemake.wildcards.experiment,
     "points that were measured are kept: the same command goes on from there",
 )
@@ -13,12 +13,12 @@ from splits import save
 from splits.analysis.measured import read_spectra
 from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.progress_log import progress_log
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.core.progress import open_progress_log
 
-with progress_log(snakemake.log[0]) as say:
-    experiment = Simulation.model_validate(snakemake.params.experiment)
+with open_progress_log(snakemake.log[0]) as say:
+    experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "say": say}
     if experiment.fit:

@@ -5,16 +5,16 @@ from pathlib import Path
 import pandas as pd
 
 import splits
-from splits.analysis.tables import write_table
-from splits.figures.sobol import sobol
-from splits.figures.style import save_figure
-from splits.lookup.axes import numeric
+from splits.experiments.papers.paper_tables import write_table
+from splits.plotting.sensitivity import draw_sobol_indices
+from splits.plotting.style import save_figure
+from splits.tables.axes import list_numeric_axes
 
 found = {}
 for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
     table = splits.open_table(path)
-    free = numeric(table.dataset, table.axes[:-1])
+    free = list_numeric_axes(table.dataset, table.axes[:-1])
     found[name.replace("_", " ")] = splits.sobol_indices(table, free, seed=snakemake.params.seed)
 lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
 write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
-save_figure(sobol(found), Path(snakemake.output.figure[0]).with_suffix(""))
+save_figure(draw_sobol_indices(found), Path(snakemake.output.figure[0]).with_suffix(""))

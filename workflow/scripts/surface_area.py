@@ -4,22 +4,26 @@ from pathlib import Path
 
 from splits import load
 from splits.analysis.measured import read_spectra
-from splits.analysis.surface_area import field_law, overlay, surface_areas
-from splits.analysis.tables import write_table
-from splits.figures import area_law, conditions, fitted_spectra, save_figure
+from splits.analysis.surface_area import (
+    make_field_table,
+    make_overlay_table,
+    retrieve_surface_areas,
+)
+from splits.experiments.papers.paper_tables import write_table
+from splits.plotting import draw_area_law, annotations, draw_fitted_spectra, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
 spectra = read_spectra(snakemake.input.spectra)
-found = surface_areas(datasets["spectra"], spectra)
+found = retrieve_surface_areas(datasets["spectra"], spectra)
 write_table(found, snakemake.output.table)
-figure = fitted_spectra(
-    overlay(datasets["spectra"], spectra, found), conditions(datasets["spectra"])
+figure = draw_fitted_spectra(
+    make_overlay_table(datasets["spectra"], spectra, found), annotations(datasets["spectra"])
 )
 save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))
-law = field_law(datasets["field"])
+law = make_field_table(datasets["field"])
 write_table(law, snakemake.output.law)
 save_figure(
-    area_law(law, conditions(datasets["field"], band="bars")),
+    draw_area_law(law, annotations(datasets["field"], band="bars")),
     Path(snakemake.output.law_figure[0]).with_suffix(""),
 )

@@ -2,18 +2,18 @@
 
 from pathlib import Path
 
-from splits.interrupts import end_on_signals
+from splits.core.interrupts import exit_on_signals
 
-end_on_signals(snakemake.wildcards.experiment)
+exit_on_signals(snakemake.wildcards.experiment)
 
-from splits.experiments.run_table import drop_unused, write_table
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.progress_log import progress_log
+from splits.experiments.run_table import delete_unused_blocks, write_table
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.core.progress import open_progress_log
 
-with progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as say:
     write_table(
-        Simulation.model_validate(snakemake.params.experiment),
+        SimulationConfig.model_validate(snakemake.params.experiment),
         Accuracy.model_validate(snakemake.params.accuracy),
         snakemake.params.seed,
         Path(snakemake.input[0]).parent,
@@ -21,4 +21,4 @@ with progress_log(snakemake.log[0]) as say:
         snakemake.threads,
         say,
     )
-drop_unused([Path(note) for note in snakemake.input])
+delete_unused_blocks([Path(note) for note in snakemake.input])

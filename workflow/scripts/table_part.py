@@ -2,18 +2,18 @@
 
 from pathlib import Path
 
-from splits.interrupts import end_on_signals
+from splits.core.interrupts import exit_on_signals
 
-end_on_signals(snakemake.wildcards.experiment)
+exit_on_signals(snakemake.wildcards.experiment)
 
-from splits.experiments.run_table import note_part, run_part
-from splits.experiments.settings import Accuracy
-from splits.experiments.simulation import Simulation
-from splits.progress_log import progress_log
+from splits.experiments.run_table import write_part_manifest, run_part
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
+from splits.core.progress import open_progress_log
 
 made, part = Path(snakemake.output[0]), int(snakemake.wildcards.part)
-with progress_log(snakemake.log[0]) as say:
-    experiment = Simulation.model_validate(snakemake.params.experiment)
+with open_progress_log(snakemake.log[0]) as say:
+    experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     blocks = run_part(
         experiment,
@@ -24,4 +24,4 @@ with progress_log(snakemake.log[0]) as say:
         snakemake.threads,
         say,
     )
-    note_part(blocks, made)
+    write_part_manifest(blocks, made)

@@ -1,0 +1,301 @@
+"""Numbers that README and docs quote from a run, each under the key of its marks.
+
+`splits.analysis.marks` says how documents hold them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
+from splits.analysis.directions import select_principal_plane
+from _numbers.retrieval_values import RETRIEVAL_NUMBERS
+from _numbers.time_values import TIMING_NUMBERS
+from _numbers.formatting import (
+    QuotedNumber,
+    QuotedValue,
+    RowFilter,
+    select_cell,
+    select_row_count,
+    select_extreme,
+    select_point,
+    select_max_magnitude,
+)
+from splits.core.validation import invalid
+from splits.io.netcdf import load
+from splits.kernels.grains.scene import MAX_REJECTIONS
+
+CODE_SOURCE = ""
+"""In place of a source: the number is a constant of the code."""
+OPTIONAL_FOLDER = "benchmarks/"
+"""Folder of sources that a run need not have made."""
+LABEL_DTYPES: Any = {"low": str, "high": str, "value": str}
+"""Columns that hold labels of grids, some of them numbers."""
+
+AGREEMENT_FILE, TABLE3_FILE = "tables/agreement.csv", "tables/table3.csv"
+SENSITIVITY_FILE, SAND_SHIFTS_FILE = "tables/sensitivity.csv", "tables/sand_weights.csv"
+SAND_FIT_FILE, LAYER_TRENDS_FILE = "tables/sand_fit_parameters.csv", "tables/layer_trends.csv"
+LENS_FILE, GLASS_FILE = "data/layer_fig02_lens.nc", "data/layer_fig03_glass.nc"
+OURS_COLUMNS = ("ours", "stderr")
+MSI_COLUMNS = ("msi", "msi_stderr")
+
+
+def collect_quoted_numbers(results: str | Path) -> dict[str, str]:
+    """Return the texts of all numbers of `QUOTED_NUMBERS` that a run has made.
+
+    Parameters
+    ----------
+    results : path
+        Folder of a run's results; its benchmarks may be missing.
+
+    Raises
+    ------
+    ValueError
+        If another source is missing, or does not hold a number once.
+    """
+    results = Path(results)
+    sources: dict[str, Any] = {CODE_SOURCE: None}
+    texts = {}
+    for key, number in QUOTED_NUMBERS.items():
+        path = results / number.source
+        if number.source not in sources:
+            if number.source.startswith(OPTIONAL_FOLDER) and not path.exists():
+                continue
+            if not path.exists():
+                raise invalid("results", str(path), "there", "snakemake --cores 2 makes it")
+            is_table = path.suffix == ".csv"
+            sources[number.source] = pd.read_csv(path, dtype=LABEL_DTYPES) if is_table else load(path)
+        try:
+            texts[key] = number.format_text(sources[number.source])
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{path}: {key}: {error}") from None
+    return texts
+
+
+def _list_snow_numbers() -> dict[str, QuotedNumber]:
+    """Agreement with published numbers and measured spectra."""
+    letcher = "RMSE to measured reflectance: Letcher et al. (2022), "
+    rise = "reflectance rises from least to most facetness"
+    found: dict[str, QuotedNumber] = {
+        "distance": QuotedNumber(AGREEMENT_FILE, select_cell("ours", id="grain_distance"), ".2e"),
+        "transmittance": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, scale=100.0, id="transmittance_max"), ".1f"),
+        "density.rmse": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, id="density_rmse")),
+        "facetness.rise": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, quantity=rise)),
+    }
+    snows = {
+        "natural": "natural snow", "paper": "Table 1, splitsnow_2021",
+        "parent": "Table 1, splits_2007",
+    }  # fmt: skip
+    for depth, (name, snow) in itertools.product((45, 340), snows.items()):
+        select = select_cell(*OURS_COLUMNS, quantity=f"{letcher}{depth} mm, {snow}")
+        found[f"letcher.{depth}.{name}"] = QuotedNumber(AGREEMENT_FILE, select)
+    return found | _list_ranking_numbers() | _list_surface_area_numbers()
+
+
+def _list_ranking_numbers() -> dict[str, QuotedNumber]:
+    """Return misfits of the first combination of readings, and of the sets with a name."""
+    table = "tables/readings_together.csv"
+    water = "hale_querry_1973"
+    rows: dict[str, RowFilter] = {
+        "first": {"rank": 1},
+        "set": {"set": "splitsnow_2021", "water": water},
+        "parent": {"set": "splits_2007", "water": water},
+    }
+    return {
+        f"readings.{name}": QuotedNumber(table, select_cell("misfit", "misfit_stderr", **row), ".1f")
+        for name, row in rows.items()
+    }
+
+
+def _list_surface_area_numbers() -> dict[str, QuotedNumber]:
+    """Return surface areas of measured snow, and what 1310 nm tells of one."""
+    table, law = "tables/surface_area.csv", "tables/surface_area_law.csv"
+    windows = {"all": "all", "below": "below 1300 nm", "above": "above 1500 nm"}
+    found = {
+        f"law.{name}": QuotedNumber(law, select_cell("reflectance", "stderr", snow=snow, area=20.0))
+        for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()
+    }
+    for name, snow in {"law.sixty": "natural snow", "law.spheres.sixty": "smooth spheres"}.items():
+        found[name] = QuotedNumber(law, select_cell("reflectance", "stderr", snow=snow, area=60.0))
+    for spectrum in ("ID2081@47.66", "ID462@66.04", "ID1746@58.98"):
+        name = spectrum.partition("@")[0].lower()
+        for short, window in windows.items():
+            select = select_cell("area", "area_stderr", spectrum=spectrum, window=window)
+            found[f"area.{name}.{short}"] = QuotedNumber(table, select, ".1f")
+        whole: RowFilter = {"spectrum": spectrum, "window": "all"}
+        found[f"area.{name}.level"] = QuotedNumber(table, select_cell("level", "level_stderr", **whole))
+        found[f"area.{name}.rmse"] = QuotedNumber(table, select_cell("rmse", **whole))
+    return found
+
+
+def _list_table3_numbers() -> dict[str, QuotedNumber]:
+    """Reflectance in the AVIRIS-NG bands under every reading."""
+    bands = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
+    readings = (
+        "default", "splits_2007", "geometric", "size_semi_axis", "struck_size_uniform",
+        "entry_projected", "facets_projected", "facets_unweighted", "wrong_side_lobe",
+        "no_boundary_fresnel", "keep_on_last_leg",
+        "skip_on_last_leg", "keep_across_boundary", "skip_across_boundary",
+        "distance_with_grain",
+    )  # fmt: skip
+    found = {"table3.error": QuotedNumber(TABLE3_FILE, select_max_magnitude("stderr"), ".1g")}
+    for band, nm in bands.items():
+        default: RowFilter = {"reading": "default", "wavelength_nm": nm}
+        found |= {
+            f"table3.published.{band}": QuotedNumber(TABLE3_FILE, select_cell("published_model", **default)),
+            f"table3.measured.{band}": QuotedNumber(TABLE3_FILE, select_cell("measured", **default)),
+            f"table3.percent.{band}": QuotedNumber(
+                TABLE3_FILE, select_cell("relative_difference_percent", **default), "+.1f"
+            ),
+        }
+        for reading in readings:
+            found[f"table3.{reading}.{band}"] = QuotedNumber(
+                TABLE3_FILE, select_cell("model", reading=reading, wavelength_nm=nm)
+            )
+    middle: RowFilter = {"wavelength_nm": bands["1074"]}
+    for name, largest in (("least", False), ("most", True)):
+        found[f"table3.{name}"] = QuotedNumber(TABLE3_FILE, select_extreme("model", largest=largest, **middle), ".2f")
+    for reading in ("default", "splits_2007", "struck_size_uniform"):
+        one: RowFilter = {"reading": reading}
+        found |= {
+            f"table3.{reading}.off": QuotedNumber(TABLE3_FILE, select_max_magnitude("difference_to_published", **one)),
+            f"table3.{reading}.percent": QuotedNumber(
+                TABLE3_FILE, select_max_magnitude("relative_difference_percent", **one), ".1f"
+            ),
+        }
+    return found
+
+
+def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
+    """Mean sensitivity indices of the pairs chosen, over all readings, and of other pairs."""
+    chosen = {
+        "grain_size": ("100-200", "900-1000"),
+        "saturation": ("0.0", "1.0"),
+        "facetness": ("0.1", "0.9"),
+        "density": ("100.0", "500.0"),
+    }
+    others = [("saturation", "0.0", high) for high in ("0.05", "0.1", "0.3", "0.5")]
+    others.append(("density", "200.0", "400.0"))
+    asked = select_point("max_stderr", attribute=True)
+    found = {"msi.error": QuotedNumber("data/sensitivity_grain_size.nc", asked)}
+    for quantity in ("reflectance", "transmittance"):
+        q = f"msi.{quantity[0]}"
+        for parameter, (low, high) in chosen.items():
+            one: RowFilter = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
+            default = select_cell(*MSI_COLUMNS, reading="default", **one)
+            found[f"{q}.{parameter}"] = QuotedNumber(SENSITIVITY_FILE, default, ".2f")
+            for name, largest in (("least", False), ("most", True)):
+                select = select_extreme(*MSI_COLUMNS, largest=largest, name="reading", **one)
+                found[f"{q}.{parameter}.{name}"] = QuotedNumber(SENSITIVITY_FILE, select, ".2f")
+        for parameter, low, high in others:
+            one = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
+            select = select_cell(*MSI_COLUMNS, reading="default", **one)
+            found[f"{q}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(SENSITIVITY_FILE, select, ".2f")
+    return found
+
+
+def _list_sand_numbers() -> dict[str, QuotedNumber]:
+    """Weight of data and readings, the fine fraction, and misfits to measured spectra."""
+    varied = {
+        "refractive_index": {
+            "goethite.half": "goethite k / 2",
+            "goethite.twice": "goethite k x 2",
+            "kaolinite.half": "kaolinite k / 2",
+            "kaolinite.twice": "kaolinite k x 2",
+            "hematite": "hematite ordinary ray",
+        },
+        "size_tail": {"tail.less": "1e-05", "tail.more": "0.001"},
+        "readings": {
+            name: name
+            for name in (
+                "mixing_linear", "sizes_single", "entry_projected", "facets_unweighted",
+                "wrong_side_mirrored", "attenuation_printed", "excess_magnetite_clipped",
+                "keep_on_last_leg", "keep_across_boundary",
+            )
+        },
+    }  # fmt: skip
+    samples = ("Fig 8 base", "TEC 10019201", "TEC 10039240", "TEC 13j9823", "TEC 19au9815")
+    found = {"sand.error": QuotedNumber(SAND_SHIFTS_FILE, select_max_magnitude("mean_shift_stderr"))}
+    for sample in samples:
+        for dimension, values in varied.items():
+            for name, value in values.items():
+                shift = select_cell("mean_shift", medium=sample, varied=dimension, value=value)
+                found[f"sand.{name}.{sample.split()[-1]}"] = QuotedNumber(SAND_SHIFTS_FILE, shift, "+.3f")
+    for name, texture in (("none", "no clay"), ("tenth", "0.1 % clay"), ("one", "1 % clay")):
+        fines = select_point("reflectance", texture=texture, wavelength=400.0)
+        found[f"fines.{name}"] = QuotedNumber("data/sand_fine_fraction.nc", fines, ".2f")
+    goethites = {"modelled": "as modelled", "half": "goethite k / 2", "twice": "goethite k x 2"}
+    soils = ("quartzipsamment_87P706", "torripsamment_90P0142", "camborthid_89P1772")
+    for name, goethite in goethites.items():
+        for soil in soils:
+            misfit = select_cell("rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide")
+            found[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
+    modelled: RowFilter = {"refractive_index": "as modelled"}
+    determined: RowFilter = {"verdict": "determined"}
+    return found | {
+        "misfit.least": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)),
+        "misfit.most": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", **modelled)),
+        "misfit.error": QuotedNumber(SAND_FIT_FILE, select_max_magnitude("rmse_stderr")),
+        "fits.all": QuotedNumber(SAND_FIT_FILE, select_row_count(), ".0f"),
+        "fits.determined": QuotedNumber(SAND_FIT_FILE, select_row_count(**determined), ".0f"),
+        "fits.iron_oxide": QuotedNumber(SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **determined), ".0f"),
+        "fits.clay": QuotedNumber(SAND_FIT_FILE, select_row_count(parameter="clay", **determined), ".0f"),
+    }
+
+
+def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
+    """Spread of a beam, rough surfaces, and what polarization changes."""
+    found = {"lambertian": QuotedNumber(CODE_SOURCE, lambda _: (MAX_LAMBERTIAN_RANGE, None, ""), ".1f")}
+    spread = "data/beam_spread.nc"
+    for nm in (600, 1300):
+        for name, share in (("half", 0.5), ("most", 0.9)):
+            at: RowFilter = {"side": "reflected", "wavelength": float(nm), "quantile": share}
+            found[f"beam.{nm}.{name}"] = QuotedNumber(spread, select_point("quantile_radius", 1e3, **at), ".1f")
+    found["beam.incidence"] = QuotedNumber(spread, select_point("incidence_deg", attribute=True), "g")
+    limits = "data/layer_band_limit.nc"
+    for limit in ("5", "15", "50", "150", "500"):
+        reflectance = select_point("reflectance", error=False, surface=limit)
+        found[f"band.{limit}"] = QuotedNumber(limits, reflectance, ".4f")
+    found["band.error"] = QuotedNumber(
+        limits, lambda dataset: (float(dataset.reflectance_stderr.max()), None, ""), ".1g"
+    )
+    for depth in (15, 35):
+        lens = select_point("concentration", screen_depth=float(depth))
+        found[f"lens.{depth}"] = QuotedNumber(LENS_FILE, lens, ".2f")
+    found["lens.surfaces"] = QuotedNumber(LENS_FILE, select_point("realisations", attribute=True), "g")
+    found["volume.surface"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[0])
+    found["volume.nadir"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[1])
+    for name, statement in (
+        ("slopes", "same slopes correlated over 3 m"),
+        ("polarization.smooth", "Rayleigh layer under smooth glass"),
+        ("polarization.rough", "multiple reflections in rough glass"),
+    ):
+        found[name] = QuotedNumber(LAYER_TRENDS_FILE, select_cell(*OURS_COLUMNS, scale=100.0, quantity=statement), ".0f")
+    return found
+
+
+def _compute_glass_nadir(dataset: xr.Dataset) -> tuple[QuotedValue, QuotedValue]:
+    """Return the BRDF of very rough glass at the nadir, and what a volume adds to it."""
+    nadir = select_principal_plane(dataset).sel(angle=0.0).squeeze()
+    surface, both = (nadir.sel(medium=m) for m in ("surface only", "surface and volume"))
+    added = np.hypot(both.brdf_stderr, surface.brdf_stderr)
+    return (float(surface.brdf), None, ""), (float(both.brdf - surface.brdf), float(added), "")
+
+
+QUOTED_NUMBERS = {
+    **_list_snow_numbers(),
+    **_list_table3_numbers(),
+    **_list_sensitivity_numbers(),
+    **_list_sand_numbers(),
+    **_list_angular_and_layer_numbers(),
+    **TIMING_NUMBERS,
+    **RETRIEVAL_NUMBERS,
+    "draws": QuotedNumber(CODE_SOURCE, lambda _: (MAX_REJECTIONS, None, ""), "power"),
+}
+"""All numbers that documents may quote, by key."""

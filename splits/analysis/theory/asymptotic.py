@@ -1,0 +1,185 @@
+"""What theories need beside the model's own optics, and one of them: asymptotic transfer.
+
+Discrete ordinates stand in `splits.analysis.ordinates`.  Both take grains for points that scatter.
+The sets of the papers do not: a ray leaves a grain where it comes out of it, and a grain that cuts
+the last leg or a boundary is drawn again.  In all of them wet pores reflect at the boundaries.
+docs/theory/radiative-transfer.md says how far that matters.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.analysis.theory.error_propagation import (
+    JACKKNIFE_SUFFIX,
+    BOUND_SUFFIX,
+    compute_jackknife_results,
+    compute_interpolation_bound,
+    propagate_errors,
+)
+from splits.core.arrays import as_float_array, as_1d_array
+from splits.core.validation import check_range, check_choice
+from splits.simulation.diffusion import effective_mean_free_path
+from splits.core.optional import import_optional
+from splits.core.uncertainty import make_variable
+
+EXTRAPOLATION_LENGTH = 1.072
+"""Extrapolation length of a half-space times 3/2, see `kz04`."""
+
+
+def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
+    """Return optics whose optical thickness allows for the way of light through the grains.
+
+    Radiative transfer counts the way between grains.  The model's rays also advance by the grains
+    themselves: see `splits.diffusion.scattering_mean_step`.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`.
+
+    Returns
+    -------
+    xarray.Dataset
+        A copy with ``extinction`` and ``optical_thickness`` so changed, with their standard errors
+        ``…_stderr``; the latter remains proportional to depth.
+    """
+    thinner = _compute_packing_ratio(optics)
+    apart, bound = compute_jackknife_results(_compute_packing_ratio, optics), compute_interpolation_bound(_compute_packing_ratio, optics)
+    error = propagate_errors(_compute_packing_ratio, optics)
+    variables: dict[str, Any] = {}
+    for name in ("extinction", "optical_thickness"):
+        value, label = optics[name].values, f"{name.replace('_', ' ')}, grains' own way counted"
+        units = optics[name].attrs.get("units", "1")
+        variables |= make_variable(name, "wavelength", value * thinner, value * error, label, units)
+        variables[name + BOUND_SUFFIX] = ("wavelength", value * bound)
+        if apart is not None:
+            variables[name + JACKKNIFE_SUFFIX] = (("part", "wavelength"), value * apart)
+    return optics.assign(variables)
+
+
+def _compute_packing_ratio(optics: xr.Dataset) -> np.ndarray:
+    """Return the mean distance between grains over that of `correct_dense_packing`."""
+    return 1.0 / optics.extinction.values / effective_mean_free_path(optics)
+
+
+def kz04(
+    wavelength_nm: Any,
+    ssa_m2_kg: float,
+    incidence_deg: float | str = 0.0,
+    *,
+    extinction_coefficient: Any = "p2016",
+    absorption_enhancement: Any = 1.6,
+    asymmetry: Any = 0.845,
+    density_kg_m3: float = 300.0,
+    depth_m: float = np.inf,
+) -> xr.Dataset:
+    """Return the analytical asymptotic theory of dry snow, as `snowoptics` has it.
+
+    Reflectance of a half-space by `snowoptics.albedo_KZ04`, R∞ = exp(−y u), with y² =
+    16 (1 − ω)/(3 (1 − g)) and u = 3/7 (1 + 2 cosθ), 1 under diffuse light; a finite layer of
+    transport thickness x = √(3 (1 − ω)(1 − g)) τ has
+
+        T = u sinh(y) / sinh(x + 1.072 y),    R = R∞ − T exp(−x − y).
+
+    Meant for weak absorption (k d small, R above about 0.6) and, if finite, τ (1 − g) above 1.
+
+    Parameters
+    ----------
+    wavelength_nm : array_like
+        Vacuum wavelengths (nm).
+    ssa_m2_kg : float
+        Specific surface area (m²/kg), see `splits.Snow.specific_surface_area_m2_kg`.
+    incidence_deg : float or "diffuse"
+        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+    extinction_coefficient : array_like or str
+        k of ice at the wavelengths, or the name of one of the package's datasets.
+    absorption_enhancement, asymmetry : float or array_like
+        Shape factors B and g, diffraction counted; the defaults are those of snowoptics, fitted
+        to natural snow.  `compute_shape_factors` has those of a medium.
+    density_kg_m3 : float
+        Of the snow; matters for a finite depth only.
+    depth_m : float
+        Above 0, may be infinite.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``reflectance`` and ``transmittance`` over ``wavelength``.
+
+    References
+    ----------
+    Kokhanovsky & Zege (2004), Applied Optics 43, 1589, doi:10.1364/AO.43.001589; for the finite
+    layer Kokhanovsky & Nauss (2006), Atmospheric Chemistry and Physics 6, 5537; B and g from
+    Libois et al. (2013), The Cryosphere 7, 1803.
+    """
+    snowoptics = import_optional("snowoptics", "theory", "analytical theories need")
+    cosine = compute_incidence_cosine(incidence_deg)
+    ssa = check_range("ssa_m2_kg", ssa_m2_kg, 0.0, np.inf, "m2/kg", open_low=True)
+    if depth_m != np.inf:
+        check_range("depth_m", depth_m, 0.0, np.inf, "m", open_low=True)
+    wavelengths = as_1d_array("wavelength_nm", wavelength_nm, "numbers in nanometres")
+    metres = wavelengths * 1e-9
+    ni = extinction_coefficient
+    if not isinstance(ni, str):
+        ni = np.broadcast_to(as_float_array("extinction_coefficient", ni), metres.shape)
+    shape = {"ni": ni, "B": absorption_enhancement, "g": asymmetry}
+    half_space = snowoptics.albedo_KZ04(
+        metres, np.arccos(cosine or 1.0), ssa, r_difftot=float(cosine is None), **shape
+    )
+    # y = 0 has a limit that the formula cannot give.
+    y = np.maximum(np.sqrt(snowoptics.compute_alpha(metres, ssa, **shape)), 1e-9)
+    # From snowoptics' own extinction, ρ SSA/2, and y: x/y = 3/4 (1 − g) τ.
+    x = 0.0
+    transmittance = np.zeros_like(y)
+    if depth_m != np.inf:
+        x = 0.75 * (1.0 - np.asarray(asymmetry)) * 0.5 * density_kg_m3 * ssa * depth_m * y
+        escape = 1.0 if cosine is None else 3.0 / 7.0 * (1.0 + 2.0 * cosine)
+        # sinh y / sinh(x + 1.072 y), without overflow.
+        lower = x + EXTRAPOLATION_LENGTH * y
+        transmittance = escape * np.exp(y - lower) * np.expm1(-2.0 * y) / np.expm1(-2.0 * lower)
+    reflectance = half_space - transmittance * np.exp(-x - y)
+    return xr.Dataset(
+        {
+            "reflectance": ("wavelength", reflectance),
+            "transmittance": ("wavelength", transmittance),
+        },
+        {"wavelength": wavelengths},
+        {"theory": "Kokhanovsky & Zege (2004)", "incidence_deg": incidence_deg},
+    )
+
+
+def compute_shape_factors(
+    optics: xr.Dataset, ssa_m2_kg: float, extinction_coefficient: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the absorption enhancement B and the asymmetry g of a medium, diffraction counted.
+
+    What `kz04` needs to have the medium's own (1 − ω)/(1 − g); B is constant for weak absorption.
+    Smooth ice spheres have B = 1.25 and g = 0.89.
+
+    Parameters
+    ----------
+    optics : xarray.Dataset
+        From `splits.instruments.single_scattering`, of a dry medium.
+    ssa_m2_kg : float
+        Specific surface area (m²/kg).
+    extinction_coefficient : array_like
+        k of ice at the wavelengths, above 0.
+    """
+    gamma = 4.0 * np.pi * np.asarray(extinction_coefficient) / (optics.wavelength.values * 1e-9)
+    lost = 1.0 - optics.single_scattering_albedo.values
+    # snowoptics: 1 − ω' = 2 B γ/(SSA ρ) with ρ = 917 kg/m³, and diffraction halves 1 − ω.
+    return 0.25 * lost * ssa_m2_kg * 917.0 / gamma, 0.5 * (1.0 + optics.asymmetry_parameter.values)
+
+
+def compute_incidence_cosine(incidence_deg: float | str) -> float | None:
+    """Return the cosine of incidence, None for diffuse light."""
+    if isinstance(incidence_deg, str):
+        check_choice("incidence_deg", incidence_deg, ["diffuse"])
+        return None
+    return float(
+        np.cos(np.radians(check_range("incidence_deg", incidence_deg, 0.0, 89.99, "degrees")))
+    )

@@ -1,0 +1,111 @@
+"""Which files of the package the numbers of a dataset depend on: one list for all who ask.
+
+The workflow runs a simulation again when their digest changes, and every dataset carries it.
+Plots, tables and the reading of configuration files may change without that.
+
+Which version of the package this is.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from splits.core.optional import DISTRIBUTION_NAME
+
+
+PACKAGE_FOLDER = Path(__file__).parent
+SIMULATION_SOURCES = (
+    "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py", "names.py",
+    "lookup/axes.py", "lookup/block.py", "lookup/plan.py",
+    "experiments/coordinates.py", "experiments/run.py", "experiments/run_points.py",
+)  # fmt: skip
+"""Folders and files, relative to the package, behind every simulation."""
+FIT_SOURCES = (
+    "experiments/fit.py",
+    "experiments/parameters.py",
+    "experiments/run_fit.py",
+    "lookup/interpolation.py",
+    "retrieval/coordinates.py", "retrieval/estimation.py", "retrieval/least_squares.py",
+    "retrieval/line.py", "retrieval/measurement.py", "retrieval/misfit.py",
+    "retrieval/posterior.py", "retrieval/result.py", "retrieval/search.py",
+)  # fmt: skip
+"""Files behind a fit besides."""
+RETRIEVAL_SOURCES = (
+    "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
+    "lookup/formats.py", "lookup/interpolation.py", "lookup/order.py", "lookup/reading.py",
+    "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
+    "retrieval/coordinates.py", "retrieval/cubics.py", "retrieval/design.py",
+    "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
+    "retrieval/least_squares.py", "retrieval/line.py", "retrieval/measurement.py",
+    "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "skies/bands.py",
+)  # fmt: skip
+"""Files behind retrievals from a table."""
+
+
+def list_sources(*, fit: bool = False) -> list[str]:
+    """Return the files that a simulation, or a fit, depends on, relative to the package."""
+    found = []
+    for name in SIMULATION_SOURCES + (FIT_SOURCES if fit else ()):
+        path = PACKAGE_FOLDER / name
+        every = [f for end in ("*.py", "*.csv") for f in path.rglob(end)]
+        files = sorted(map(_to_package_path, every)) if path.is_dir() else [name]
+        found += files
+    return found
+
+
+@functools.cache
+def hash_physics_sources(*, fit: bool = False) -> str:
+    """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
+    return hash_files(PACKAGE_FOLDER, list_sources(fit=fit))
+
+
+def hash_files(folder: Path, names: Iterable[str]) -> str:
+    """Return the SHA-256 (first 16 hex digits) of files of a folder.
+
+    The same on every machine: of names relative to the folder, and of content, however lines end.
+    """
+    digest = hashlib.sha256()
+    for name in names:
+        content = (folder / name).read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:16]
+
+
+def _to_package_path(path: Path) -> str:
+    return path.relative_to(PACKAGE_FOLDER).as_posix()
+
+
+@cache
+def get_package_version() -> str:
+    """Return the installed version of this package."""
+    try:
+        return version(DISTRIBUTION_NAME)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@cache
+def get_git_commit() -> str:
+    """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
+
+    def git(*arguments: str) -> str:
+        folder = Path(__file__).parent
+        result = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
+        )
+        return result.stdout.strip()
+
+    try:
+        head = git("rev-parse", "HEAD")
+        return head + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+__version__ = get_package_version()

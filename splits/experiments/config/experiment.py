@@ -1,0 +1,225 @@
+"""What an experiment file may say: what decides its numbers, and how it is shown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from splits.analysis.colour import covers_visible
+from splits.core.validation import check_choice, invalid
+from splits.experiments.config.retrieve_checks import check_retrieve_section
+from splits.experiments.config.grid import to_coordinate_values
+from splits.experiments.config.grid import find_label
+from splits.experiments.config.retrieve import RetrieveSection
+from splits.experiments.config.sections import (
+    FIGURE_KINDS,
+    SINGLE_POINT_KINDS,
+    FIGURE_QUANTITIES,
+    KINDS_OF_SETTING,
+    FigureSection,
+)
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.config.sections import MAX_CAPTION_CHARS, MAX_TITLE_CHARS, check_text
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.simulation.scene import get_reflecting_ground
+from splits.media.medium import LayeredMedium
+from splits.media.medium import Medium, ParticleMedium
+from splits.plotting.panels import (
+    DEFAULT_LABEL,
+    MIN_AZIMUTHS,
+    MIN_POLAR_ANGLES,
+    MAX_PANELS,
+    MAX_AZIMUTH_GAP_DEG,
+    can_map_hemisphere,
+)
+
+RESERVED_NAMES = (
+    "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
+    "figure_speed_against_error", "fitted_parameters", "retrieve", "simulate",
+    "speed_against_error", "table", "table_part",
+)  # fmt: skip
+"""Names that the workflow's own rules have taken."""
+
+
+class ExperimentConfig(SimulationConfig):
+    """A simulation with the words and the figure that show it."""
+
+    title: str = ""
+    caption: str = ""
+    figure: FigureSection = Field(default_factory=FigureSection)
+    retrieve: RetrieveSection | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _check_name_is_free(cls, value: str) -> str:
+        if value in RESERVED_NAMES:
+            raise invalid("name", value, "none of the workflow's rules " + ", ".join(RESERVED_NAMES))
+        return value
+
+    @field_validator("figure", mode="before")
+    @classmethod
+    def _parse_no_figure(cls, value: Any) -> Any:
+        return {"kind": "none"} if value == "none" else value
+
+    @field_validator("title")
+    @classmethod
+    def _check_title(cls, value: str) -> str:
+        return check_text("title", value, MAX_TITLE_CHARS)
+
+    @field_validator("caption")
+    @classmethod
+    def _check_caption(cls, value: str) -> str:
+        return check_text("caption", value, MAX_CAPTION_CHARS, multiline=True)
+
+    @model_validator(mode="after")
+    def _check_drawable(self) -> ExperimentConfig:
+        if self.figure.kind == "fit" and not self.fit:
+            raise invalid("figure.kind", "fit", "another one for an experiment without section fit")
+        self._check_figure()
+        for dimension, given in self.figure.at.items():
+            if not self.grid:
+                raise invalid("figure.at", dimension, "left out where there is no grid")
+            check_choice("figure.at", dimension, self.grid)
+            find_label(dimension, self.grid[dimension], given)
+        self._check_unused_figure_settings()
+        self._check_single_point()
+        self._check_swatches()
+        check_retrieve_section(self)
+        for _, medium, _ in self.iter_points():
+            self._check_quantity(medium)
+        return self
+
+    def _check_figure(self) -> None:
+        """Refuse a figure that does not show what the instrument measures."""
+        instrument = self.instrument
+        known = FIGURE_KINDS[instrument.kind]
+        drawn = self.figure.kind != "none"
+        if drawn and self.figure.kind is not None and self.figure.kind not in known:
+            raise invalid(
+                "figure.kind",
+                self.figure.kind,
+                f"one of {', '.join(known)} for instrument.kind = {instrument.kind!r}",
+            )
+        if "quantity" in self.figure.model_fields_set:
+            for quantity in self.figure.quantity:
+                check_choice("figure.quantity", quantity, FIGURE_QUANTITIES.get(instrument.kind, ()))
+        if self.figure.kind == "hemisphere":
+            self._check_hemisphere()
+        turned = instrument.azimuth_deg
+        if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
+            raise invalid(
+                "instrument.azimuth_deg", turned, "with 0 and 180",
+                "figures show the principal plane",
+            )  # fmt: skip
+        if drawn and instrument.cells is not None and instrument.cells[1] % 2:
+            raise invalid(
+                "instrument.cells", instrument.cells, "an even number around",
+                "figures show the principal plane",
+            )  # fmt: skip
+        if self.figure.kind == "cells" and instrument.estimator != "cells":
+            raise invalid(
+                "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
+            )
+
+    def _check_unused_figure_settings(self) -> None:
+        """Refuse settings of the figure that it would not show."""
+        figure, kind = self.figure, self.resolve_figure()["kind"]
+        for key, kinds in KINDS_OF_SETTING.items():
+            if getattr(figure, key) is not None and kind not in kinds and kind != "none":
+                allowed = f"left out for a figure of kind {kind}"
+                hint = f"it belongs to {' and '.join(kinds)}"
+                raise invalid(f"figure.{key}", getattr(figure, key), allowed, hint)
+        free = [values for name, values in self.grid.items() if name not in figure.at]
+        lines = [values for values in free if len(values) > 1]
+        against = len(lines) == 1 and DEFAULT_LABEL in lines[0] and len(lines[0]) <= MAX_PANELS
+        bare = not free or against
+        if kind == "spectra" and figure.legend is not None and bare and not figure.measured:
+            hint = "panels show differences from the default" if against else "there is one line"
+            raise invalid("figure.legend", figure.legend, "left out", hint)
+        low, high = figure.wavelength_nm or (0.0, np.inf)
+        x = self.instrument.get_wavelengths()
+        if not ((x >= low) & (x <= high)).any():
+            allowed = f"with some of the wavelengths from {x[0]:g} to {x[-1]:g} nm"
+            raise invalid("figure.wavelength_nm", [low, high], allowed)
+
+    def _check_hemisphere(self) -> None:
+        """Refuse a map of the hemisphere where directions do not lie all around."""
+        instrument = self.instrument
+        polar = np.asarray(instrument.polar_deg or POLAR_DEG)
+        azimuth = np.asarray(instrument.azimuth_deg or AZIMUTH_DEG)
+        key = "azimuth_deg" if instrument.azimuth_deg is not None else "polar_deg"
+        given: Any = getattr(instrument, key)
+        if instrument.cells is not None:
+            key, given = "cells", instrument.cells
+            rows, columns = given
+            polar = np.linspace(0.0, 90.0, rows)
+            azimuth = np.linspace(0.0, 360.0, columns, endpoint=False)
+        if not can_map_hemisphere(polar, azimuth):
+            raise invalid(
+                f"instrument.{key}", given,
+                f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
+                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, for figure.kind = 'hemisphere'",
+            )  # fmt: skip
+
+    def _check_single_point(self) -> None:
+        """Refuse figures of one point of a grid that do not say which."""
+        free = [parameter for parameter in self.grid if parameter not in self.figure.at]
+        kind = self.figure.kind or FIGURE_KINDS[self.instrument.kind][0]
+        if kind in SINGLE_POINT_KINDS and len(free) > (kind == "lobes"):
+            raise invalid(
+                "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
+                f"kind {kind}", "it shows one point of the grid; the dataset holds all",
+            )  # fmt: skip
+
+    def _check_swatches(self) -> None:
+        """Refuse colours of spectra that are not of daylight, or of too many parameters."""
+        if self.figure.kind != "swatches":
+            return
+        x = self.instrument.get_wavelengths()
+        if not covers_visible(x):
+            raise invalid(
+                "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
+                "400 to 780 nm in steps of at most 10 nm for figure.kind = 'swatches'",
+            )  # fmt: skip
+        if not 1 <= len(self.grid) - len(self.figure.at) <= 2:
+            raise invalid(
+                "grid", list(self.grid), "one or two parameters for figure.kind = 'swatches'"
+            )
+
+    def _check_quantity(self, medium: Medium) -> None:
+        """Refuse a figure of what a medium does not have."""
+        without = isinstance(medium, ParticleMedium | LayeredMedium)
+        heard = self.instrument.estimator == "local" and "btdf" in self.figure.quantity
+        if heard and getattr(medium, "bottom_albedo", None) is not None:
+            raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
+        if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
+            raise invalid("figure.quantity", "btdf", "brdf over a ground")
+        if self.figure.kind == "polarization":
+            if not (isinstance(medium, ParticleMedium) and medium.polarized):
+                raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'")
+            if self.instrument.estimator not in ("local", "cells"):
+                raise invalid(
+                    "instrument.estimator", self.instrument.estimator,
+                    "local or cells for figure.kind = 'polarization'",
+                )  # fmt: skip
+        if without and "mean_grain_distance" in self.figure.quantity:
+            why = "left out: layers have no grains, stacks not one distance"
+            raise invalid("figure.quantity", "mean_grain_distance", why)
+
+    def resolve_figure(self) -> dict[str, Any]:
+        """Return the section `figure` for `splits.figures.draw`, with a kind that fits.
+
+        What is held fixed is given as the dataset's coordinates have it.
+        """
+        usual = FIGURE_KINDS[self.instrument.kind][0]
+        if usual == "spectra" and self.grid and self.instrument.get_wavelengths().size == 1:
+            usual = "points"
+        at = {}
+        for dimension, given in self.figure.at.items():
+            values = self.grid[dimension]
+            place = list(values).index(find_label(dimension, values, given))
+            at[dimension] = to_coordinate_values(values)[place].item()
+        drawing = self.figure.model_dump(mode="json")
+        return {**drawing, "kind": self.figure.kind or usual, "at": at}

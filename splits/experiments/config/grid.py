@@ -1,0 +1,222 @@
+"""What the parameters of a grid are called in datasets, and their units.
+
+Grids of an experiment: labels, values, evenly spaced values, coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+import numpy as np
+from splits.core.parameter_names import describe_parameter, parse_layer_parameter
+from collections.abc import Mapping
+from pathlib import PurePath
+from splits.core.arrays import MAX_NUMBERS
+from splits.core.validation import format_key, check_number, invalid
+from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
+
+
+MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
+    "facetness": lambda given: given[2],
+    "grain_size_um": lambda given: 0.5 * (given[0] + given[1]),
+    "roundness": lambda given: given[0],
+    "sphericity": lambda given: given[2],
+}
+"""The number that stands for a range or a distribution, by its parameter."""
+
+Coordinate = tuple[str, np.ndarray, dict[str, str]]
+"""Dimension, values and attributes, as `xarray.Dataset` takes them."""
+
+
+def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
+    """Return the coordinates of an experiment's grid.
+
+    Parameters
+    ----------
+    grid : mapping
+        Per parameter its values by label.
+
+    Returns
+    -------
+    dict
+        Per parameter numbers in the parameter's unit where all values are numbers, and labels
+        otherwise; labels have no units, so that their long name says the unit.  Beside labels of
+        ranges and distributions stand their means as ``…_mean``, so that one can interpolate.
+    """
+    found = {}
+    for parameter, choices in grid.items():
+        long_name, units = describe_parameter(parameter)
+        values = to_coordinate_values(choices)
+        if values.dtype.kind == "f":
+            about = {"long_name": long_name, "units": units}
+        else:
+            about = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+        found[parameter] = (parameter, values, about)
+        means = compute_means(parameter, choices)
+        if means is not None:
+            about = {"long_name": f"mean of: {long_name}", "units": units}
+            found[f"{parameter}_mean"] = (parameter, means, about)
+    return found
+
+
+def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | None:
+    """Return the mean of each value of a grid, None where values are no ranges."""
+    path = parse_layer_parameter(parameter)
+    mean = MEAN_FUNCTIONS.get(path[1] if path else parameter)
+    several = all(isinstance(value, (list, tuple)) for value in choices.values())
+    if mean is None or not several:
+        return None
+    return np.array([float(mean(value)) for value in choices.values()])
+
+
+def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
+    """Return numbers where all grid values are numbers, and labels otherwise."""
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in choices.values()):
+        return np.array([float(v) for v in choices.values()])
+    return np.array(list(choices), dtype=object).astype(str)
+
+
+MAX_GRID_POINTS = 10_000
+"""Points of a grid."""
+STEP_KEYS = ("start", "stop", "step")
+GEOMSPACE_KEY = "geomspace"
+
+
+def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
+    """Return start, start + step, … up to stop, which belongs to them, or refuse the three."""
+    if not step > 0.0:
+        raise invalid(f"{key}.step", step, "above 0")
+    if stop < start:
+        raise invalid(f"{key}.stop", stop, f"at least start = {start:g}")
+    # A step may be so small that the quotient is infinite.
+    if (stop - start) / MAX_NUMBERS >= step:
+        raise invalid(f"{key}.step", step, f"large enough for at most {MAX_NUMBERS} values")
+    return start + step * np.arange(int((stop - start) / step + 1e-9) + 1)
+
+
+def label_grid(grid: Any) -> dict[str, dict[str, Any]]:
+    """Return the grid of an experiment file with a label for every value.
+
+    Parameters
+    ----------
+    grid : mapping
+        From parameters to lists of values, mappings from labels to values,
+        ``{start, stop, step}``, or ``{geomspace: [first, last, number]}``.
+
+    Raises
+    ------
+    ValueError
+        For a parameter without values, values given twice, and labels that cannot be shown.
+    """
+    if not isinstance(grid, Mapping):
+        raise invalid("grid", grid, "a mapping from parameters to lists of values")
+    return {str(parameter): _label_values(str(parameter), v) for parameter, v in grid.items()}
+
+
+def _label_values(parameter: str, values: Any) -> dict[str, Any]:
+    """Return the values of a parameter by label."""
+    key = f"grid.{format_key(parameter)}"
+    if not isinstance(values, (list, tuple, Mapping)) or not values:
+        raise invalid(key, values, "a list of at least one value")
+    if isinstance(values, Mapping) and _is_step_mapping(values):
+        values = _expand_steps(key, values)
+    elif isinstance(values, Mapping) and set(values) == {GEOMSPACE_KEY}:
+        values = _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
+    if not isinstance(values, Mapping):
+        labels = [make_label(key, value) for value in values]
+        if len(set(labels)) < len(labels):
+            raise invalid(key, values, "different values", "or name them")
+        values = dict(zip(labels, values, strict=True))
+    numbers = [v for v in values.values() if _is_number(v)]
+    if len(set(numbers)) < len(numbers):
+        raise invalid(key, dict(values), "different values")
+    for label in values:
+        check_text(f"{key} (label)", str(label), MAX_LABEL_CHARS)
+    return {str(label): value for label, value in values.items()}
+
+
+def _is_step_mapping(values: Mapping[Any, Any]) -> bool:
+    """Tell whether a mapping's keys are of ``{start, stop, step}`` and its values numbers."""
+    several = len(set(STEP_KEYS) & set(values)) >= 2 and set(values) <= {*STEP_KEYS, "also"}
+    return several and all(_is_number(values[key]) for key in STEP_KEYS if key in values)
+
+
+def _expand_steps(key: str, values: Mapping[str, Any]) -> list[float]:
+    """Return the evenly spaced values of a parameter."""
+    for name in STEP_KEYS:
+        if name not in values:
+            hint = "start, stop and step give evenly spaced values; label others otherwise"
+            raise invalid(f"{key}.{name}", None, "given", hint)
+    if "also" in values:
+        raise invalid(f"{key}.also", values["also"], "left out", "list the values instead")
+    start, stop, step = (check_number(f"{key}.{name}", values[name]) for name in STEP_KEYS)
+    # 0.30000000000000004 is nobody's value.
+    return [float(f"{x:.12g}") for x in make_even_spacing(key, start, stop, step)]
+
+
+def _expand_geomspace(key: str, given: Any) -> list[float]:
+    """Return values of which each is as many times the one before."""
+    allowed = "[first, last, number of values]: 0 < first < last, at least two"
+    numbers = isinstance(given, (list, tuple)) and all(map(_is_number, given))
+    if not numbers or len(given) != 3:
+        raise invalid(key, given, allowed)
+    first, last, count = given
+    if not 0.0 < first < last or count != int(count) or not 2 <= count <= MAX_NUMBERS:
+        raise invalid(key, given, allowed)
+    # No figure has room for more digits.
+    return [float(f"{x:.4g}") for x in np.geomspace(first, last, int(count))]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def make_label(key: str, value: Any) -> str:
+    """Return a short label for a grid value: "300-750" for a range, the mean of a distribution."""
+    if isinstance(value, (list, tuple)):
+        if len(value) == 4:
+            return _format_label(key, value[2])
+        return "-".join(_format_label(key, v) for v in value)
+    if isinstance(value, dict):
+        raise invalid(key, value, "named: use a mapping from labels to values")
+    return _format_label(key, value)
+
+
+def _format_label(key: str, value: Any) -> str:
+    if not _is_number(value):
+        # A table by its name: where it lies is nobody's label.
+        return PurePath(value).name if str(value).endswith(".csv") else str(value)
+    return f"{value:g}" if isinstance(value, float) else f"{check_number(key, value):g}"
+
+
+def find_label(parameter: str, values: Mapping[str, Any], given: float | str) -> str:
+    """Return the label of the value that a figure is to hold fixed, or refuse what is none.
+
+    Text is a label, or a value that is text; a number is a value, or the number that a label
+    shows of a value that is none, such as a distribution's mean.
+
+    Parameters
+    ----------
+    parameter : str
+    values : mapping
+        Of the parameter, by label.
+    given : number or str
+        What the figure section names.
+    """
+    if isinstance(given, str) and given in values:
+        return given
+    hits = [label for label, value in values.items() if _is_same_value(value, given)]
+    if hits:
+        return hits[0]
+    shown = str(given) if isinstance(given, str) else f"{given:g}"
+    if shown in values and not _is_number(values[shown]):
+        return shown
+    names = ", ".join(format_key(label) for label in list(values)[:12])
+    more = f", … ({len(values)} in all)" if len(values) > 12 else ""
+    raise invalid(f"figure.at.{format_key(parameter)}", given, f"one of {names}{more}")
+
+
+def _is_same_value(value: Any, given: float | str) -> bool:
+    if isinstance(given, str):
+        return isinstance(value, str) and value == given
+    return _is_number(value) and float(value) == float(given)

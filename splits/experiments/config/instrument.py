@@ -1,0 +1,212 @@
+"""The instrument of an experiment file: which one, and its settings.
+
+Settings that the instrument chosen does not know are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from splits.core.validation import check_range, invalid, key_prefix
+from splits.experiments.config.grid import make_even_spacing
+from splits.experiments.config.sections import ConfigSection
+from splits.simulation.arguments import (
+    check_direction_angles,
+    check_n_bins,
+    check_half_width,
+    check_incidence,
+    check_wavelengths,
+    check_integer,
+)
+from splits.instruments.beam_spread import N_MAP_PIXELS, SIDES
+from splits.instruments.angular_bins import DEFAULT_N_BINS
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.lens import (
+    DEFAULT_RAYS,
+    check_screen_depths,
+    check_ring_radius,
+    check_ring_size,
+)
+from splits.instruments.surface_map import MAX_REALIZATIONS, DEFAULT_POINTS
+
+ESTIMATORS = {
+    "spectrophotometer": ("spectral", "analog"),
+    "goniophotometer": ("expansion", "cells", "local"),
+}
+INSTRUMENTS_OF_SETTING = {
+    "rays": ("goniophotometer", "bssrdf", "lens"),
+    "target": ("goniophotometer",),
+    "polar_deg": ("goniophotometer",),
+    "azimuth_deg": ("goniophotometer",),
+    "cells": ("goniophotometer",),
+    "half_width_m": ("bssrdf", "surface", "lens"),
+    "radius_m": ("lens",),
+    "screen_depth_m": ("lens",),
+    "over": ("lens",),
+    "realisations": ("lens", "surface"),
+    "quantities": ("table",),
+    "covariance": ("table",),
+    "blocks": ("table",),
+}
+"""Settings that only some instruments know."""
+UNUSED_SETTINGS = {
+    "surface": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "lens": ("wavelength_nm", "incidence_deg", "error_factor"),
+    "refractive_index": ("incidence_deg", "error_factor", "seed"),
+}
+"""Settings that all others know, but not these instruments."""
+USE_GRID_HINT = "several values go under grid"
+SURFACE_INSTRUMENTS = ("surface", "lens")
+"""Instruments that look at a rough surface alone."""
+REQUIRED_SETTINGS = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
+"""Settings that an instrument cannot do without."""
+
+
+class WavelengthGrid(ConfigSection):
+    """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    start: float
+    stop: float
+    step: float = Field(gt=0)
+    also: tuple[float, ...] = ()
+
+    def to_array(self) -> np.ndarray:
+        """Return the wavelengths (nm), increasing."""
+        steps = make_even_spacing("wavelength_nm", self.start, self.stop, self.step)
+        return np.unique(np.concatenate([steps, self.also]))
+
+
+class InstrumentSection(ConfigSection):
+    """A virtual instrument and its settings."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    kind: Literal[
+        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens",
+        "table",
+    ] = "spectrophotometer"  # fmt: skip
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=400, stop=2500, step=10
+    )
+    incidence_deg: float | str = 0.0
+    estimator: Literal["spectral", "analog", "expansion", "cells", "local"] | None = None
+    error_factor: float = 1.0
+    seed: int | None = Field(default=None, ge=0)
+    rays: int | None = Field(default=None, ge=1)
+    target: Literal["brdf", "btdf"] | None = None
+    polar_deg: tuple[float, ...] | None = None
+    azimuth_deg: tuple[float, ...] | None = None
+    cells: tuple[int, int] | None = None
+    half_width_m: float | None = Field(default=None, gt=0)
+    radius_m: float | None = Field(default=None, gt=0)
+    screen_depth_m: tuple[float, ...] | None = None
+    over: Literal["crest", "trough", "origin"] | None = None
+    realisations: int | None = Field(default=None, ge=1)
+    quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
+    covariance: Literal["keep", "leave_out"] | None = None
+    blocks: int | None = Field(default=None, ge=1, le=10_000)
+
+    @field_validator("incidence_deg", mode="before")
+    @classmethod
+    def _check_incidence(cls, value: float | str) -> float | str:
+        with key_prefix("instrument"):
+            if isinstance(value, (list, tuple)):
+                raise invalid("incidence_deg", value, "one angle or diffuse", USE_GRID_HINT)
+            return check_incidence(value)
+
+    @field_validator("error_factor")
+    @classmethod
+    def _check_error_factor(cls, value: float) -> float:
+        return check_range("instrument.error_factor", value, 0.01, 100.0)
+
+    @model_validator(mode="after")
+    def _check_settings(self) -> InstrumentSection:
+        known = ESTIMATORS.get(self.kind, ())
+        if self.estimator is not None and self.estimator not in known:
+            allowed = "one of " + ", ".join(known) if known else "left out"
+            raise invalid("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
+        for key, kinds in INSTRUMENTS_OF_SETTING.items():
+            if getattr(self, key) is not None and self.kind not in kinds:
+                raise invalid(
+                    f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
+                    "it belongs to " + " and ".join(kinds),
+                )  # fmt: skip
+        for key in REQUIRED_SETTINGS.get(self.kind, ()):
+            if getattr(self, key) is None:
+                raise invalid(f"instrument.{key}", None, f"given for {self.kind}")
+        for key, low in (("rays", 1), ("seed", 0), ("realisations", 1)):
+            if getattr(self, key) is not None:
+                check_integer(f"instrument.{key}", getattr(self, key), low)
+        with key_prefix("instrument"):
+            self._check_extent()
+        for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
+            if getattr(self, key) is not None:
+                raise invalid(f"instrument.{key}", getattr(self, key), "left out with cells")
+        if self.cells is not None and self.estimator != "cells":
+            raise invalid("instrument.cells", self.cells, "left out without estimator = cells")
+        for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
+            if getattr(self, key) is not None:
+                check_direction_angles(f"instrument.{key}", getattr(self, key), end)
+        if self.cells is not None:
+            with key_prefix("instrument"):
+                check_n_bins(self.cells)
+        self._check_unused()
+        return self
+
+    def _check_extent(self) -> None:
+        """Refuse what an instrument that looks at places cannot look at."""
+        if self.half_width_m is not None:
+            check_half_width(self.kind, self.half_width_m)
+        if self.kind == "surface" and self.realisations is not None:
+            check_integer("realisations", self.realisations, 2, MAX_REALIZATIONS)
+        if self.kind == "lens":
+            if self.half_width_m is None and self.over != "origin":
+                hint = "where to look for the crest; or over: origin"
+                raise invalid("half_width_m", None, "given for lens", hint)
+            if self.half_width_m is not None and self.over == "origin":
+                hint = "nothing is searched for"
+                raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
+            depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
+            check_ring_radius(self.radius_m)
+            check_ring_size(self.rays or DEFAULT_RAYS, self.realisations or 1, depths.size)
+
+    def _check_unused(self) -> None:
+        """Refuse settings that would change nothing."""
+        for key in UNUSED_SETTINGS.get(self.kind, ()):
+            value = getattr(self, key)
+            if value != type(self).model_fields[key].default:
+                given = value.model_dump() if isinstance(value, BaseModel) else value
+                raise invalid(f"instrument.{key}", given, f"left out for {self.kind}")
+        counted = "rays" if self.rays is not None else "cells" if self.estimator == "cells" else ""
+        if counted and self.error_factor != 1.0:
+            raise invalid(
+                "instrument.error_factor", self.error_factor, f"left out with {counted}",
+                "the number of rays is fixed there, not the error",
+            )  # fmt: skip
+
+    def get_wavelengths(self) -> np.ndarray:
+        """Return the wavelengths (nm)."""
+        grid = self.wavelength_nm
+        with key_prefix("instrument"):
+            return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
+
+    def count_values(self) -> int:
+        """Return how many values a quantity has at one point of a grid."""
+        if self.kind == "lens":
+            return len(self.screen_depth_m or ()) * (self.rays or DEFAULT_RAYS)
+        if self.kind == "surface":
+            return DEFAULT_POINTS**2
+        places = 1
+        if self.kind == "bssrdf":
+            places = len(SIDES) * N_MAP_PIXELS**2
+        elif self.estimator == "cells":
+            places = math.prod(self.cells or DEFAULT_N_BINS)
+        elif self.kind == "goniophotometer":
+            places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
+        return places * self.get_wavelengths().size

@@ -1,0 +1,228 @@
+"""Reading configuration files: one clear message for anything that cannot be run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ValidationError
+
+from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
+from splits.core.validation import check_choice, invalid
+from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.config.figure_limits import check_figure_size
+from splits.experiments.config.messages import format_validation_error
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.run_fit import check_fit
+from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SAMPLE_KEY
+from splits.experiments.config.medium import LAYERS_KEY, apply_bases
+from splits.experiments.config.sections import check_path
+from splits.experiments.config.unused_settings import (
+    collect_keywords,
+    check_replaced_settings,
+    check_unused_keywords,
+)
+from splits.core.yaml import ConfigError, read_yaml
+from splits.media.measured_inputs import override_keywords
+from splits.core.paths import expand_path
+from splits.retrieval.measurement import MAX_REFLECTANCE
+
+SectionType = TypeVar("Model", bound=BaseModel)
+
+MAX_MESSAGE_CHARS = 450
+"""Characters of a message, the name of its file left out."""
+
+
+def load_experiment(
+    path: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
+) -> ExperimentConfig:
+    """Read and check one experiment file; its name is the file's unless it gives another.
+
+    Parameters
+    ----------
+    path : path
+    media_folder : path
+        Where ``medium: {base: NAME}`` finds ``NAME.yaml``.
+    measured_folder : path, optional
+        Where measured tables are; by default ``measured`` beside the media.
+
+    Raises
+    ------
+    ConfigError
+        One line that names the file, the key, the value and what is allowed.
+    """
+    try:
+        path, media = expand_path(path), expand_path(media_folder, "media_folder")
+        measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
+        return _parse_experiment(path, media, measured)
+    except ConfigError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {_to_single_line(str(error))}") from None
+
+
+def _to_single_line(text: str) -> str:
+    """Return a message on one line of bounded length, whatever a user's words in it are."""
+    plain = "".join(c if c.isprintable() else " " for c in text)
+    return plain if len(plain) <= MAX_MESSAGE_CHARS else f"{plain[: MAX_MESSAGE_CHARS - 2]} …"
+
+
+def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
+    """Return what an experiment file describes; errors need not name the file."""
+    content = {"name": path.stem, **read_yaml(path)}
+    check_replaced_settings(content)
+    given = collect_keywords(content)
+    medium, grid = content.get("medium", {}), content.get("grid")
+    if not isinstance(medium, dict):
+        raise invalid("medium", medium, "a mapping of keys to values")
+    if medium:
+        content["medium"] = _apply_all_bases(medium, "medium", media)
+    if isinstance(grid, dict) and isinstance(grid.get(SAMPLE_KEY), (list, dict)):
+        grid = content["grid"] = grid | {SAMPLE_KEY: _resolve_samples(grid[SAMPLE_KEY], media)}
+    if isinstance(grid, dict) and isinstance(grid.get(LAYERS_KEY), dict):
+        whole = {
+            label: _apply_all_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", media)[LAYERS_KEY]
+            for label, layers in grid[LAYERS_KEY].items()
+        }
+        content["grid"] = grid | {LAYERS_KEY: whole}
+    experiment = _validate(ExperimentConfig, content)
+    check_unused_keywords(experiment, given)
+    check_figure_size(experiment)
+    if experiment.figure.measured:
+        _check_figure_table(experiment, _read_measured("figure.measured", measured, experiment.figure.measured))
+    if experiment.retrieve:
+        name = experiment.retrieve.measured
+        check_measured_spectra(experiment, _read_measured("retrieve.measured", measured, name))
+    if experiment.fit:
+        if experiment.figure.kind not in ("fit", "none"):
+            raise invalid("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
+        check_fit(experiment, _read_measured("fit.measured", measured, experiment.fit.measured))
+    return experiment
+
+
+def _read_measured(key: str, folder: Path, name: str) -> pd.DataFrame:
+    """Return a measured table, or refuse its name or what the file holds."""
+    if not (folder / name).is_file():
+        there = [p.name for p in folder.glob("*.csv")]
+        if not there:
+            raise invalid(key, name, f"a CSV file in {folder}", "there is none")
+        check_choice(key, name, there)
+    return read_spectra(folder / name, key)
+
+
+def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) -> None:
+    """Refuse a measured table that does not hold, as shares, what the figure shows beside it."""
+    key, quantity = "figure.measured", experiment.figure.quantity
+    drawn = [name for name in quantity if name in measured and measured[name].count()]
+    if not drawn:
+        columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"
+        raise invalid(key, experiment.figure.measured, f"a table with columns {columns}")
+    for name in drawn:
+        ends = [f"{name}_min", f"{name}_max"]
+        if len(set(ends) & set(measured)) == 1:
+            raise invalid(key, experiment.figure.measured, f"with both {' and '.join(ends)}")
+        rows = measured[[end for end in (ends[0], name, ends[1]) if end in measured]].to_numpy()
+        largest = np.nanmax(np.abs(rows), initial=0.0)
+        if largest > MAX_REFLECTANCE:
+            hint = "shares, not per cent"
+            raise invalid(f"{key} ({name})", float(largest), f"at most {MAX_REFLECTANCE:g}", hint)
+        if (np.diff(rows, axis=1) < 0.0).any():
+            raise invalid(key, experiment.figure.measured, f"with {ends[0]} <= {name} <= {ends[1]}")
+
+
+def _resolve_samples(given: Any, folder: Path) -> dict[str, Any]:
+    """Return the media of a grid by label, those given by a file's name read from that file."""
+    if isinstance(given, list) and not all(isinstance(name, str) for name in given):
+        allowed = "names of files, or a mapping from labels to media"
+        raise invalid(f"grid.{SAMPLE_KEY}", given, allowed)
+    named = {name: name for name in given} if isinstance(given, list) else given
+    return {
+        label: _apply_all_bases(
+            {"base": value} if isinstance(value, str) else value, f"grid.{SAMPLE_KEY}.{label}", folder
+        )
+        for label, value in named.items()
+    }
+
+
+def _apply_base(medium: Any, place: str, folder: Path) -> Any:
+    """Return a medium's settings on top of those of the file that its ``base`` names."""
+    if not isinstance(medium, dict) or "base" not in medium:
+        return medium
+    base = check_choice(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
+    own = {key: value for key, value in medium.items() if key != "base"}
+    content = read_yaml(folder / f"{base}.yaml")
+    kind = content.get("kind", "snow")
+    if own.get("kind", kind) != kind:
+        hint = "without a base it has values of its own"
+        raise invalid(f"{place}.kind", own["kind"], f"{kind}, as its base {base}", hint)
+    return override_keywords(content, own)
+
+
+def _apply_all_bases(medium: Any, key: str, folder: Path) -> Any:
+    """Return a medium, or a stack and all of its layers, on top of the bases they name."""
+    medium = _apply_base(medium, key, folder)
+    return apply_bases(key, medium, lambda layer, here: _apply_base(layer, here, folder))
+
+
+def load_experiments(
+    folder: str | Path,
+    media_folder: str | Path = "config/media",
+    measured_folder: str | Path | None = None,
+) -> dict[str, ExperimentConfig]:
+    """Read and check all experiment files below a folder, by name; see `load_experiment`.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each file that cannot be run or has the name of another, or if there
+        is no file.
+    """
+    experiments: dict[str, ExperimentConfig] = {}
+    files: dict[str, Path] = {}
+    refused: list[str] = []
+    for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
+        try:
+            experiment = load_experiment(path, media_folder, measured_folder)
+            _check_table_paths(path, experiment)
+        except ConfigError as error:
+            refused.append(str(error))
+            continue
+        name = experiment.name
+        if name in experiments:
+            refused.append(f"{path}: name = {name!r}: already taken by {files[name]}")
+        experiments[name], files[name] = experiment, path
+    if refused:
+        raise ConfigError("\n".join(refused))
+    if not experiments:
+        raise ConfigError(f"{folder}: no experiment file (*.yaml)")
+    return experiments
+
+
+def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
+    """Refuse users' own tables that the workflow could not take for its inputs."""
+    try:
+        for table in experiment.list_table_paths():
+            check_path("table", table)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
+    """Check the main configuration, given as a mapping."""
+    try:
+        return _validate(Settings, content)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: {_to_single_line(str(error))}") from None
+
+
+def _validate(model: type[SectionType], content: dict[str, Any]) -> SectionType:
+    """Return a model of the content, or refuse it in one line."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ValueError(format_validation_error(model, error)) from None

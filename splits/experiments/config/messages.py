@@ -1,0 +1,112 @@
+"""One line for what pydantic refuses: the key with its full path, the value, what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from splits.core.validation import format_key, invalid, short_repr, suggest_name, unknown_key
+
+TYPE_DESCRIPTIONS = {
+    int: ("a whole number", "whole numbers"),
+    float: ("a number", "numbers"),
+    str: ("text", "names"),
+}
+"""What a key of a type must be, and a list of them."""
+LIMIT_DESCRIPTIONS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+
+
+def format_validation_error(model: type[BaseModel], error: ValidationError) -> str:
+    """Return one line for a model's refusal: key, value, what is allowed, a hint."""
+    # A misspelt key may be the one that is missing; of a key that may be either of two things,
+    # the deepest error tells which was meant.
+    errors: list[Any] = error.errors(include_url=False)
+    first = max(errors, key=lambda e: (e["type"] == "extra_forbidden", len(e["loc"])))
+    place, problem = first["loc"], first["type"]
+    if problem == "value_error":
+        return str(first["ctx"]["error"])
+    if problem in ("extra_forbidden", "invalid_key"):
+        section, kind = _resolve_location(model, place[:-1])
+        known = next(k for k in _list_options(kind) if _is_section(k)).model_fields
+        return str(unknown_key(f"{section}.{place[-1]}".lstrip("."), known))
+    of_list = problem == "missing" and isinstance(place[-1], int)
+    key, kind = _resolve_location(model, place[:-1] if of_list else place)
+    if problem == "missing" and not of_list:
+        return f"{key}: missing, must be {_describe_type(kind)}"
+    limits = [f"{LIMIT_DESCRIPTIONS[k]} {v:g}" for k, v in first.get("ctx", {}).items() if k in LIMIT_DESCRIPTIONS]
+    finite = "finite " if problem == "finite_number" else ""
+    allowed = limits[0] if limits else _describe_type(kind).replace("a number", f"a {finite}number")
+    return str(invalid(key, first["input"], allowed, _suggest_value(kind, first["input"])))
+
+
+def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[str, Any]:
+    """Return the key that a location leads to, and the type of what stands there.
+
+    Locations also name branches of unions, which are no keys.
+    """
+    kind: Any = model
+    names: list[str] = []
+    for part in location:
+        if part == "[key]":
+            kind = str
+            continue
+        for option in _list_options(kind):
+            origin, inner = get_origin(option), get_args(option)
+            if _is_section(option) and part in option.model_fields:
+                kind = option.model_fields[part].annotation
+            elif origin is dict:
+                kind = inner[1]
+            elif origin is tuple and isinstance(part, int):
+                kind = inner[0]
+                names[-1] += f"[{part}]"
+                break
+            else:
+                continue
+            names.append(format_key(part))
+            break
+    return ".".join(names), kind
+
+
+def _list_options(kind: Any) -> list[Any]:
+    """Return the types that a key may have, None left out."""
+    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    return [one for one in kinds if one is not type(None)]
+
+
+def _is_section(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+def _describe_type(kind: Any) -> str:
+    """Return what may stand under a key of this type."""
+    return " or ".join(dict.fromkeys(_describe_option(option) for option in _list_options(kind)))
+
+
+def _describe_option(kind: Any) -> str:
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return "one of " + ", ".join(inner) if len(inner) > 1 else f'"{inner[0]}"'
+    if origin is tuple:
+        several = TYPE_DESCRIPTIONS[inner[0]][1] if inner[0] in TYPE_DESCRIPTIONS else ", ".join(get_args(inner[0]))
+        return f"a list of {several if inner[-1] is Ellipsis else f'{len(inner)} {several}'}"
+    if _is_section(kind):
+        needed = [name for name, field in kind.model_fields.items() if field.is_required()]
+        return "a mapping with " + ", ".join(needed) if needed else "a mapping of keys to values"
+    return TYPE_DESCRIPTIONS[kind][0] if kind in TYPE_DESCRIPTIONS else "a mapping of keys to values"
+
+
+def _suggest_value(kind: Any, value: Any) -> str:
+    """Return what to write instead of a value that is nearly right, or nothing."""
+    options = _list_options(kind)
+    choices = [c for k in options if get_origin(k) is Literal for c in get_args(k)]
+    if choices:
+        return suggest_name(value, choices)
+    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if plain and any(get_args(k) == (float, Ellipsis) for k in options):
+        return f"write [{short_repr(value)}]"
+    quoted = str in options and isinstance(value, (int, float, date))
+    return "put it into quotes" if quoted else ""

@@ -1,0 +1,217 @@
+"""What the main configuration file may say: which experiments run, how far, and where to."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from splits.core.validation import check_choice, invalid, suggest_name
+from splits.io.ro_crate import ORCID_URL, Author
+from splits.experiments.config.study_checks import check_studies
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.sections import ConfigSection
+from splits.experiments.config.study import Study
+from splits.experiments.config.sections import (
+    MAX_LABEL_CHARS,
+    MAX_TITLE_CHARS,
+    check_path,
+    check_text,
+)
+from splits.core.yaml import ConfigError
+from splits.core.paths import expand_path
+
+DEFAULT_LICENCE = "MIT"
+"""Of results, unless the configuration says another: that of the software."""
+RESULT_FOLDERS = ("archive", "benchmarks", "blocks", "data", "figures", "logs", "tables")
+"""What the workflow makes in the folder of results."""
+_ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_LICENCE_PATTERN = re.compile(
+    r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
+)
+
+
+class Accuracy(ConfigSection):
+    """How far simulations run."""
+
+    max_stderr: float = Field(ge=1e-6, le=0.5)
+    relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
+    max_rays: int | None = Field(default=None, ge=1, lt=2**63)
+
+
+class ArchiveAuthor(ConfigSection):
+    """An author of the results in an archive."""
+
+    name: str
+    orcid: str = ""
+    affiliation: str = ""
+
+    @field_validator("name", "affiliation")
+    @classmethod
+    def _check_text(cls, value: str) -> str:
+        return check_text("archive_authors", value, MAX_TITLE_CHARS)
+
+    @field_validator("orcid")
+    @classmethod
+    def _check_orcid(cls, value: str) -> str:
+        digits = value.removeprefix(ORCID_URL)
+        if not value or _is_orcid(digits):
+            return digits
+        allowed = "an ORCID such as 0000-0002-1825-0097, whose last digit follows from the others"
+        raise invalid("archive_authors.orcid", value, allowed)
+
+
+def _is_orcid(digits: str) -> bool:
+    """Tell whether that is an ORCID by its check digit (ISO 7064, MOD 11-2)."""
+    if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
+        return False
+    total = 0
+    for digit in digits.replace("-", "")[:-1]:
+        total = 2 * (total + int(digit))
+    return digits[-1] == "0123456789X"[(12 - total) % 11]
+
+
+EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
+"""Axes of experiments that show where the light of the explorer goes."""
+
+
+FOLDER_KEYS = ("experiments_folder", "media_folder", "measured_folder", "published_folder", "results")
+"""Settings that are paths of folders."""
+
+
+class Settings(ConfigSection):
+    """The main configuration file."""
+
+    experiments: Literal["all"] | tuple[str, ...] = "all"
+    accuracy: str = "standard"
+    accuracies: dict[str, Accuracy]
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    experiments_folder: str = "config/experiments"
+    media_folder: str = "config/media"
+    measured_folder: str = "config/measured"
+    published_folder: str = "config/published"
+    results: str = "results"
+    archive: tuple[str, ...] | Literal["all"] = "all"
+    archive_license: str = DEFAULT_LICENCE
+    archive_authors: tuple[ArchiveAuthor, ...] = ()
+    studies: dict[str, Study] = Field(default_factory=dict)
+    explorer: dict[str, str] = Field(default_factory=dict)
+    explorer_directions: dict[str, str] = Field(default_factory=dict)
+
+    @field_validator("experiments", "archive", mode="before")
+    @classmethod
+    def _split_names(cls, value: Any) -> Any:
+        # On the command line a list is written with commas.
+        if isinstance(value, str) and value != "all":
+            return tuple(name.strip() for name in value.split(","))
+        return value
+
+    @field_validator(*FOLDER_KEYS)
+    @classmethod
+    def _check_folder(cls, value: str, info: ValidationInfo) -> str:
+        key = str(info.field_name)
+        # Snakemake takes paths as texts: those of one file must be spelt alike.
+        path = posixpath.normpath(str(expand_path(value, key))) if value else "."
+        if path == ".":
+            raise invalid(key, value, "the path of a folder")
+        return check_path(key, path)
+
+    @field_validator("archive_license")
+    @classmethod
+    def _check_licence(cls, value: str) -> str:
+        if not _LICENCE_PATTERN.fullmatch(value):
+            allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
+            raise invalid("archive_license", value, allowed)
+        return value
+
+    @field_validator("explorer")
+    @classmethod
+    def _check_labels(cls, value: dict[str, str]) -> dict[str, str]:
+        for label in value:
+            check_text("explorer (label)", label, MAX_LABEL_CHARS)
+        return value
+
+    @field_validator("accuracies")
+    @classmethod
+    def _check_accuracy_names(cls, value: dict[str, Accuracy]) -> dict[str, Accuracy]:
+        for name in value:
+            if not _ACCURACY_PATTERN.fullmatch(name) or name.lower() in RESULT_FOLDERS:
+                allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
+                raise invalid("accuracies", name, f"called by {allowed}", "it names a folder")
+        return value
+
+    @model_validator(mode="after")
+    def _check_accuracy(self) -> Settings:
+        check_choice("accuracy", self.accuracy, self.accuracies)
+        return self
+
+    @property
+    def results_folder(self) -> str:
+        """Where results go: `results`, with a subfolder for accuracies other than standard."""
+        return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
+
+    @property
+    def table_folders(self) -> dict[str, Path]:
+        """Where tables of measured and of published numbers are."""
+        return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
+
+    def select_archived(self) -> Settings:
+        """Return the settings of a run that makes what an archive holds, and nothing else."""
+        if self.archive == "all":
+            return self
+        every = self.experiments == "all"
+        names = tuple(name for name in self.archive if every or name in self.experiments)
+        others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
+        return self.model_copy(update={"experiments": names, "archive": "all", **others})
+
+    def list_authors(self) -> tuple[Author, ...]:
+        """Return the authors of results that an archive names, if any are given."""
+        return tuple(Author(**author.model_dump()) for author in self.archive_authors)
+
+    def _check_explorer(self, available: Mapping[str, ExperimentConfig]) -> None:
+        """Refuse an explorer of experiments that it cannot show."""
+        for label, name in self.explorer.items():
+            if name in available and available[name].instrument.kind != "table":
+                kind = available[name].instrument.kind
+                raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+            rows = dict(zip(*available[name].make_axes(), strict=True)) if name in available else {}
+            for axis, row in rows.items():
+                if len(row) < 2 or isinstance(row[0], str):
+                    key = f"explorer.{label} = {name!r}"
+                    raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
+        for label, name in self.explorer_directions.items():
+            key = f"explorer_directions.{label} = {name!r}"
+            if label not in self.explorer:
+                known = ", ".join(self.explorer) or "none"
+                raise ConfigError(f"{key}: no table is called so in explorer (known: {known})")
+            if name not in available:
+                continue
+            one = available[name]
+            if one.instrument.kind != "goniophotometer" or {*one.grid} != {*EXPLORER_DIRECTION_AXES}:
+                allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
+                raise ConfigError(f"{key}: must be {allowed}")
+
+    def select_experiments(self, available: Mapping[str, ExperimentConfig]) -> dict[str, ExperimentConfig]:
+        """Return the experiments chosen among those available.
+
+        Raises
+        ------
+        ConfigError
+            For a name that is not available or taken twice, or a study that cannot be made.
+        """
+        for key, names in (("experiments", self.experiments), ("archive", self.archive)):
+            for name in () if names == "all" else names:
+                if name not in available:
+                    hint = suggest_name(name, available) or "known: " + ", ".join(available)
+                    raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+        if not self.select_archived().experiments:
+            allowed = "one or more of the experiments selected"
+            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
+        check_studies(self.studies, available, self.table_folders)
+        self._check_explorer(available)
+        chosen = available if self.experiments == "all" else self.experiments
+        return {name: available[name] for name in chosen}

@@ -1,0 +1,233 @@
+"""Trends of BRDFs that the papers state in words, as differences with their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from splits.analysis.directions import select_principal_plane
+from splits.experiments.papers.snow_trends import make_significance_row
+
+FORWARD_PEAK_ANGLES_DEG = (45.0, 82.5)
+"""Viewing angles (degrees) among which a forward peak is looked for."""
+
+MAX_LAMBERTIAN_RANGE = 0.2
+"""Relative range within 60° of the normal up to which a BRDF is called nearly Lambertian; set after
+a first look at the figures."""
+
+
+def compute_forward_peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the height of the forward peak over the nadir, in units of the nadir, and its error.
+
+    Parameters
+    ----------
+    plane : xarray.Dataset
+        From `splits.analysis.directions.principal_plane`, of one wavelength.
+    """
+    ratio, error = _normalize_by_nadir(*_find_forward_maximum(plane), plane)
+    return ratio - 1.0, error
+
+
+def compute_relative_range(plane: xr.Dataset, max_angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the range of the BRDF up to an angle, relative to its mean, and its error."""
+    part = plane.sel(angle=slice(-max_angle_deg, max_angle_deg))
+    high, low = part.brdf.argmax("angle"), part.brdf.argmin("angle")
+    mean = part.brdf.mean("angle")
+    value = (part.brdf.isel(angle=high) - part.brdf.isel(angle=low)) / mean
+    error = np.hypot(part.brdf_stderr.isel(angle=high), part.brdf_stderr.isel(angle=low)) / mean
+    return np.asarray(value.values), np.asarray(error.values)
+
+
+def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return one row per goniometric trend of SPLITSnow section 5.3 and SPLITS Fig 11.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, some or all of `splits.analysis.roles.ANGULAR`.
+    """
+    planes = {role: select_principal_plane(dataset) for role, dataset in datasets.items()}
+    rows: list[dict[str, object]] = []
+    for role, rows_of in (("incidence", _make_incidence_rows), ("grazing", _make_grazing_rows)):
+        if role in planes:
+            rows += rows_of(planes[role].isel(wavelength=0))
+    if "wavelength" in planes:
+        rows += _make_wavelength_rows(planes["wavelength"])
+    rows += _make_grain_size_rows(planes)
+    for role, rows_of in (("facetness", _make_facetness_rows), ("sand", _make_sand_rows)):
+        if role in planes:
+            rows += rows_of(planes[role].isel(wavelength=0))
+    return rows
+
+
+def _make_incidence_rows(plane: xr.Dataset) -> list[dict[str, object]]:
+    value, error = compute_relative_range(plane.sel(incidence_deg=0.0), 60.0)
+    height, height_error = compute_forward_peak(plane)
+    rows = [
+        make_significance_row(
+            f"nearly Lambertian at 0°, {_format_wavelength(plane)}: "
+            f"{MAX_LAMBERTIAN_RANGE:g} less the relative range within 60°",
+            "Fig 19",
+            MAX_LAMBERTIAN_RANGE - np.atleast_1d(value),
+            np.atleast_1d(error),
+        )
+    ]
+    for i, angle in enumerate(plane.incidence_deg.values[1:], start=1):
+        rows.append(
+            make_significance_row(
+                f"forward peak above the nadir at {angle:g}°, {_format_wavelength(plane)}",
+                "Fig 19",
+                np.atleast_1d(height[i]),
+                np.atleast_1d(height_error[i]),
+            )
+        )
+    angles = ", ".join(f"{angle:g}°" for angle in plane.incidence_deg.values)
+    side = plane.sel(angle=60.0)
+    ratio, error = _normalize_by_nadir(side.brdf.values, side.brdf_stderr.values, plane)
+    rows.append(
+        make_significance_row(
+            f"forward side (60°) over the nadir rises with incidence, {angles}: smallest step",
+            "Fig 19",
+            np.diff(ratio),
+            np.hypot(error[1:], error[:-1]),
+        )
+    )
+    for i in range(2, len(height)):
+        low, high = (f"{plane.incidence_deg.values[k]:g}°" for k in (i - 1, i))
+        rows.append(
+            make_significance_row(
+                f"forward peak higher at {high} than at {low}, {_format_wavelength(plane)}",
+                "Fig 19",
+                np.atleast_1d(height[i] - height[i - 1]),
+                np.atleast_1d(np.hypot(height_error[i], height_error[i - 1])),
+            )
+        )
+    return rows
+
+
+def _make_grazing_rows(plane: xr.Dataset) -> list[dict[str, object]]:
+    """Compare the brightest of both limbs with the nadir."""
+    tilt = np.abs(plane.angle)
+    limb = plane.where((tilt >= FORWARD_PEAK_ANGLES_DEG[0]) & (tilt <= FORWARD_PEAK_ANGLES_DEG[1]), drop=True)
+    top = limb.isel(angle=limb.brdf.argmax("angle"))
+    ratio, error = _normalize_by_nadir(top.brdf.values, top.brdf_stderr.values, plane)
+    *most, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
+    angles = " and ".join(filter(None, [", ".join(most), last]))
+    return [
+        make_significance_row(
+            f"nadir darker than the limb at {angles}°, {_format_wavelength(plane)}: smallest",
+            "Fig 16",
+            ratio - 1.0,
+            error,
+        ),
+        make_significance_row(
+            "the more so the larger the incidence: smallest step",
+            "Fig 16",
+            np.diff(ratio),
+            np.hypot(error[1:], error[:-1]),
+        ),
+    ]
+
+
+def _make_wavelength_rows(plane: xr.Dataset) -> list[dict[str, object]]:
+    dark = plane.sel(wavelength=1800.0)
+    nadir = dark.sel(angle=0.0)
+    sides = [dark.sel(angle=angle) for angle in (-60.0, 60.0)]
+    above = np.array([float(s.brdf - nadir.brdf) for s in sides])
+    errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
+    value, error = compute_relative_range(plane.sel(wavelength=[600.0, 1800.0]), 82.5)
+    return [
+        make_significance_row("nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors),
+        make_significance_row(
+            "relative range larger at 1800 nm than at 600 nm",
+            "Fig 18",
+            np.atleast_1d(value[1] - value[0]),
+            np.atleast_1d(np.hypot(*error)),
+        ),
+    ]
+
+
+def _make_grain_size_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Compare the forward peaks of fine grains with those of the others.
+
+    At 600 nm their heights above the nadir, too: coarse grains lose light through the sample.
+    """
+    uniform = "Fig 20, struck_size: uniform"
+    rows = []
+    for role, sign, place, statement, measure in (
+        ("grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _find_forward_maximum),
+        ("grain_size_uniform", -1.0, uniform, "fine grains have the smallest peak", _find_forward_maximum),
+        ("grain_size", -1.0, "Fig 20", "fine grains' peak is least above the nadir", compute_forward_peak),
+        ("grain_size_uniform", -1.0, uniform, "fine grains' peak is least above the nadir", compute_forward_peak),
+        ("grain_size_infrared", +1.0, "Fig 21", "fine grains have the largest peak", _find_forward_maximum),
+    ):
+        if role not in planes:
+            continue
+        plane = planes[role].isel(wavelength=0)
+        value, error = measure(plane)
+        rows.append(
+            make_significance_row(
+                f"forward, {float(plane.wavelength):g} nm: {statement}",
+                place,
+                sign * (value[-1] - value[:-1]),
+                np.hypot(error[-1], error[:-1]),
+            )
+        )
+    return rows
+
+
+def _format_incidence(plane: xr.Dataset) -> str:
+    return f"{float(plane.attrs['incidence_deg']):g}°"
+
+
+def _format_wavelength(plane: xr.Dataset) -> str:
+    return f"{float(plane.wavelength):g} nm"
+
+
+def _normalize_by_nadir(
+    value: np.ndarray, stderr: np.ndarray, plane: xr.Dataset
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a BRDF in units of the nadir's, and its error."""
+    nadir = plane.sel(angle=0.0)
+    ratio = value / nadir.brdf.values
+    relative = np.hypot(stderr / value, (nadir.brdf_stderr / nadir.brdf).values)
+    return np.asarray(ratio), np.asarray(ratio * relative)
+
+
+def _find_forward_maximum(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the BRDF at the forward peak and its error."""
+    forward = plane.sel(angle=slice(*FORWARD_PEAK_ANGLES_DEG))
+    top = forward.isel(angle=forward.brdf.argmax("angle"))
+    return top.brdf.values, top.brdf_stderr.values
+
+
+def _make_facetness_rows(plane: xr.Dataset) -> list[dict[str, object]]:
+    value, error = compute_relative_range(plane, 75.0)
+    return [
+        make_significance_row(
+            f"low facetness varies most with the angle, {_format_incidence(plane)}, {_format_wavelength(plane)}",
+            "Fig 22",
+            value[0] - value[1:],
+            np.hypot(error[0], error[1:]),
+        )
+    ]
+
+
+def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
+    """Forward scattering and retro-reflection of sand at 60 degrees."""
+    part = plane.sel(incidence_deg=60.0)
+    nadir = part.sel(angle=0.0)
+    rows = []
+    for statement, angle in (("forward scattering", 75.0), ("retro-reflection", -60.0)):
+        side = part.sel(angle=angle)
+        rows.append(
+            make_significance_row(
+                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: {angle:g}° above the nadir",
+                "SPLITS Fig 11",
+                np.atleast_1d(float(side.brdf - nadir.brdf)),
+                np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),
+            )
+        )
+    return rows

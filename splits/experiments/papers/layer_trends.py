@@ -1,0 +1,96 @@
+"""What Budak & Grimailo 2020 state of rough layers, as numbers with their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import xarray as xr
+
+from splits.analysis.directions import select_principal_plane
+from splits.experiments.papers.snow_trends import make_significance_row
+
+MAX_ANGLE_DEG = 75.0
+"""Viewing angle (degrees) up to which curves are compared."""
+
+
+def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return one row per statement; see `splits.analysis.trends.beyond` for its columns.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, some or all of `splits.analysis.roles.LAYER`.
+    """
+    rows: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
+        "lens": _make_lens_row,
+        "volume": lambda d: _make_volume_row(_select_plane(d)),
+        "slope_correlation": lambda d: _make_change_row(
+            _select_plane(d), "surface",
+            "same slopes correlated over 3 m instead of 0.01 m, free path 1 m: largest relative "
+            "change of the BRDF", "section 1",
+        ),
+        "polarization": lambda d: _make_change_row(
+            _select_plane(d), "polarized",
+            "Rayleigh layer under smooth glass, polarization followed or not: largest relative "
+            "change of the radiance factor", "section 1",
+        ),
+        "multiple_reflection": lambda d: _make_change_row(
+            _select_plane(d), "polarized",
+            "multiple reflections in rough glass, polarization followed or not: largest relative "
+            "change of the BRDF (up to 30 % in the paper's reference 6)", "section 1",
+        ),
+        "band_limit": _make_band_limit_row,
+    }  # fmt: skip
+    return [row(datasets[role]) for role, row in rows.items() if role in datasets]
+
+
+def _select_plane(dataset: xr.Dataset) -> xr.Dataset:
+    plane = select_principal_plane(dataset).isel(wavelength=0)
+    return plane.isel(angle=np.abs(plane.angle.values) <= MAX_ANGLE_DEG)
+
+
+def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
+    """Compare the densest image of a ring over a crest with the ring."""
+    best = dataset.isel(screen_depth=dataset.concentration.argmax("screen_depth"))
+    return make_significance_row(
+        "statistical lens: inverse mean square size of a ring's image "
+        f"{float(best.screen_depth):g} m below a crest, above 1 by",
+        "Fig 2",
+        best.concentration.values - 1.0,
+        best.concentration_stderr.values,
+    )
+
+
+def _make_volume_row(plane: xr.Dataset) -> dict[str, object]:
+    """Compare a surface with a volume below it with the surface alone."""
+    both, alone = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
+    return make_significance_row(
+        "very rough glass: BRDF (1/sr) that the volume adds, where least significant",
+        "Fig 3",
+        (both.brdf - alone.brdf).values,
+        np.hypot(both.brdf_stderr, alone.brdf_stderr).values,
+    )
+
+
+def _make_change_row(plane: xr.Dataset, dimension: str, statement: str, place: str) -> dict[str, object]:
+    """Return the most significant relative change between the ends of a grid's dimension."""
+    first, last = plane.isel({dimension: 0}), plane.isel({dimension: -1})
+    change = (last.brdf / first.brdf - 1.0).values
+    error = np.hypot(last.brdf_stderr / first.brdf, last.brdf * first.brdf_stderr / first.brdf**2)
+    at = int(np.argmax(np.abs(change) - 2.0 * error.values))
+    angle = float(plane.angle.values[at])
+    sign = "" if change[at] > 0.0 else "less, "
+    return make_significance_row(f"{statement} ({sign}at {angle:g}°)", place, np.abs(change[at]), error.values[at])
+
+
+def _make_band_limit_row(dataset: xr.Dataset) -> dict[str, object]:
+    """Return the fall of reflectance with the band limit, smallest step."""
+    value = dataset.reflectance.isel(wavelength=0).values
+    error = dataset.reflectance_stderr.isel(wavelength=0).values
+    return make_significance_row(
+        "exponential correlation: reflectance falls as the band limit rises: smallest step",
+        "Eq 3",
+        -np.diff(value),
+        np.hypot(error[1:], error[:-1]),
+    )

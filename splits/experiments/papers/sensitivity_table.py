@@ -1,0 +1,163 @@
+"""Sensitivity of snow's spectra to its parameters: the published pairs, and how they move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.analysis.sensitivity import SensitivityIndex, compute_spectral_sensitivity
+from splits.io.netcdf import select_points, to_netcdf_attributes, make_provenance
+from splits.core.uncertainty import make_variable as quantity_of
+
+QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
+    "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
+    "transmittance": {"depth_m": 0.02, "wavelength_nm": (400.0, 1420.0)},
+}
+"""Depth and wavelengths that SPLITSnow sections 5.2.2 and 5.4 use for each quantity."""
+
+
+def compute_pair_sensitivity(
+    dataset: xr.Dataset, parameter: str, low: Any, high: Any, quantity: str
+) -> SensitivityIndex:
+    """Return the mean sensitivity index of a quantity between two values of a parameter.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Over `parameter`, ``depth_m`` and ``wavelength``.
+    parameter, low, high
+        Name of the grid's dimension and two of its labels.
+    quantity : {"reflectance", "transmittance"}
+    """
+    where = QUANTITY_CONDITIONS[quantity]
+    part = select_points(dataset, {"depth_m": where["depth_m"]}).sel(
+        wavelength=slice(*where["wavelength_nm"])
+    )
+    y, z = (select_points(part, {parameter: label}) for label in (low, high))
+    return compute_spectral_sensitivity(y, z, quantity)
+
+
+def make_sensitivity_table(
+    datasets: Mapping[str, xr.Dataset], pairs: Mapping[str, Mapping[str, Any]]
+) -> pd.DataFrame:
+    """Return the index for every parameter, quantity, range and reading.
+
+    Parameters
+    ----------
+    datasets : mapping
+        Experiments by name.
+    pairs : mapping
+        Per parameter ``experiment``, ``readings`` (experiment over readings), ``parameter``
+        (grid dimension), ``low`` and ``high``; ``readings`` may be None.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns parameter, quantity, reading, low, high, chosen, msi, msi_stderr, msi_resolved,
+        resolved_share.
+    """
+    rows = []
+    for name, pair in pairs.items():
+        dimension = pair["parameter"]
+        ranges = datasets[pair["experiment"]]
+        values = list(ranges[dimension].values)
+        readings = datasets[pair["readings"]] if pair["readings"] else None
+        for quantity in QUANTITY_CONDITIONS:
+            for i, low in enumerate(values):
+                for high in values[i + 1 :]:
+                    s = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
+                    chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
+                    rows.append(_make_row(name, quantity, "default", low, high, chosen, s))
+            if readings is None:
+                continue
+            # The experiment over ranges holds the default readings.
+            for reading in readings.readings.values[readings.readings.values != "default"]:
+                part = select_points(readings, {"readings": str(reading)})
+                low, high = part[dimension].values[[0, -1]]
+                s = compute_pair_sensitivity(part, dimension, low, high, quantity)
+                rows.append(_make_row(name, quantity, str(reading), low, high, False, s))
+    return pd.DataFrame(rows)
+
+
+def select_chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = None) -> xr.Dataset:
+    """Return the chosen pairs' indices over quantity and parameter, beside published ones.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        See `make_sensitivity_table`.
+    published : pandas.DataFrame, optional
+        See `splits.analysis.agreement.read_published`; with a row for each index.
+    """
+    chosen = table[table.chosen]
+    parameters = list(dict.fromkeys(chosen.parameter))
+    shape = (len(QUANTITY_CONDITIONS), len(parameters))
+    names = ("msi", "msi_stderr") if published is None else ("msi", "msi_stderr", "published")
+    columns = {name: np.zeros(shape) for name in names}
+    for i, quantity in enumerate(QUANTITY_CONDITIONS):
+        for j, parameter in enumerate(parameters):
+            row = chosen[(chosen.quantity == quantity) & (chosen.parameter == parameter)].iloc[0]
+            columns["msi"][i, j] = row.msi
+            columns["msi_stderr"][i, j] = row.msi_stderr
+            if published is not None:
+                row = published.loc[f"msi_{quantity[0]}_{parameter}"]
+                columns["published"][i, j] = row.published
+    over, label = ("quantity", "parameter"), "mean sensitivity index"
+    variables = quantity_of("msi", over, columns["msi"], columns["msi_stderr"], label)
+    if published is not None:
+        theirs, words = columns["published"], f"{label} published in SPLITSnow Table 2"
+        variables |= quantity_of("published", over, theirs, None, words)
+    return xr.Dataset(
+        variables,
+        {
+            "quantity": ("quantity", list(QUANTITY_CONDITIONS), {"long_name": "quantity"}),
+            "parameter": ("parameter", parameters, {"long_name": "parameter of the snow"}),
+        },
+        to_netcdf_attributes({"title": "Mean sensitivity index of snow", **make_provenance("sensitivity")}),
+    )
+
+
+def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in words between which values of each parameter the index is taken, and who says so.
+
+    Parameters
+    ----------
+    pairs : mapping
+        Per parameter ``low``, ``high`` and ``range``, ``"stated"`` by the paper or ``"chosen"``.
+    """
+    parts = []
+    for origin, words in (("stated", "stated by the paper"), ("chosen", "chosen here, not stated")):
+        own = [
+            f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
+            for name, pair in pairs.items()
+            if pair["range"] == origin
+        ]
+        parts += [f"{words}: {', '.join(own)}"] if own else []
+    return f"Ranges {'; '.join(parts)}."
+
+
+def _is_same_label(value: Any, label: Any) -> bool:
+    if isinstance(value, (int, float, np.number)):
+        return bool(np.isclose(float(value), float(label)))
+    return str(value) == str(label)
+
+
+def _make_row(
+    parameter: str, quantity: str, interpretation: str, low: Any, high: Any, chosen: bool, sensitivity: SensitivityIndex
+) -> dict[str, Any]:
+    return {
+        "parameter": parameter,
+        "quantity": quantity,
+        "reading": interpretation,
+        "low": low,
+        "high": high,
+        "chosen": chosen,
+        "msi": sensitivity.index,
+        "msi_stderr": sensitivity.stderr,
+        "msi_resolved": sensitivity.index_resolved,
+        "resolved_share": sensitivity.resolved_fraction,
+    }

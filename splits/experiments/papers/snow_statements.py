@@ -1,0 +1,174 @@
+"""What SPLITSnow's paper states about its model, simulated under any set of readings.
+
+Stages from cheap to costly, each a set of statements (numbers of the tables and figures, trends in
+words) and the runs that give our values.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.experiments.papers.misfit import TREND_TOLERANCE, PublishedStatement
+from splits.analysis.sensitivity import compute_spectral_sensitivity
+from splits.experiments.papers.angular_statements import (
+    compute_grain_trends,
+    compute_incidence_trends,
+    compute_nadir_trends,
+)
+from splits.experiments.papers.interpretation_runs import (
+    WATER_TABLES,
+    InterpretationRun,
+    StatementValues,
+    repeat_for_waters,
+)
+
+TABLE3_WAVELENGTHS_NM = {"table3_842": 842.25, "table3_1074": 1073.76, "table3_1238": 1237.93}
+PARAMETER_EXTREMES: dict[str, tuple[Any, ...]] = {
+    "grain_size": ((100, 200), (900, 1000)),
+    "facetness": ((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)),
+    "saturation": (0.0, 0.1, 0.3, 1.0),
+    "density": (100.0, 200.0, 400.0, 450.0),
+}
+"""Extremes between which sensitivities are taken (section 5.4).  The paper does not say those of
+saturation and density: any two of these values may have been meant."""
+
+SNOW_KEYWORDS = {
+    "grain_size": "grain_size_um", "facetness": "facetness", "saturation": "saturation",
+    "density": "density_kg_m3",
+}  # fmt: skip
+SENSITIVITY_SPECTRA = {
+    "r": ("reflectance", 0.12, np.arange(400.0, 2501.0, 50.0)),
+    "t": ("transmittance", 0.02, np.arange(400.0, 1421.0, 30.0)),
+}
+"""Quantity, depth (m) and wavelengths behind the sensitivities."""
+
+
+TRANSMITTANCE_FLOORS = (0.0, 0.005, 0.02)
+"""Transmittances that may have counted as none in a sensitivity: the paper does not say, and where
+two of them are small their ratio is large."""
+
+
+def _compute_grain_distance(run: InterpretationRun) -> StatementValues:
+    return {"grain_distance": repeat_for_waters(run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0)}
+
+
+def _compute_table3(run: InterpretationRun) -> StatementValues:
+    spectra = run.simulate_spectra(list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25)
+    both = [
+        np.array([one[name].values for one in spectra])
+        for name in ("reflectance", "reflectance_stderr")
+    ]
+    return {name: (both[0][:, i], both[1][:, i]) for i, name in enumerate(TABLE3_WAVELENGTHS_NM)}
+
+
+def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
+    """Return the largest transmittance, where snow absorbs least (Fig 7)."""
+    spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
+    best = [one.isel(wavelength=int(one.transmittance.values.argmax())) for one in spectra]
+    value, error = (
+        np.array([float(one[name]) for one in best])
+        for name in ("transmittance", "transmittance_stderr")
+    )
+    return {"transmittance_max": (value, error)}
+
+
+def _make_sensitivity_stage(parameters: Sequence[str], letters: Sequence[str]) -> Callable[[InterpretationRun], StatementValues]:
+    """Return the stage that takes indices: arrays of shape (waters, pairs, floors)."""
+
+    def measured(trial: InterpretationRun) -> StatementValues:
+        found: StatementValues = {}
+        for parameter, letter in itertools.product(parameters, letters):
+            quantity, depth, places = SENSITIVITY_SPECTRA[letter]
+            error = getattr(trial.errors, f"{quantity}s")
+            ends = [
+                trial.simulate_spectra(
+                    places, error, run_number=1 + i, **{SNOW_KEYWORDS[parameter]: value, "depth_m": depth}
+                )
+                for i, value in enumerate(PARAMETER_EXTREMES[parameter])
+            ]
+            floors = TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
+            found[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(ends, quantity, floors)
+        return found
+
+    return measured
+
+
+def list_extreme_pairs(parameter: str) -> list[str]:
+    """Return how tables name the pairs of extremes of a parameter, in the order of indices."""
+
+    def named(value: Any) -> str:
+        ends = np.atleast_1d(value)[:2]
+        return "-".join(f"{end:g}" for end in ends)
+
+    return [f"{named(a)} / {named(b)}" for a, b in itertools.combinations(PARAMETER_EXTREMES[parameter], 2)]
+
+
+def _compute_sensitivity_indices(
+    ends: Sequence[list[xr.Dataset]], quantity: str, floors: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices between all pairs of spectra, shape (waters, pairs, floors)."""
+    pairs = list(itertools.combinations(ends, 2))
+    value = np.empty((2, len(WATER_TABLES), len(pairs), len(floors)))
+    for w, p, f in np.ndindex(value.shape[1:]):
+        y, z = (end[w] for end in pairs[p])
+        index = compute_spectral_sensitivity(y, z, quantity, floors[f])
+        value[:, w, p, f] = index.index, index.stderr
+    return value[0], value[1]
+
+
+STAGES: dict[str, Callable[[InterpretationRun], StatementValues]] = {
+    "distance": _compute_grain_distance,
+    "table 3": _compute_table3,
+    "facetness": _make_sensitivity_stage(("facetness",), ("r",)),
+    "angles": compute_incidence_trends,
+    "transmittance": _compute_max_transmittance,
+    "facetness below": _make_sensitivity_stage(("facetness",), ("t",)),
+    "grain size": _make_sensitivity_stage(("grain_size",), ("r", "t")),
+    "nadir": compute_nadir_trends,
+    "grains": compute_grain_trends,
+    "free ranges": _make_sensitivity_stage(("saturation", "density"), ("r", "t")),
+}
+"""Runs in the order in which they tell most for their cost; each gives our values of some
+statements."""
+
+STATED_NUMBERS = {
+    "distance": ("grain_distance",),
+    "table 3": tuple(TABLE3_WAVELENGTHS_NM),
+    "facetness": ("msi_r_facetness",),
+    "transmittance": ("transmittance_max",),
+    "facetness below": ("msi_t_facetness",),
+    "grain size": ("msi_r_grain_size", "msi_t_grain_size"),
+    "free ranges": (
+        "msi_r_saturation", "msi_t_saturation", "msi_r_density", "msi_t_density",
+    ),
+}  # fmt: skip
+"""Published numbers by stage, under their ids in the table of published numbers."""
+
+STATED_TRENDS: Mapping[str, Mapping[str, str]] = {
+    "angles": {
+        "fig19_lambertian": "Fig 19", "fig19_peak_30": "Fig 19", "fig19_peak_60": "Fig 19",
+        "fig19_peak_grows": "Fig 19",
+    },
+    "nadir": {
+        "fig16_nadir_dark": "Fig 16", "fig16_grows": "Fig 16", "fig17_nadir_dark": "Fig 17",
+        "fig18_varies_more": "Fig 18",
+    },
+    "grains": {
+        "fig20_fine_least": "Fig 20", "fig21_fine_most": "Fig 21",
+        "fig22_rounded_varies_most": "Fig 22",
+    },
+}  # fmt: skip
+"""Trends by stage, and where the paper states them."""
+
+
+def get_stated_trends(stage: str) -> dict[str, PublishedStatement]:
+    """Return the trends of a stage."""
+    return {
+        name: PublishedStatement(name, place, 0.0, TREND_TOLERANCE, is_trend=True)
+        for name, place in STATED_TRENDS.get(stage, {}).items()
+    }

@@ -1,0 +1,229 @@
+"""Trends that SPLITSnow states in words, as differences that can be held against their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from splits.core.uncertainty import make_band_weights, compute_band_error
+
+UNRESOLVED_VERDICT = "not resolved at this accuracy"
+"""Verdict on a number whose error is too large for one."""
+MIN_TREND_SIGMA = 3.0
+"""A trend counts as shown when its smallest step exceeds this many standard errors."""
+
+
+def compute_band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
+    """Return the mean of a quantity over a band (nm), NaN if a value there is."""
+    inside = make_band_weights(dataset, low, high).values > 0.0
+    return dataset[quantity].isel(wavelength=inside).mean("wavelength", skipna=False)
+
+
+def compute_steps(
+    dataset: xr.Dataset, quantity: str, dimension: str, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps of a band mean along a grid dimension and their standard errors.
+
+    The grid's points are taken as independent, which overstates the error where they share random
+    numbers.
+    """
+    means = compute_band_mean(dataset, quantity, low, high)
+    mean = means.values
+    error = compute_band_error(dataset, quantity, low, high).transpose(*means.dims).values
+    axis = means.dims.index(dimension)
+    before = np.delete(error, -1, axis=axis)
+    after = np.delete(error, 0, axis=axis)
+    return np.diff(mean, axis=axis), np.hypot(after, before)
+
+
+def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
+    """Return one row per trend: the smallest step in the stated direction, with its error.
+
+    Parameters
+    ----------
+    datasets : mapping
+        By role, see `splits.analysis.roles.SNOW`.
+    """
+    wetness, through = datasets["saturation_transmittance"], "transmittance"
+    ends = wetness.isel(saturation=[0, -1])
+    rows = [
+        make_monotone_row(datasets["grain_size"], "reflectance", "grain_size_um", -1, (700, 1300),
+                 "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
+        make_monotone_row(datasets["depth"], through, "depth_m", -1, (400, 700),
+                 "transmittance falls with depth, 400-700 nm", "Fig 11"),
+        make_monotone_row(datasets["grain_size_transmittance"], through, "grain_size_um", +1, (400, 700),
+                 "transmittance rises with grain size, 400-700 nm", "Fig 12"),
+        make_monotone_row(wetness, through, "saturation", +1, (400, 700),
+                 "transmittance rises with saturation, 400-700 nm", "Fig 13"),
+        make_monotone_row(wetness, through, "saturation", -1, (800, 1450),
+                 "transmittance falls with every step of saturation, mean over 800-1450 nm",
+                 "Fig 13"),
+        make_monotone_row(ends, through, "saturation", -1, (800, 1450),
+                 "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
+        make_monotone_row(wetness, through, "saturation", -1, (940, 1450),
+                 "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
+        make_monotone_row(datasets["density_transmittance"], through, "density_kg_m3", -1, (400, 700),
+                 "transmittance falls with density, 400-700 nm", "Fig 14"),
+    ]  # fmt: skip
+    sizes = datasets["grain_size"]
+    rows += [
+        *_make_facetness_rows(datasets["facetness"]),
+        _make_band_comparison_row(sizes),
+        *(_make_peak_row(sizes, peak, *valleys) for peak, valleys in REFLECTANCE_PEAKS_NM.items()),
+        *_make_depth_rows(datasets["depth"]),
+    ]
+    return rows
+
+
+def make_ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
+    """Return one row per step of the ranking of reflectance's sensitivities (Table 2)."""
+    reflectance = sensitivities.sel(quantity="reflectance")
+    steps_down = [
+        ("grain_size", "facetness"),
+        ("grain_size", "density"),
+        ("saturation", "density"),
+        ("facetness", "density"),
+    ]
+    rows = []
+    for more, less in steps_down:
+        a, b = (reflectance.sel(parameter=p) for p in (more, less))
+        rows.append(
+            make_significance_row(
+                f"MSI of reflectance: {more.replace('_', ' ')} above {less.replace('_', ' ')}",
+                "Table 2",
+                np.atleast_1d(float(a.msi - b.msi)),
+                np.atleast_1d(float(np.hypot(a.msi_stderr, b.msi_stderr))),
+            )
+        )
+    return rows
+
+
+REFLECTANCE_PEAKS_NM = {1800.0: (1500.0, 2000.0), 2250.0: (2000.0, 2500.0)}
+"""Wavelengths (nm) of reflectance features, each between two where ice absorbs more."""
+
+
+def _make_row(
+    quantity: str, place: str, value: float, error: float, within: bool, bar: str
+) -> dict[str, object]:
+    return {
+        "id": "trend",
+        "quantity": quantity,
+        "place": place,
+        "ours": value,
+        "stderr": error,
+        "bar": bar,
+        "verdict": "agrees" if within else "outside",
+    }
+
+
+def make_significance_row(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> dict[str, object]:
+    """Return the row of the least significant of several values that should be positive.
+
+    Columns id, quantity, place, ours, stderr, bar, verdict; shown when the value exceeds
+    `MIN_TREND_SIGMA` standard errors.
+    """
+    value, error = np.ravel(value), np.ravel(error)
+    worst = int(np.argmin(value / error))
+    v, e = float(value[worst]), float(error[worst])
+    row = _make_row(quantity, place, v, e, v > MIN_TREND_SIGMA * e, f"above {MIN_TREND_SIGMA:g} standard errors")
+    if not abs(v) > MIN_TREND_SIGMA * e:
+        row["verdict"] = UNRESOLVED_VERDICT
+    return row
+
+
+def make_monotone_row(
+    dataset: xr.Dataset, quantity: str, dimension: str, sign: int,
+    band_nm: tuple[float, float], statement: str, place: str,
+) -> dict[str, object]:  # fmt: skip
+    """Return the row of a band mean (nm) that rises (+1) or falls (-1) along a grid's dimension."""
+    step, error = compute_steps(dataset, quantity, dimension, *band_nm)
+    return make_significance_row(f"{statement}: smallest step", place, sign * step, error)
+
+
+def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
+    """Return the rise of reflectance over the whole range of facetness, and its smallest step.
+
+    The rise flattens: neighbouring facetnesses may lie within each other's errors, and the second
+    row only asks that none falls beyond them.
+    """
+    step, error = compute_steps(dataset, "reflectance", "facetness", 700, 1300)
+    ends = dataset.isel(facetness=[0, -1])
+    rise, rise_error = compute_steps(ends, "reflectance", "facetness", 700, 1300)
+    worst = int(np.argmin(step / error))
+    return [
+        make_significance_row("reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise,
+                rise_error),
+        _make_row(
+            "reflectance never falls with facetness, 700-1300 nm: smallest step",
+            "Fig 9",
+            float(step[worst]),
+            float(error[worst]),
+            bool(step[worst] > -MIN_TREND_SIGMA * error[worst]),
+            f"above -{MIN_TREND_SIGMA:g} standard errors",
+        ),
+    ]  # fmt: skip
+
+
+def _make_band_comparison_row(dataset: xr.Dataset) -> dict[str, object]:
+    """Compare the fall from least to largest grain size in 700-1300 nm with that in 400-700 nm."""
+    ends = dataset.isel(grain_size_um=[0, -1])
+    near, near_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
+    visible, visible_error = compute_steps(ends, "reflectance", "grain_size_um", 400, 700)
+    return make_significance_row(
+        "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
+        "Fig 8",
+        visible - near,
+        np.hypot(near_error, visible_error),
+    )
+
+
+def _make_peak_row(dataset: xr.Dataset, peak: float, left: float, right: float) -> dict[str, object]:
+    at = dataset.sel(wavelength=[left, peak, right])
+    r, e = at.reflectance.values, at.reflectance_stderr.values
+    height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])
+    return make_significance_row(
+        f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm: smallest height",
+        "Fig 8",
+        height,
+        np.linalg.norm(e, axis=-1),
+    )
+
+
+def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
+    """Return the ratio of transmittance at twice the depth, and how it drops where ice absorbs."""
+    t = compute_band_mean(dataset, "transmittance", 400, 700).values
+    e = compute_band_error(dataset, "transmittance", 400, 700).values
+    rows = []
+    ratio_errors = []
+    for i, depth in enumerate(dataset.depth_m.values[:-1]):
+        ratio = t[i + 1] / t[i]
+        error = ratio * np.hypot(e[i + 1] / t[i + 1], e[i] / t[i])
+        ratio_errors.append(error)
+        rows.append(
+            _make_row(
+                f"transmittance, 400-700 nm, {2e3 * depth:g} mm over {1e3 * depth:g} mm: "
+                "approximately half",
+                "Fig 11",
+                float(ratio),
+                float(error),
+                0.35 <= ratio <= 0.65,
+                "0.35 to 0.65",
+            )
+        )
+    at = dataset.isel(depth_m=[0, 1]).sel(wavelength=1030)
+    (shallow, deep), (e0, e1) = at.transmittance.values, at.transmittance_stderr.values
+    drop = deep / shallow
+    visible = t[1] / t[0]
+    error = np.hypot(e1, drop * e0) / shallow
+    value = np.atleast_1d(float(visible - drop))
+    rows.append(
+        make_significance_row(
+            "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm",
+            "Fig 11",
+            value,
+            np.atleast_1d(np.hypot(error, ratio_errors[0])),
+        )
+    )
+    return rows

@@ -1,0 +1,87 @@
+"""Who made this software, under which licence: from the repository or the installed package."""
+
+from __future__ import annotations
+
+from email.utils import getaddresses
+from importlib.metadata import distribution, distributions
+from pathlib import Path
+from typing import Any
+
+from splits.io.ro_crate import ORCID_URL, Author, SoftwareInfo
+from splits.core.yaml import read_yaml, dump_yaml
+from splits.core.optional import DISTRIBUTION_NAME
+from splits.core.provenance import get_git_commit, get_package_version
+
+LICENCE_FILE = "LICENSE"
+CITATION_FILE = "CITATION.cff"
+
+
+def make_software_info(repository: Path | None = None) -> SoftwareInfo:
+    """Return version, commit, licence and authors of this software.
+
+    Parameters
+    ----------
+    repository : Path, optional
+        Where CITATION.cff may be; if it is not there, the metadata of the installed package say
+        who the authors are.
+    """
+    citation = _read_citation(repository)
+    authors = tuple(map(_parse_author, citation["authors"]))
+    return SoftwareInfo(get_package_version(), get_git_commit(), citation["license"], authors)
+
+
+def read_software_files(repository: Path | None = None) -> dict[str, bytes]:
+    """Return LICENSE and CITATION.cff by name.
+
+    Parameters
+    ----------
+    repository : Path, optional
+        Where they may be.  If they are not there, the installed package has the text of the
+        licence, and CITATION.cff is written from its metadata.
+    """
+    found = {
+        name: (repository / name).read_bytes()
+        for name in (LICENCE_FILE, CITATION_FILE)
+        if repository and (repository / name).is_file()
+    }
+    if LICENCE_FILE not in found:
+        found[LICENCE_FILE] = _read_licence().encode()
+    if CITATION_FILE not in found:
+        found[CITATION_FILE] = dump_yaml(_read_citation(None)).encode()
+    return found
+
+
+def _read_citation(repository: Path | None) -> dict[str, Any]:
+    """Return what CITATION.cff says, or would say if it were there."""
+    if repository and (repository / CITATION_FILE).is_file():
+        return read_yaml(repository / CITATION_FILE)
+    fields = distribution(DISTRIBUTION_NAME).metadata
+    names = fields.get_all("Author") or []
+    names += [name for name, _ in getaddresses(fields.get_all("Author-email") or []) if name]
+    return {
+        "cff-version": "1.2.0",
+        "title": f"splits: {fields['Summary']}",
+        "message": "If you use this software, please cite it and the papers of the models you use.",
+        "type": "software",
+        "authors": [{"name": name} for name in names],
+        "version": fields["Version"],
+        "license": fields["License-Expression"],
+    }
+
+
+def _read_licence() -> str:
+    """Return the text of the licence, from whichever record of the installed package has it.
+
+    A source tree on the path has a record, too, which does not.
+    """
+    records = distributions(name=DISTRIBUTION_NAME)
+    return next(filter(None, (one.read_text(f"licenses/{LICENCE_FILE}") for one in records)), "")
+
+
+def _parse_author(entry: dict[str, str]) -> Author:
+    """Return an author of CITATION.cff: a group has a name, a person has two."""
+    orcid, affiliation = entry.get("orcid", "").removeprefix(ORCID_URL), entry.get("affiliation", "")
+    if "name" in entry:
+        return Author(entry["name"], "", affiliation, is_person=False)
+    name = f"{entry.get('given-names', '')} {entry.get('family-names', '')}".strip()
+    return Author(name, orcid, affiliation)

@@ -1,0 +1,310 @@
+"""Archives that anyone may have made: verified, and unpacked whole or not at all.
+
+An archive is a zip file with an RO-Crate (`splits.archive`).  Nothing in it is believed before it
+is checked: names, kinds and sizes of its members, then the list of files in its metadata, then
+every byte.  What is checked is that the files are those listed, not who listed them: compare the
+archive's own SHA-256, which `ArchiveReport` holds, with one that you trust.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import stat
+import struct
+import unicodedata
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from splits.core.validation import format_key, invalid, short_repr
+from splits.io.ro_crate import (
+    METADATA_FILE,
+    ArchiveError,
+    parse_entities,
+    list_files,
+    find_root_dataset,
+    get_text,
+)
+from splits.core.atomic import atomic_folder
+from splits.core.paths import expand_path
+
+ROOT_MEMBERS = (
+    METADATA_FILE, "README.md", "LICENSE", "CITATION.cff", "requirements.txt", "versions.json",
+    "SHA256SUMS",
+)  # fmt: skip
+"""Members that stand in no folder."""
+FOLDER_SUFFIXES = {
+    "config": (".csv", ".dat", ".md", ".tsv", ".txt", ".yaml", ".yml"),
+    "data": (".nc",),
+    "figures": (".pdf", ".png", ".svg"),
+    "tables": (".csv",),
+}
+"""What names of all others end in, by the folder that they stand in.
+
+A file of another name could steer what runs beside it, or be run itself when it is opened.
+"""
+MAX_MEMBERS = 20_000
+MAX_UNPACKED_BYTES = 2**35
+"""Size of everything unpacked."""
+MAX_METADATA_BYTES = 2**26
+"""Size of the metadata."""
+MAX_COMPRESSION_RATIO = 300
+"""A member of more than `MIN_RATIO_CHECK_BYTES` bytes unpacks to so many times its packed size at most."""
+MIN_RATIO_CHECK_BYTES = 2**20
+MAX_NAME_LENGTH = 1000
+MAX_NAME_PART_BYTES = 255
+"""Bytes of a file's or folder's name."""
+
+_CHUNK_BYTES = 2**20
+_LOCAL_HEADER_BYTES = 30
+"""Bytes in front of a member's content, besides its name."""
+_DEVICE_NAME_PATTERN = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class ArchiveReport:
+    """What an archive holds, all of it verified.
+
+    Attributes
+    ----------
+    archive : Path
+    sha256 : str
+        Of the archive itself, to be compared with one that you trust.
+    files : int
+        How many files it holds, metadata included.
+    size : int
+        Their bytes.
+    name, date, license : str
+        What the archive says of itself.
+    """
+
+    archive: Path
+    sha256: str
+    n_files: int
+    n_bytes: int
+    name: str
+    date: str
+    license: str
+
+    def __str__(self) -> str:
+        """Return the report in three lines."""
+        about = ", ".join(map(format_key, (self.name, self.date, self.license)))
+        counts = f"{self.n_files} files, {self.n_bytes} bytes, every one as listed"
+        return f"{self.archive}: {counts}\n{about}\nSHA-256 of the archive: {self.sha256}"
+
+
+def verify_archive(archive: str | Path) -> ArchiveReport:
+    """Check an archive from end to end without unpacking it.
+
+    Parameters
+    ----------
+    archive : path
+
+    Raises
+    ------
+    ArchiveError
+        A ValueError: if it is no sound zip file, no RO-Crate, holds other files than its metadata
+        list or other bytes, or members that could do harm when they are unpacked.
+    OSError
+        If the file cannot be read.
+    """
+    return _read_archive(expand_path(archive, "archive"), None)
+
+
+def unpack_archive(archive: str | Path, folder: str | Path) -> ArchiveReport:
+    """Verify an archive and unpack it into a new folder, which appears whole or not at all.
+
+    Parameters
+    ----------
+    archive : path
+    folder : path
+        Must not exist, or be empty; the folder that it stands in must exist.
+
+    Raises
+    ------
+    ArchiveError
+        As `verify_archive` does.
+    ValueError
+        If the folder cannot be taken.
+    OSError
+        If files cannot be read or written.
+    """
+    folder = expand_path(folder, "folder").resolve()
+    if not folder.parent.is_dir():
+        raise invalid("folder", str(folder), "in a folder that exists")
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise invalid("folder", str(folder), "a new or an empty folder")
+    with atomic_folder(folder) as aside:
+        return _read_archive(expand_path(archive, "archive"), aside)
+
+
+def find_name_problem(name: str) -> str:
+    """Return why no member of an archive may have that name, or nothing."""
+    parts = name.split("/")
+    if name.startswith("/") or re.match(r"[A-Za-z]:", name):
+        return "an absolute path"
+    if ".." in parts:
+        return "a path with .."
+    if "\\" in name:
+        return "a path with a backslash"
+    if name.endswith("/"):
+        return "a folder"
+    if not all(c.isprintable() and c not in ':*?"<>|' for c in name):
+        return "a name with characters that not all systems have"
+    if any(p in ("", ".") or p[-1] in ". " or _DEVICE_NAME_PATTERN.fullmatch(p) for p in parts):
+        return "a name that not all systems have"
+    if len(name) > MAX_NAME_LENGTH or max(len(p.encode()) for p in parts) > MAX_NAME_PART_BYTES:
+        return "too long a name"
+    if parts[0] not in FOLDER_SUFFIXES if len(parts) > 1 else name not in ROOT_MEMBERS:
+        return "no file that archives have"
+    if any(part.startswith(".") for part in parts):
+        return "a hidden name"
+    if len(parts) > 1 and not name.lower().endswith(FOLDER_SUFFIXES[parts[0]]):
+        return f"no kind of file that archives have in {parts[0]}/"
+    return ""
+
+
+def find_name_collision(names: Iterable[str]) -> str:
+    """Return the first name that would be the same file or folder as another, or nothing.
+
+    Some systems take names for the same that differ in case, or in how accents are written.
+    """
+    seen: dict[str, tuple[str, bool]] = {}
+    for name in names:
+        parts = name.split("/")
+        for depth in range(1, len(parts) + 1):
+            path, is_file = "/".join(parts[:depth]), depth == len(parts)
+            folded = unicodedata.normalize("NFKC", path).casefold()
+            # A folder may come again, spelt the same way; a file may not.
+            if folded in seen and (is_file or seen[folded] != (path, is_file)):
+                return name
+            seen[folded] = (path, is_file)
+    return ""
+
+
+def _read_archive(archive: Path, target: Path | None) -> ArchiveReport:
+    """Verify an archive, and write its files below a folder meanwhile if there is one."""
+    if archive.exists() and not archive.is_file():
+        raise invalid("archive", str(archive), "a zip file")
+    with open(archive, "rb") as raw, _convert_errors(archive):
+        digest = hashlib.file_digest(raw, "sha256").hexdigest()
+        with zipfile.ZipFile(raw) as file:
+            members = _list_members(file)
+            entities = parse_entities(_read_metadata(file, members))
+            root = find_root_dataset(entities)
+            listed = list_files(entities, root)
+            _check_listing(set(members) - {METADATA_FILE}, set(listed))
+            for name, info in members.items():
+                size, found = _copy_member(file, info, target)
+                if name in listed and listed[name] != (size, found):
+                    raise ArchiveError(f"{name} is not the file that {METADATA_FILE} lists")
+    size = sum(info.file_size for info in members.values())
+    words = (get_text(root, key) for key in ("name", "datePublished", "license"))
+    return ArchiveReport(archive, digest, len(members), size, *words)
+
+
+@contextmanager
+def _convert_errors(archive: Path) -> Iterator[None]:
+    """Turn whatever a bad archive makes the libraries underneath raise into one line."""
+    try:
+        yield
+    except ArchiveError as error:
+        raise ArchiveError(f"{archive}: refused, {error}") from None
+    except (
+        zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError,
+        LookupError, OverflowError,
+    ) as error:  # fmt: skip
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise ArchiveError(f"{archive}: refused, no sound zip file ({format_key(what)})") from None
+
+
+def _list_members(file: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the members by name, none of which can do harm."""
+    infos = file.infolist()
+    if len(infos) > MAX_MEMBERS:
+        raise ArchiveError(f"more than {MAX_MEMBERS} members")
+    for info in infos:
+        # A name with a zero byte is cut there, and systems differ in what separates folders.
+        name = info.orig_filename
+        wrong = find_name_problem(name) or (name != info.filename and "a name of two sorts")
+        wrong = wrong or _find_kind_problem(info)
+        if wrong:
+            raise ArchiveError(f"{short_repr(name)} is {wrong}")
+    twice = find_name_collision(info.filename for info in infos)
+    if twice:
+        raise ArchiveError(f"{short_repr(twice)} is there twice, or its name differs in case only")
+    _check_sizes(file, infos)
+    if METADATA_FILE not in file.NameToInfo:
+        raise ArchiveError(f"no RO-Crate, {METADATA_FILE} is missing")
+    return {info.filename: info for info in infos}
+
+
+def _find_kind_problem(info: zipfile.ZipInfo) -> str:
+    """Return what a member is if it is no plain file, or nothing."""
+    mode = info.external_attr >> 16
+    if stat.S_ISLNK(mode):
+        return "a symbolic link"
+    if stat.S_IFMT(mode) not in (0, stat.S_IFREG) or info.external_attr & 0x10:
+        return "no plain file"
+    if mode & (stat.S_ISUID | stat.S_ISGID | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH):
+        return "an executable file"
+    if info.flag_bits & 0x1:
+        return "encrypted"
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        return "compressed in an unusual way"
+    return ""
+
+
+def _check_sizes(file: zipfile.ZipFile, infos: list[zipfile.ZipInfo]) -> None:
+    """Refuse an archive that unpacks to far more than it is, or whose members share bytes."""
+    if sum(info.file_size for info in infos) > MAX_UNPACKED_BYTES:
+        raise ArchiveError(f"it would unpack to more than {MAX_UNPACKED_BYTES // 2**30} GiB")
+    free = 0
+    if infos and min(info.header_offset for info in infos) != 0:
+        raise ArchiveError("no sound zip file (its first member is not at its beginning)")
+    for info in sorted(infos, key=lambda info: info.header_offset):
+        if info.file_size > max(MIN_RATIO_CHECK_BYTES, MAX_COMPRESSION_RATIO * info.compress_size):
+            raise ArchiveError(f"{info.filename} would unpack to too many times its size")
+        if info.header_offset < free:
+            raise ArchiveError(f"{info.filename} shares bytes with another member")
+        name = len(info.orig_filename)
+        free = info.header_offset + _LOCAL_HEADER_BYTES + name + info.compress_size
+    if free > (file.start_dir or 0):
+        raise ArchiveError("no sound zip file (a member is longer than the file)")
+
+
+def _read_metadata(file: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo]) -> bytes:
+    """Return the metadata."""
+    if members[METADATA_FILE].file_size > MAX_METADATA_BYTES:
+        raise ArchiveError(f"{METADATA_FILE} has more than {MAX_METADATA_BYTES // 2**20} MiB")
+    return file.read(METADATA_FILE)
+
+
+def _copy_member(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None) -> tuple[int, str]:
+    """Read a member to its end and return its size and SHA-256; write it if there is a folder."""
+    digest, size = hashlib.sha256(), 0
+    path = os.devnull if target is None else target / info.filename
+    if target is not None:
+        (target / info.filename).parent.mkdir(parents=True, exist_ok=True)
+    with file.open(info) as source, open(path, "wb" if target is None else "xb") as copy:
+        while chunk := source.read(_CHUNK_BYTES):
+            size += len(chunk)
+            if size > info.file_size:
+                break
+            digest.update(chunk)
+            copy.write(chunk)
+    if size != info.file_size:
+        raise ArchiveError(f"{info.filename} has another size than it says")
+    return size, digest.hexdigest()
+
+
+def _check_listing(present: set[str], listed: set[str]) -> None:
+    """Refuse files that are not listed, and those that are but are not there."""
+    for names, what in ((listed - present, "listed, but missing"), (present - listed, "not listed")):
+        if names:
+            raise ArchiveError(f"{short_repr(min(names))} is {what} ({len(names)} such)")

@@ -1,0 +1,120 @@
+"""Vectors, angles and the frames directions are drawn in; every function serves both precisions.
+
+A kernel hands its ray from function to function in named tuples, which the compiler dissolves: a
+`Vector` costs what three numbers cost.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from splits.kernels.compiler.jit import ONE, TWO, ZERO, inline
+from splits.kernels.math.arithmetic import fma, rsqrt, sqrt
+from splits.kernels.math.elementary import Angle, sample_circle
+
+
+class Vector(NamedTuple):
+    """A point (m) or a direction (unit length)."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Tangents(NamedTuple):
+    """Two unit vectors that complete a third to a right-handed frame."""
+
+    u: Vector
+    v: Vector
+
+
+UP = Vector(0.0, 0.0, 1.0)
+ORIGIN = Vector(0.0, 0.0, 0.0)
+
+
+@inline
+def dot(a, b):
+    """Return the scalar product of two vectors."""
+    return fma(a.x, b.x, fma(a.y, b.y, a.z * b.z))
+
+
+@inline
+def cross(a, b):
+    """Return the vector product of two vectors."""
+    return Vector(
+        fma(a.y, b.z, -a.z * b.y), fma(a.z, b.x, -a.x * b.z), fma(a.x, b.y, -a.y * b.x)
+    )
+
+
+@inline
+def scale(s, a):
+    """Return s a."""
+    return Vector(s * a.x, s * a.y, s * a.z)
+
+
+@inline
+def add_scaled(s, a, b):
+    """Return b + s a: where one comes from b, going s along a."""
+    return Vector(fma(s, a.x, b.x), fma(s, a.y, b.y), fma(s, a.z, b.z))
+
+
+@inline
+def linear_combination(g, a, h, b):
+    """Return g a + h b."""
+    return Vector(fma(g, a.x, h * b.x), fma(g, a.y, h * b.y), fma(g, a.z, h * b.z))
+
+
+@inline
+def select(condition, a, b):
+    """Return a where `which` holds, otherwise b; of both, as vector code wants it."""
+    return Vector(a.x if condition else b.x, a.y if condition else b.y, a.z if condition else b.z)
+
+
+@inline
+def normalize(a):
+    """Return a scaled to unit length."""
+    return scale(rsqrt(dot(a, a)), a)
+
+
+@inline
+def reflect(d, n):
+    """Return the direction d mirrored in the plane with unit normal n."""
+    k = TWO * dot(d, n)
+    return Vector(d.x - k * n.x, d.y - k * n.y, d.z - k * n.z)
+
+
+@inline
+def make_tangents(n):
+    """Return two unit vectors that complete the unit vector n to a right-handed frame.
+
+    Branch-free construction of Duff et al. (2017), J. Comput. Graph. Tech. 6(1), listing 3.
+    """
+    sign = ONE if n.z >= ZERO else -ONE
+    a = -ONE / (sign + n.z)
+    b = n.x * n.y * a
+    return Tangents(
+        Vector(ONE + sign * n.x * n.x * a, sign * b, -sign * n.x),
+        Vector(b, sign + n.y * n.y * a, -n.y),
+    )
+
+
+@inline
+def rotate_around(n, polar, azimuth):
+    """Return the unit vector at the given polar and azimuth angles around the unit vector n."""
+    t = make_tangents(n)
+    p = polar.sin * azimuth.cos
+    q = polar.sin * azimuth.sin
+    return normalize(add_scaled(q, t.v, add_scaled(p, t.u, scale(polar.cos, n))))
+
+
+@inline
+def sample_cosine_lobe(n, u, u_azimuth):
+    """Return a direction around the unit vector n with density cosθ/π (Lambert).
+
+    Parameters
+    ----------
+    n : Vector
+    u, turn : float
+        Two uniform random numbers.
+    """
+    return rotate_around(n, Angle(sqrt(u), sqrt(ONE - u)), sample_circle(u_azimuth))

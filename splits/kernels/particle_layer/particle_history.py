@@ -1,0 +1,194 @@
+"""A scattering layer under a smooth or a randomly rough Fresnel surface, over a diffuse bottom.
+
+Budak & Grimailo 2020, section 3.2: free paths, scattering by small particles, reflection and
+refraction at the surface, reflection by the bottom.  Single-scattering albedo is a weight along
+the path, or a coin toss.  What a scene does not have, a rough surface, polarization or detectors,
+is None and compiled away.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from splits.kernels.compiler.jit import entry_point, inline_allocating, inline_only
+from splits.kernels.math.rng import start_stream, uniform
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.source import sample_source_direction
+from splits.kernels.optics.stokes import rotate_reference_to, make_unpolarized
+from splits.kernels.particle_layer.collisions import (
+    ROULETTE_THRESHOLD,
+    scatter_at_facet,
+    scatter_at_bottom,
+    scatter_at_surface,
+    russian_roulette,
+    scatter_at_particle,
+    absorb_at_particle,
+)
+from splits.kernels.particle_layer.state import (
+    RayHistory,
+    LayerRay,
+    set_status,
+    to_surface_hit,
+    advance_ray,
+    is_near_surface,
+    intersect_smooth_surface,
+    sample_event_distances,
+)
+from splits.kernels.particle_layer.next_event import score_scattering
+from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection, make_no_hit
+from splits.kernels.rough_surface.intersection import STEP_LIMIT_REACHED as ASTRAY
+from splits.kernels.rough_surface.realization import (
+    compute_entry_position,
+    sample_realization_if_rough,
+)
+from splits.kernels.tallies.exits import (
+    ABSORBED,
+    EXIT_LENGTH,
+    LOST,
+    REFLECTED,
+    ALIVE,
+    BatchStats,
+    record_exit,
+)
+
+WORK_COLUMNS = ENSEMBLE, FIRST_RAY, N_RAYS, MAX_ORDER = tuple(range(4))
+"""Entries of a piece of work, see `splits.transport.grains.granular.batch`."""
+TOTAL, UNSCATTERED = range(2)
+"""All light, and light that met nothing but smooth faces."""
+
+
+@inline_allocating
+def trace_history(state, scene, surface_buffer, detectors, max_order):
+    """Follow one ray from the light source until it leaves the layer or is absorbed.
+
+    Parameters
+    ----------
+    state : uint64[1]
+        The ray's random stream.
+    scene : Scene
+    room : Surface or None
+        Where realisations of the rough surface live, see `waves.room_for`; None if it is smooth.
+    detectors : Detectors or None
+        What hears of every scattering, see `splits.transport.particles.local`.
+    most : int
+        Scatterings, meetings with the bottom or with a rough surface, after which the ray counts
+        as absorbed.
+
+    Returns
+    -------
+    Ray
+    """
+    layer, phase = scene.layer, scene.phase
+    d = sample_source_direction(scene.source, uniform(state) if scene.source.diffuse_fraction > 0.0 else 1.0)
+    surface = sample_realization_if_rough(state, scene.fields, surface_buffer)
+    stokes = make_unpolarized(d, scene.stokes)
+    ray = LayerRay(compute_entry_position(d, surface), d, stokes, False, RayHistory(1.0, 0.0, 0, 0), ALIVE)
+    while ray.status == ALIVE:
+        ways = sample_event_distances(ray, layer, uniform(state) if ray.inside else 1.0)
+        if surface_buffer is None:
+            ahead = intersect_smooth_surface(ray)
+        else:
+            hit = make_no_hit(NO_HIT, 0)
+            if is_near_surface(ray, surface.max_height, ways.nearest):
+                side = -1.0 if ray.inside else 1.0
+                hit = find_first_intersection(surface, ray.position, ray.direction, side, ways.nearest)
+            if hit.distance == ASTRAY:
+                return set_status(ray, LOST)
+            ahead = to_surface_hit(hit)
+        if ahead.distance == math.inf and not ray.inside:
+            ray = set_status(advance_ray(ray, 0.0), REFLECTED if ray.direction.z > 0.0 else LOST)
+            continue
+        ray = advance_ray(ray, min(ways.nearest, ahead.distance))
+        if ahead.distance <= ways.nearest:
+            if surface_buffer is None:
+                ray = scatter_at_surface(state, ray, layer)
+            else:
+                ray = scatter_at_facet(state, ray, ahead.normal, layer, max_order)
+        elif ways.bottom <= ways.collision:
+            ray = scatter_at_bottom(state, ray, layer, phase, detectors, max_order)
+        else:
+            ray = absorb_at_particle(ray, layer, uniform(state) if layer.analog else 1.0, max_order)
+            if detectors is not None and ray.status == ALIVE:
+                score_scattering(state, detectors, layer, phase, ray)
+            if ray.history.weight < ROULETTE_THRESHOLD:
+                ray = russian_roulette(ray, uniform(state))
+            if ray.status == ALIVE:
+                ray = scatter_at_particle(state, ray, phase)
+    return ray
+
+
+@inline_only
+def _record_stokes(row, first_column, d, stokes):
+    """Write Q, U, V over I into three columns of a row, Q along the plane of the normal."""
+    if stokes is None:
+        return
+    # Straight up or down, every plane holds the normal.
+    upright = d.x == 0.0 and d.y == 0.0
+    seen = rotate_reference_to(stokes, d, Vector(1.0 if upright else d.x, d.y, 0.0))
+    row[first_column], row[first_column + 1], row[first_column + 2] = seen.q, seen.u, stokes.v
+
+
+@entry_point
+def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
+    """Trace rays and record how they leave.
+
+    Parameters
+    ----------
+    seed, work
+        See `splits.transport.grains.granular.batch`.
+    scene, room
+        See `trace_history`.
+    first_stokes : int
+        First of three columns of exits for polarized rays: Q, U, V over I.
+    exits : float64[rays, columns]
+        A row for each ray, see `splits.transport.sums.tally`.
+
+    Returns
+    -------
+    Traced
+    """
+    legs = 0
+    state = np.zeros(1, dtype=np.uint64)
+    for number in range(work[N_RAYS]):
+        start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
+        ray = trace_history(state, scene, surface_buffer, None, work[MAX_ORDER])
+        legs += ray.history.n_segments
+        if ray.status == LOST:
+            return BatchStats(legs, True)
+        if ray.status == ABSORBED:
+            continue
+        row = exits[number]
+        record_exit(row, ray.status == REFLECTED, ray.position, ray.direction, ray.history.weight, ray.history.order)
+        row[EXIT_LENGTH] = ray.history.path_length
+        _record_stokes(row, stokes_column, ray.direction, ray.stokes)
+    return BatchStats(legs, False)
+
+
+@entry_point
+def trace_to_detectors(seed, work, scene, detectors, totals):
+    """Trace rays under a smooth surface for detectors to hear, and return the legs traced.
+
+    Parameters
+    ----------
+    seed, work, scene
+        See `trace_batch`.
+    detectors : Detectors
+        Advanced in place.
+    totals : float64[2, 2]
+        [reflected, transmitted][all light, light that met nothing but smooth faces], advanced in
+        place.
+    """
+    legs = 0
+    state = np.zeros(1, dtype=np.uint64)
+    for number in range(work[N_RAYS]):
+        start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
+        ray = trace_history(state, scene, None, detectors, work[MAX_ORDER])
+        legs += ray.history.n_segments
+        if ray.status != ABSORBED:
+            total = totals[0 if ray.status == REFLECTED else 1]
+            total[TOTAL] += ray.history.weight
+            if ray.history.order == 0:
+                total[UNSCATTERED] += ray.history.weight
+    return legs

@@ -1,0 +1,83 @@
+"""What a ray meets in a layer: faces and particles, with and without polarization."""
+
+from __future__ import annotations
+
+import math
+
+from splits.kernels.compiler.jit import inline_only
+from splits.kernels.math.elementary import Angle
+from splits.kernels.math.rng import uniform, sample_azimuth
+from splits.kernels.math.vectors import rotate_around, dot, reflect
+from splits.kernels.optics.interface import MIN_COS_INCIDENCE, ComplexIndex, sample_interface
+from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.optics.phase_function import sample_phase_function
+from splits.kernels.optics.polarized_interface import (
+    PolarizedInterfaceSample,
+    ReflectedLight,
+    sample_polarized_interface,
+    reflect_polarized,
+)
+from splits.kernels.optics.stokes import DirectionSample, scatter_polarized, make_unpolarized
+
+
+@inline_only
+def reflect_or_refract_ray(state, d, stokes, normal, n1, n2):
+    """Reflect or refract a ray at a facet.
+
+    Parameters
+    ----------
+    state : uint64[1]
+    d : Vector
+        Direction of travel.
+    stokes : Stokes or None
+        Its polarization.
+    normal : Vector
+        Of the facet, against the ray.
+    n1, n2 : float
+        Refractive index on the side of incidence and beyond.
+
+    Returns
+    -------
+    Meeting
+    """
+    if stokes is None:
+        crossing = sample_interface(d, normal, ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0), uniform(state))
+        return PolarizedInterfaceSample(crossing.transmitted, crossing.direction, stokes)
+    return sample_polarized_interface(state, d, stokes, normal, n1, n2)
+
+
+@inline_only
+def reflect_only(d, stokes, normal, n2):
+    """Reflect a ray from outside at a facet, for which other light than the reflected is lost.
+
+    Parameters are those of `reflect_or_refract_ray`.
+
+    Returns
+    -------
+    Reflected
+    """
+    if stokes is None:
+        cos_i = min(max(-dot(d, normal), MIN_COS_INCIDENCE), 1.0)
+        share = fresnel(1.0, n2, 0.0, cos_i).reflectance
+        return ReflectedLight(share, reflect(d, normal), stokes)
+    return reflect_polarized(d, stokes, normal, 1.0, n2)
+
+
+@inline_only
+def sample_scattering(state, phase, d, stokes):
+    """Return what a particle makes of a ray, a `DirectionSample`; see `reflect_or_refract_ray`."""
+    if stokes is None:
+        return DirectionSample(sample_phase_function(state, phase, d), stokes)
+    return scatter_polarized(state, phase, d, stokes)
+
+
+@inline_only
+def sample_lambertian_reflection(state, normal, stokes):
+    """Return what a Lambertian face makes of a ray, a `DirectionSample`: no light is polarized then.
+
+    Lambert's law as in `vectors.lobe`, with the azimuth drawn by rejection.
+    """
+    u = uniform(state)
+    c, s = sample_azimuth(state)
+    d = rotate_around(normal, Angle(math.sqrt(u), math.sqrt(1.0 - u)), Angle(c, s))
+    return DirectionSample(d, make_unpolarized(d, stokes))

@@ -1,0 +1,68 @@
+"""Parallel light through a given realisation of a rough surface onto a screen below it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.kernels.compiler.jit import entry_point
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.fresnel import fresnel, refract
+from splits.kernels.rough_surface.intersection import (
+    NO_HIT,
+    find_first_intersection,
+    compute_normal_from_slope,
+)
+from splits.kernels.rough_surface.realization import compute_height_and_slope, make_realization
+
+_X, _Y, _Z = range(3)
+
+
+class RefractedRays(NamedTuple):
+    """Where rays came down, and where they go from there.
+
+    Attributes
+    ----------
+    point, direction : float64[rays, 3]
+        Of the surface (m), and below it.
+    again : float64[rays]
+        How far along it the ray meets the surface again (m), or infinity.
+    """
+
+    position: np.ndarray
+    direction: np.ndarray
+    next_hit_distance: np.ndarray
+
+
+@entry_point
+def refract_vertical_rays(waves, refractive_index, x, y):
+    """Refract vertical rays at a surface.
+
+    Parameters
+    ----------
+    waves : float64[4, columns]
+        See `splits.transport.rough.waves`.
+    index : float
+        Refractive index below the surface, with 1 above.
+    x, y : float64[rays]
+        Where the rays come down (m).
+
+    Returns
+    -------
+    Landed
+    """
+    surface = make_realization(waves)
+    landed = RefractedRays(np.empty((x.size, 3)), np.empty((x.size, 3)), np.empty(x.size))
+    for ray in range(x.size):
+        relief = compute_height_and_slope(waves, x[ray], y[ray])
+        normal = compute_normal_from_slope(relief.slope)
+        passage = fresnel(1.0, refractive_index, 0.0, normal.z)
+        d = refract(Vector(0.0, 0.0, -1.0), normal, normal.z, passage)
+        place = Vector(x[ray], y[ray], relief.height)
+        hit = find_first_intersection(surface, place, d, -1.0)
+        for row, vector in ((landed.position[ray], place), (landed.direction[ray], d)):
+            row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
+        landed.next_hit_distance[ray] = math.inf if hit.distance == NO_HIT else hit.distance
+    return landed

@@ -1,0 +1,213 @@
+"""From rays that left to where they went: expansions over the hemisphere, and cells of it.
+
+A BRDF is the density of exits over projected solid angle, dω cos θ = μ dμ dφ.  The expansion uses
+polynomials orthonormal over exactly that,
+
+    B(μ, φ) = s · Re[(u + iv)^m] · P_l^(m,1)(2μ − 1),   u + iv = √(1 − μ) exp(iφ),
+
+disk polynomials (Koornwinder 1975) in the coordinates u, v of Lambert's equal-area map, of degree
+n = m + 2l.  They are smooth at the zenith and polynomials in μ at the horizon, and the first is
+constant, so that it alone holds the hemispherical reflectance.  Sines are left out: nothing
+distinguishes the two sides of the plane of incidence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.kernels.compiler.jit import entry_point, inline
+from splits.kernels.tallies.exits import (
+    EXIT_DIRECTION,
+    EXIT_LENGTH,
+    EXIT_ORDER,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+)
+
+WEIGHT, WEIGHT_SQUARED = range(2)
+"""Rows of sums over rays: of their weights, and of the squares."""
+_X, _Y, _Z = range(3)
+
+
+class DiskBasis(NamedTuple):
+    """Polynomials up to a degree, by increasing m and, for each m, increasing l.
+
+    Attributes
+    ----------
+    per_m : int64[…]
+        Polynomials for each m from 0 on.
+    degree : int64[polynomials]
+        n = m + 2l.
+    scale : float64[polynomials]
+        What makes them orthonormal.
+    slope, offset, older : float64[polynomials]
+        P_l = (slope·t + offset)·P_(l−1) − older·P_(l−2).
+    """
+
+    n_per_m: np.ndarray
+    degrees: np.ndarray
+    norms: np.ndarray
+    recurrence_slope: np.ndarray
+    recurrence_offset: np.ndarray
+    recurrence_previous: np.ndarray
+
+
+class AngularSums(NamedTuple):
+    """Sums over rays: by direction of those that met a grain, and of those that met none."""
+
+    scattered: np.ndarray
+    unscattered: np.ndarray
+
+
+def make_basis(degree: int) -> DiskBasis:
+    """Return the polynomials up to a degree (DLMF 18.9.2 with α = m and β = 1)."""
+    rows = [(m, i) for m in range(degree + 1) for i in range((degree - m) // 2 + 1)]
+    m, i = np.array(rows, dtype=float).T
+    # ∫ (1 − μ)^m μ P² dμ is (l + 1) / ((2l + m + 2)(l + m + 1)); cosines give π, or 2π for m = 0.
+    turn = np.where(m == 0.0, 2.0 * np.pi, np.pi)
+    scale = np.sqrt((2.0 * i + m + 2.0) * (i + m + 1.0) / ((i + 1.0) * turn))
+    below = 2.0 * i * (i + m + 1.0) * (2.0 * i + m - 1.0)
+    # The first two need no recurrence, and would divide by 0.
+    below = np.where(i < 2, 1.0, below)
+    slope = (2.0 * i + m) * (2.0 * i + m + 1.0) * (2.0 * i + m - 1.0) / below
+    offset = (2.0 * i + m) * (m * m - 1.0) / below
+    older = 2.0 * (i + m - 1.0) * i * (2.0 * i + m + 1.0) / below
+    slope, offset = (
+        np.where(i == 1, 0.5 * (m + 3.0), slope),
+        np.where(i == 1, 0.5 * (m - 1), offset),
+    )
+    older = np.where(i == 1, 0.0, older)
+    per_m = np.array([(degree - k) // 2 + 1 for k in range(degree + 1)])
+    return DiskBasis(per_m, (m + 2 * i).astype(np.int64), scale, slope, offset, older)
+
+
+@inline
+def evaluate_basis(basis, dx, dy, mu, values):
+    """Set `values` (float64[polynomials]) to the polynomials in the direction (dx, dy, ±μ)."""
+    t = 2.0 * mu - 1.0
+    shrink = 1.0 / math.sqrt(1.0 + mu)
+    u, v = dx * shrink, dy * shrink
+    real, imaginary = 1.0, 0.0
+    row = 0
+    for m in range(basis.n_per_m.size):
+        last, before = 1.0, 0.0
+        for i in range(basis.n_per_m[m]):
+            if i > 0:
+                new = (basis.recurrence_slope[row] * t + basis.recurrence_offset[row]) * last - basis.recurrence_previous[row] * before
+                last, before = new, last
+            values[row] = basis.norms[row] * real * last
+            row += 1
+        real, imaginary = u * real - v * imaginary, u * imaginary + v * real
+
+
+@entry_point
+def evaluate_basis_at(basis, directions):
+    """Return the polynomials at directions (float64[directions, 3]), float64[directions, …]."""
+    values = np.empty((directions.shape[0], basis.norms.size))
+    for i in range(directions.shape[0]):
+        d = directions[i]
+        evaluate_basis(basis, d[_X], d[_Y], abs(d[_Z]), values[i])
+    return values
+
+
+@inline
+def compute_path_weight(exit_row, absorption, wavelength):
+    """Return a ray's weight at a wavelength (SPLITSnow Eqs 5-6)."""
+    depth = 0.0
+    for material in range(absorption.shape[1]):
+        depth += absorption[wavelength, material] * exit_row[EXIT_LENGTH + material]
+    return exit_row[EXIT_WEIGHT] * math.exp(-depth)
+
+
+@entry_point
+def tally_expansion(exits, absorption, max_orders, basis):
+    """Add up the polynomials of rays times their weights, by order of scattering.
+
+    Parameters
+    ----------
+    exits : float64[rays, columns]
+        See `splits.transport.sums.tally`.
+    absorption : float64[wavelengths, materials]
+        Absorption coefficients (1/m).
+    edges : int64[classes]
+        Largest order of scattering of each class.
+    basis : Basis
+
+    Returns
+    -------
+    Parted
+        `sums` is float64[classes, 2, wavelengths, polynomials], where side 0 is reflected and 1
+        transmitted; `straight`, the weights of rays that met none, float64[2, wavelengths].
+    """
+    wavelengths = absorption.shape[0]
+    sums = np.zeros((max_orders.size, 2, wavelengths, basis.norms.size))
+    straight = np.zeros((2, wavelengths))
+    values = np.empty(basis.norms.size)
+    for j in range(exits.shape[0]):
+        row = exits[j]
+        side = int(row[EXIT_SIDE])
+        if side < 0:
+            continue
+        if row[EXIT_ORDER] == 0.0:
+            for i in range(wavelengths):
+                straight[side, i] += compute_path_weight(row, absorption, i)
+            continue
+        group = 0
+        while row[EXIT_ORDER] > max_orders[group]:
+            group += 1
+        dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
+        evaluate_basis(basis, dx, dy, abs(row[EXIT_DIRECTION + 2]), values)
+        for i in range(wavelengths):
+            weight = compute_path_weight(row, absorption, i)
+            total = sums[group, side, i]
+            for b in range(values.size):
+                total[b] += weight * values[b]
+    return AngularSums(sums, straight)
+
+
+@entry_point
+def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
+    """Add up the weights of rays by cells of equal solid angle, and their squares.
+
+    Parameters
+    ----------
+    exits, absorption
+        See `tally_expansion`.
+    polar, azimuth : int
+        Cells from horizon to zenith, equally spaced in the cosine, and around; the first of these
+        is centred on the direction in which the beam travels.
+    part : int
+        Column that multiplies the weights, as of a Stokes parameter, or −1.
+
+    Returns
+    -------
+    Parted
+        `sums` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`, `WEIGHT_SQUARED`][reflected,
+        transmitted]; `straight` the same without cells.
+    """
+    wavelengths = absorption.shape[0]
+    sums = np.zeros((2, 2, wavelengths, n_polar, n_azimuth))
+    straight = np.zeros((2, 2, wavelengths))
+    for j in range(exits.shape[0]):
+        row = exits[j]
+        side = int(row[EXIT_SIDE])
+        if side < 0:
+            continue
+        dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
+        turn = math.atan2(dy, dx) / (2.0 * math.pi) + 0.5 / n_azimuth
+        column = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
+        line = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
+        for i in range(wavelengths):
+            weight = compute_path_weight(row, absorption, i)
+            if factor_column >= 0:
+                weight *= row[factor_column]
+            if row[EXIT_ORDER] == 0.0:
+                straight[WEIGHT, side, i] += weight
+                straight[WEIGHT_SQUARED, side, i] += weight * weight
+            else:
+                sums[WEIGHT, side, i, line, column] += weight
+                sums[WEIGHT_SQUARED, side, i, line, column] += weight * weight
+    return AngularSums(sums, straight)

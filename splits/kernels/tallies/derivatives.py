@@ -1,0 +1,103 @@
+"""How sums of weights change with what absorbs: derivatives of the very sums of `tally`.
+
+A ray's weight is exp(−Σ α·length), so its derivative is minus itself times Σ α′·length, for every
+change α′ of absorption coefficients at once and from the same path lengths.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splits.kernels.compiler.jit import (
+    ONE,
+    ZERO,
+    entry_point_no_refcount,
+    entry_point,
+    inline_allocating,
+)
+from splits.kernels.math.elementary import exp_float32
+from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
+from splits.kernels.tallies.exits import (
+    BLOCK_SIZE,
+    EXIT_LENGTH,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    compute_path_weights,
+)
+
+
+@entry_point
+def tally_derivatives(exits, crossings, absorption, absorption_derivatives, ground_column):
+    """Add up derivatives of the weights of rays, in the order of their rows.
+
+    Parameters
+    ----------
+    exits : float64[rays, columns]
+    notes : float64[notes, columns]
+        Of these rays, ray by ray, `CROSSING_RAY` counting from the first of them.
+    absorption : float64[wavelengths, materials]
+        Absorption coefficients (1/m); of a ground −ln of its albedo.
+    changes : float64[parameters, wavelengths, materials]
+        Their derivatives.
+    ground : int
+        Column of the ground, see `scene.Scene`.
+
+    Returns
+    -------
+    float32[blocks, 2, parameters, wavelengths]
+        Derivatives of Σ weight, reflected and transmitted, of every `BLOCK_SIZE` successive rays; what
+        the ground keeps counts as transmitted.
+    """
+    wavelengths, materials = absorption.shape
+    parameters = absorption_derivatives.shape[0]
+    alpha = np.empty((materials, wavelengths), dtype=np.float32)
+    more = np.empty((parameters, materials, wavelengths), dtype=np.float32)
+    for material in range(materials):
+        for i in range(wavelengths):
+            alpha[material, i] = absorption[i, material]
+            for p in range(parameters):
+                more[p, material, i] = absorption_derivatives[p, i, material]
+    rays = exits.shape[0]
+    blocks = np.zeros((-(-rays // BLOCK_SIZE), 2, parameters, wavelengths), dtype=np.float32)
+    weight = np.empty(wavelengths, dtype=np.float32)
+    first = 0
+    for j in range(rays):
+        sums = blocks[j // BLOCK_SIZE]
+        side = int(exits[j, EXIT_SIDE])
+        if side >= 0:
+            lengths = exits[j, EXIT_LENGTH:]
+            compute_path_weights(lengths, exits[j, EXIT_WEIGHT], alpha, weight)
+            for p in range(parameters):
+                _subtract_derivative(lengths, weight, more[p], sums[side, p])
+        first = _add_ground_derivatives(crossings, first, j, alpha, more, ground_column, sums[1])
+    return blocks
+
+
+@entry_point_no_refcount
+def _subtract_derivative(path_lengths, weight, derivatives, total):
+    """Take from `total` what a weight loses, float32[wavelengths]."""
+    for material in range(derivatives.shape[0]):
+        leg = np.float32(path_lengths[material])
+        if leg > ZERO:
+            for i in range(weight.size):
+                total[i] -= weight[i] * (derivatives[material, i] * leg)
+
+
+@inline_allocating
+def _add_ground_derivatives(crossings, first, ray, alpha, derivatives, ground_column, totals):
+    """Add what the ground keeps of a ray, and return its first note's successor."""
+    weight = np.empty(alpha.shape[1], dtype=np.float32)
+    sent = np.empty_like(weight)
+    while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
+        lengths = crossings[first, CROSSING_LENGTH:]
+        compute_path_weights(lengths, crossings[first, CROSSING_WEIGHT], alpha, weight)
+        # It keeps weight·(1 − a), a = exp(−α), and a falls by a·α′.
+        for i in range(weight.size):
+            sent[i] = weight[i] * exp_float32(-alpha[ground_column, i])
+            weight[i] -= sent[i]
+        for p in range(totals.shape[0]):
+            _subtract_derivative(lengths, weight, derivatives[p], totals[p])
+            for i in range(weight.size):
+                totals[p, i] += sent[i] * derivatives[p, ground_column, i] * ONE
+        first += 1
+    return first

@@ -1,0 +1,111 @@
+"""Whether lanes can serve a scene, and with which features."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import config
+
+from splits.kernels.compiler.features import Features
+from splits.kernels.compiler.jit import entry_point_no_refcount
+from splits.kernels.grains.scene import DRY_PORE, NO_PARTICLES, WET_PORE, Optics, Scene
+from splits.kernels.optics.fresnel import fresnel
+
+EXTINCTION_TOLERANCE = 1e-5
+"""Change of the reflectance of diffuse light up to which extinction coefficients are left out of
+reflection.  They show most where light meets an absorbing medium of lower index."""
+
+MIN_FIRST_DEPTH = 1e-6
+"""Mean depth of the first grain in a beam, in semi-major axes of the largest grain, below which
+single precision no longer decides as double precision does whether the grain fits below the
+boundary: of the grains that fit it decides 1 % otherwise here, to both sides alike."""
+
+MAX_INDEX = 1e3
+"""Refractive index and extinction coefficient whose powers single precision still holds."""
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(96)
+
+MAX_DEPTH_MFP = 1e5
+"""Depth in mean distances between grains up to which single precision places rays well: its
+steps are then below 1 % of that distance."""
+
+
+def select_features(scene: Scene, optics: Optics) -> Features | None:
+    """Return what a scene has, or None if only the scalar kernel serves it.
+
+    Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
+    more than one coating, samples of more than `MAX_DEPTH_MFP` mean distances, beams that meet their
+    first grain above `MIN_FIRST_DEPTH`, and indices beyond `MAX_INDEX`; and they need a compiler.
+
+    Parameters
+    ----------
+    scene, optics
+        See `splits.transport.grains.scene`.
+    """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return None
+    light, layers, types, rules, *_ = scene
+    depth = layers.boundaries[0] - layers.boundaries[-1]
+    if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
+        return None
+    if rules.analog or types.n_shells.max() > 2 or depth * layers.attenuation.max() > MAX_DEPTH_MFP:
+        return None
+    first_depth = light.cos_incidence / layers.attenuation[0] * types.curvature.min()
+    if light.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
+        return None
+    if max(optics.n.max(), optics.k.max()) > MAX_INDEX or optics.n.min() < 1.0 / MAX_INDEX:
+        return None
+    layered = layers.attenuation.size > 1
+    mixed = layered or types.n_shells.size > 1 or types.n_shells.max() > 1
+    absorbing = False
+    if not mixed:
+        core = types.material[0, 0]
+        pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
+        pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
+        absorbing = any(compute_extinction_effect(optics, near, far) > EXTINCTION_TOLERANCE for near, far in pairs)
+    return Features(
+        wet=_to_feature(layers.saturation.max() > 0.0),
+        faceted=_to_feature(bool((types.facetness > 0.0).any())),
+        absorbing=_to_feature(absorbing),
+        mixed=_to_feature(bool(mixed)),
+        layered=_to_feature(layered),
+    )
+
+
+def compute_extinction_effect(optics: Optics, near: int, far: int) -> float:
+    """Return by how much the far side's extinction moves the reflectance of diffuse light.
+
+    The integral of 2μ |R(n, k) − R(n, 0)| over the cosine of incidence μ.
+
+    Parameters
+    ----------
+    optics : Optics
+    near, far : int
+        Materials on the side of incidence and beyond.
+    """
+    n1, n2, k2 = float(optics.n[near]), float(optics.n[far]), float(optics.k[far])
+    return float(_integrate_extinction_effect(n1, n2, k2)) if k2 > 0.0 else 0.0
+
+
+@entry_point_no_refcount
+def _integrate_extinction_effect(n1, n2, k2):
+    """Integrate on both sides of the critical angle, where the difference peaks.
+
+    Towards that angle nodes crowd by a square, for a root that ends there.
+    """
+    critical = math.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0)) if n2 < n1 else 0.0
+    total = 0.0
+    for i in range(_GAUSS_NODES.size):
+        t = 0.5 * (_GAUSS_NODES[i] + 1.0)
+        for span in (critical - 1.0, critical):
+            # t² of the way from the critical cosine to 1 or to 0.
+            mu = critical - span * t * t
+            if span != 0.0:
+                moved = fresnel(n1, n2, k2, mu)[0] - fresnel(n1, n2, 0.0, mu)[0]
+                total += _GAUSS_WEIGHTS[i] * t * abs(span) * 2.0 * mu * abs(moved)
+    return total
+
+
+def _to_feature(present: bool) -> bool | None:
+    return True if present else None

@@ -1,0 +1,64 @@
+"""Random numbers of the lanes: the streams of `numerics.rng`, cut into single precision."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import float32 as single
+
+from splits.kernels.compiler.jit import HALF, ONE, inline_only
+from splits.kernels.vectorized.lane_state import N_DRAWN, KEY_HIGH, KEY_LOW
+from splits.kernels.math.rng import GOLDEN_GAMMA, mix64
+
+_MASK_21 = np.uint64(0x1FFFFF)
+_MASK_23 = np.uint64(0x7FFFFF)
+_MASK_31 = np.uint64(0x7FFFFFFF)
+_SCALE_21 = single(2.0**-21)
+_SCALE_23 = single(2.0**-23)
+_SCALE_31 = single(2.0**-31)
+_SCALE_46 = single(2.0**-46)
+_LARGEST_BELOW_ONE = single(1.0 - 2.0**-24)
+
+
+@inline_only
+def compute_random_bits(words, lane, offset):
+    """Return 64 random bits: the number `offset` after those that the lane has drawn."""
+    key = (np.uint64(words[KEY_HIGH + lane]) << np.uint64(32)) | np.uint64(words[KEY_LOW + lane])
+    number = np.uint32(words[N_DRAWN + lane] + np.uint32(offset))
+    return mix64(key + np.uint64(number) * GOLDEN_GAMMA)
+
+
+@inline_only
+def to_three_uniforms(bits):
+    """Return three numbers uniform on (0, 1), of 21 bits each, centred in their cells."""
+    return (
+        (single(np.int32(bits & _MASK_21)) + HALF) * _SCALE_21,
+        (single(np.int32((bits >> np.uint64(21)) & _MASK_21)) + HALF) * _SCALE_21,
+        (single(np.int32(bits >> np.uint64(43))) + HALF) * _SCALE_21,
+    )
+
+
+@inline_only
+def to_uniform_46(bits):
+    """Return a number uniform on (0, 1] with 46 bits near 0: for logarithms of it.
+
+    A free flight is capped at 32 mean paths only; 24 bits would cap it at 17.
+    """
+    high = single(np.int32(bits >> np.uint64(41)))
+    low = single(np.int32((bits >> np.uint64(18)) & _MASK_23))
+    return high * _SCALE_23 + (low + HALF) * _SCALE_46
+
+
+@inline_only
+def to_uniform_31(bits):
+    """Return a number uniform on (0, 1) from the lowest 31 bits.
+
+    Single precision rounds the last ones to 1, which no table of cumulative shares allows for.
+    """
+    u = (single(np.int32(bits & _MASK_31)) + HALF) * _SCALE_31
+    return u if u < ONE else _LARGEST_BELOW_ONE
+
+
+@inline_only
+def to_uniform_52(bits):
+    """Return a number uniform on (0, 1) of 52 bits, as `rng.uniform` does."""
+    return (float(bits >> np.uint64(12)) + 0.5) * 2.0**-52

@@ -1,0 +1,104 @@
+"""What decides the next grain of every lane: its type, size, shape and roughness."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import float32 as single
+
+from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point_no_refcount, inline_only
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.lane_rng import to_uniform_31, compute_random_bits
+from splits.kernels.vectorized.intrinsics import (
+    gather_interpolate,
+    interleave_loops,
+    prefer_512_bit_vectors,
+)
+from splits.kernels.math.arithmetic import sqrt
+
+_SHIFT_33 = np.uint64(33)
+
+
+@inline_only
+def compute_quantile_position(u, last_node):
+    """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last`."""
+    below = u < HALF
+    x = sqrt(HALF * (u if below else max(ONE - u, ZERO)))
+    return (x if below else ONE - x) * last_node
+
+
+@inline_only
+def draw_variates(state, words, first_lane, features, last_node):
+    """Draw the numbers that decide the next grain of `STRIDE` lanes from `first` on."""
+    prefer_512_bit_vectors()
+    first_lane &= lane_state.N_LANES - 1
+    for j in range(lane_state.STRIDE):
+        i = first_lane + j
+        bits = compute_random_bits(words, i, 3)
+        state[lane_state.QUANTILE_CURVATURE + i] = compute_quantile_position(to_uniform_31(bits >> _SHIFT_33), last_node)
+        state[lane_state.QUANTILE_FLATTENING + i] = compute_quantile_position(to_uniform_31(bits), last_node)
+        bits = compute_random_bits(words, i, 4)
+        if features.faceted is not None:
+            state[lane_state.QUANTILE_ROUGHNESS + i] = compute_quantile_position(to_uniform_31(bits >> _SHIFT_33), last_node)
+        if features.mixed is not None:
+            state[lane_state.U_TYPE + i] = to_uniform_31(bits)
+            picked = ZERO
+            if features.layered is not None:
+                picked = state[lane_state.FIRST_TYPE + i]
+            state[lane_state.CHOSEN_TYPE + i] = picked
+    interleave_loops()
+
+
+@inline_only
+def pick_types(state, first_lane, type_cdf, features):
+    """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
+    prefer_512_bit_vectors()
+    first_lane &= lane_state.N_LANES - 1
+    for layer in range(type_cdf.shape[0]):
+        here = single(layer)
+        for row in range(type_cdf.shape[1] - 1):
+            bound = single(type_cdf[layer, row])
+            for j in range(lane_state.STRIDE):
+                i = first_lane + j
+                more = ONE if state[lane_state.U_TYPE + i] >= bound else ZERO
+                if features.layered is not None:
+                    more = more if state[lane_state.LAYER + i] == here else ZERO
+                state[lane_state.CHOSEN_TYPE + i] += more
+    for j in range(lane_state.STRIDE):
+        i = first_lane + j
+        kind, picked = state[lane_state.NEW_TYPE + i], state[lane_state.CHOSEN_TYPE + i]
+        state[lane_state.NEW_TYPE + i] = kind if state[lane_state.KEEP_SHAPE + i] > ZERO else picked
+
+
+@entry_point_no_refcount
+def draw_grain_properties(state, words, width, features, tables, type_cdf):
+    """Draw type, size, shape and roughness of the next grain in every lane.
+
+    A trial refused for its axial position keeps type and shape, which made that likely.
+
+    Parameters
+    ----------
+    state, words, width, features
+        See `flight`.
+    tables : tuple of 3 float32[rows, m]
+        Curvature, flattening and half facetness at the probabilities of
+        `rng.table_probabilities`.
+    share : float64[layers, most]
+        See `splits.transport.grains.scene.Layers`.
+    """
+    prefer_512_bit_vectors()
+    curvature, flattening, sigma = tables
+    last = single(curvature.shape[1] - 1)
+    for first in range(0, width, lane_state.STRIDE):
+        draw_variates(state, words, first, features, last)
+        if features.mixed is not None:
+            pick_types(state, first, type_cdf, features)
+    for i in range(0, width, lane_state.VECTOR_WIDTH):
+        gather_interpolate(curvature, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_CURVATURE + i, lane_state.NEW_CURVATURE + i)
+        gather_interpolate(
+            flattening, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_FLATTENING + i, lane_state.QUANTILE_FLATTENING + i
+        )
+        if features.faceted is not None:
+            gather_interpolate(sigma, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_ROUGHNESS + i, lane_state.NEW_ROUGHNESS + i)
+    for i in range(width):
+        old, drawn = state[lane_state.NEW_FLATTENING + i], state[lane_state.QUANTILE_FLATTENING + i]
+        state[lane_state.NEW_FLATTENING + i] = old if state[lane_state.KEEP_SHAPE + i] > ZERO else drawn

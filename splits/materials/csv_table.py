@@ -1,0 +1,206 @@
+"""The reader of all CSV tables that users give: one line of refusal for what could be misread."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from splits.core.validation import InvalidValue, join_names, format_key, invalid, suggest_name
+from splits.core.paths import expand_path
+
+MAX_TABLE_BYTES = 2**25
+"""Size of a file."""
+GAP_MARKERS = ("", "na", "n/a", "nan", "null")
+"""What cells without a value hold, in lower case."""
+_NUMBER_PATTERN = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+
+
+class UserTable(NamedTuple):
+    """Columns of a user's file, and the SHA-256 of its content.
+
+    The path says nothing on another machine; the content does.
+    """
+
+    columns: list[np.ndarray]
+    sha256: str
+
+
+class CsvTable(NamedTuple):
+    """The cells of a CSV file as text.
+
+    Attributes
+    ----------
+    key : str
+        What is refused.
+    path : Path
+    allowed : str
+        What the file must be.
+    names : list of str
+        Of the columns; no two are the same.
+    rows : list of list of str
+        One cell for each name.
+    lines : list of int
+        Where the rows stand in the file, counted from 1.
+    sha256 : str
+        Of the file's content.
+    """
+
+    key: str
+    path: Path
+    allowed: str
+    column_names: list[str]
+    rows: list[list[str]]
+    line_numbers: list[int]
+    sha256: str
+
+    def invalid(self, hint: str) -> InvalidValue:
+        """Return the error that says why the file cannot be taken."""
+        return invalid(self.key, str(self.path), self.allowed, hint)
+
+    def get_texts(self, name: str) -> list[str]:
+        """Return the cells of a column, or refuse a file that does not have it."""
+        if name not in self.column_names:
+            near = suggest_name(name, self.column_names)
+            there = f"; {near}" if near else f" among {join_names(map(format_key, self.column_names))}"
+            raise self.invalid(f"no column {name}{there}")
+        place = self.column_names.index(name)
+        return [row[place] for row in self.rows]
+
+    def get_numbers(self, name: str, allow_gaps: bool = False) -> np.ndarray:
+        """Return a column of finite numbers, or refuse the first cell that holds none.
+
+        Parameters
+        ----------
+        name : str
+        gaps : bool
+            Whether cells may be empty, which are NaN.
+        """
+        found = []
+        for cell, line in zip(self.get_texts(name), self.line_numbers, strict=True):
+            gap = cell.lower() in GAP_MARKERS
+            value = float(cell) if _NUMBER_PATTERN.fullmatch(cell) else np.nan
+            if not np.isfinite(value) and not (gap and allow_gaps):
+                what = "a gap" if gap else format_key(cell)
+                raise self.invalid(f"line {line}: {format_key(name)} is {what}{_suggest_fix(cell)}")
+            found.append(value)
+        return np.array(found)
+
+
+def _suggest_fix(cell: str) -> str:
+    """Return what to write instead of a cell that is nearly a number, or nothing."""
+    if cell.endswith("%"):
+        return "; write a share, 0.95 for 95 %"
+    return "; write decimals with a point, thousands without commas" if "," in cell else ""
+
+
+def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTable:
+    """Return the cells of a CSV file with comments after ``#``, or refuse it.
+
+    Parameters
+    ----------
+    key : str
+        What is refused.
+    path : path
+    needed : sequence of str
+        Columns that a refusal names.
+
+    Raises
+    ------
+    ValueError
+        If the file does not exist, is too large, has no header or no rows, or has a line with more
+        or fewer fields than the header.
+    """
+    path = expand_path(path, key)
+    try:
+        if path.is_file() and path.stat().st_size > MAX_TABLE_BYTES:
+            raise invalid(key, str(path), f"a CSV file of at most {MAX_TABLE_BYTES // 2**20} MiB")
+        content = path.read_bytes()
+    except OSError:
+        raise invalid(key, str(path), "an existing CSV file", f"looked in {Path.cwd()}") from None
+    columns = f"{'columns' if len(required) != 1 else 'column'} {', '.join(required)}".rstrip()
+    allowed = f"a CSV file with {columns} of finite numbers"
+    table = CsvTable(key, path, allowed, [], [], [], hashlib.sha256(content).hexdigest())
+    # Comments may be in any encoding.
+    text = content.decode("utf-8-sig", errors="replace")
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        fields = _split_line(table, number, line)
+        if not table.column_names:
+            table.column_names.extend(fields)
+            _check_header(table)
+            continue
+        if len(fields) != len(table.column_names):
+            hint = "commas separate columns, points decimals" if fields[-1] else "a comma too many"
+            counts = f"fields in line {number}: {len(fields)}, in the header: {len(table.column_names)}"
+            raise table.invalid(f"{counts}; {hint}")
+        table.rows.append(fields)
+        table.line_numbers.append(number)
+    if not table.rows:
+        raise table.invalid("it has no rows")
+    return table
+
+
+def _split_line(table: CsvTable, number: int, line: str) -> list[str]:
+    """Return the fields of a line, without a comment at the end of a row."""
+    row = line.partition("#")[0]
+    if table.column_names and '"' not in row:
+        line = row
+    try:
+        if "\0" in line:
+            raise csv.Error("it is no text in UTF-8")
+        return [field.strip() for field in next(csv.reader([line], strict=True))]
+    except csv.Error as error:
+        raise table.invalid(f"line {number}: {error}") from None
+
+
+def _check_header(table: CsvTable) -> None:
+    """Refuse names of columns that are missing or not unique."""
+    if "" in table.column_names:
+        hint = "a comma too many, or numbers of rows? write it with index=False"
+        raise table.invalid(f"a column without a name; {hint}")
+    twice = [name for name in table.column_names if table.column_names.count(name) > 1]
+    if twice:
+        raise table.invalid(f"two columns {format_key(twice[0])}")
+
+
+def read_numeric_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> pd.DataFrame:
+    """Return a CSV file whose columns hold numbers, or gaps (NaN) unless needed, or refuse it."""
+    cells = read_csv(key, path, required)
+    for name in required:
+        cells.get_numbers(name)
+    return pd.DataFrame({name: cells.get_numbers(name, allow_gaps=True) for name in cells.column_names})
+
+
+def to_columns(value: Any) -> Any:
+    """Return the columns of a DataFrame as a mapping of lists, with an index that has a name.
+
+    Whatever else a user gives is returned as it is.
+    """
+    if not isinstance(value, pd.DataFrame):
+        return value
+    frame = value if value.index.name is None else value.reset_index()
+    return frame.to_dict("list")
+
+
+def read_user_table(key: str, path: str | Path, column_names: Sequence[str]) -> UserTable:
+    """Return columns of numbers of a CSV file, or refuse it; see `read_csv`.
+
+    Parameters
+    ----------
+    key : str
+        What is refused.
+    path : path
+    names : sequence of str
+        Of the columns; others are not looked at.
+    """
+    cells = read_csv(key, path, column_names)
+    return UserTable([cells.get_numbers(name) for name in column_names], cells.sha256)

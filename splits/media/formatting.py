@@ -1,0 +1,60 @@
+"""Media on one line, in the words of their input: the call that makes them, without defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from splits.core.validation import as_scalar, short_repr
+
+MAX_SHOWN_NUMBERS = 8
+"""Numbers of a row that are shown; of longer rows, the first and the last."""
+
+
+def format_call(name: str, inputs: Mapping[str, Any]) -> str:
+    """Return a call with keywords as text, on one line."""
+    return f"{name}({', '.join(f'{key}={format_value(value)}' for key, value in inputs.items())})"
+
+
+def find_differences(medium: Any, reference: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass in which it differs from another of its kind, by name."""
+    found = {}
+    for name in (field.name for field in fields(medium)):
+        value, other = getattr(medium, name), getattr(reference, name)
+        if format_value(value) == format_value(other):
+            continue
+        if isinstance(value, Mapping) and isinstance(other, Mapping):
+            value = {k: v for k, v in value.items() if format_value(v) != format_value(other.get(k))}
+        found[name] = value
+    return found
+
+
+def format_value(value: Any) -> str:
+    """Return an input as text, on one line; what has `as_input` as that says."""
+    value = as_scalar(value)
+    if hasattr(value, "as_input"):
+        return format_value(value.as_input())
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return f"{value:.10g}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{format_value(key)}: {format_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, str):
+        return _format_sequence(value)
+    # An index of refraction is known by its name.
+    return short_repr(value.name if callable(value) and hasattr(value, "name") else value)
+
+
+def count_digits(value: Any) -> int:
+    """Return how many digits a number, or the longest of several, is written with."""
+    return max(len(format_value(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value))
+
+
+def _format_sequence(values: Any) -> str:
+    if len(values) > MAX_SHOWN_NUMBERS:
+        return f"[{format_value(values[0])}, ..., {format_value(values[-1])}]"
+    text = ", ".join(format_value(value) for value in values)
+    return f"({text})" if isinstance(values, tuple) else f"[{text}]"

@@ -1,0 +1,147 @@
+"""Laws of the wave numbers of rough surfaces: shares, densities, correlations of heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.core.optional import import_optional
+from splits.kernels.math.rng import make_table_probabilities
+from splits.kernels.rough_surface import realization as kernels
+
+N_QUANTILES = 4097
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+class HeightSpectrum(NamedTuple):
+    """How wave numbers are distributed, all in units of k0.
+
+    Attributes
+    ----------
+    code : int
+        What kernels call it.
+    share : callable
+        Probability of wave numbers below λ.
+    density : callable
+        Its derivative.
+    square : callable
+        Mean of λ² below a limit.
+    correlation : callable
+        Of heights at a distance, without a limit.
+    """
+
+    kernel_code: int
+    cdf: Callable[[float], float]
+    density: Callable[[np.ndarray], np.ndarray]
+    mean_square: Callable[[float], float]
+    correlation: Callable[[np.ndarray], np.ndarray]
+
+
+def _import_scipy_special() -> ModuleType:
+    return import_optional("scipy.special", "retrieval", "correlations of heights need")
+
+
+def _correlate_exponential_printed(r: np.ndarray) -> np.ndarray:
+    """Return ∫ J0(λr) (1 + λ²)^(−3/2) dλ = x (I0(x) K1(x) − I1(x) K0(x)) with x = r/2."""
+    special = _import_scipy_special()
+    x = np.where(r > 0.0, 0.5 * r, 1.0)
+    products = special.i0e(x) * special.k1e(x) - special.i1e(x) * special.k0e(x)
+    return np.where(r > 0.0, x * products, 1.0)
+
+
+def _exponential_cdf(limit: float) -> float:
+    """Return 1 − 1/√(1 + λ²) without cancellation."""
+    root = math.hypot(1.0, limit)
+    return 1.0 if math.isinf(limit) else limit / root * (limit / (1.0 + root))
+
+
+def _gaussian_mean_square(limit: float) -> float:
+    if math.isinf(limit):
+        return 4.0
+    e = 0.25 * limit * limit
+    share = -math.expm1(-e)
+    return 4.0 * (1.0 - e * math.exp(-e) / share)
+
+
+HEIGHT_SPECTRA = {
+    "exponential": HeightSpectrum(
+        kernels.EXPONENTIAL,
+        _exponential_cdf,
+        lambda k: k * (1.0 + k * k) ** -1.5,
+        lambda limit: math.hypot(1.0, limit) - 1.0,
+        lambda r: np.exp(-r),
+    ),
+    "exponential_printed": HeightSpectrum(
+        kernels.EXPONENTIAL_AS_PRINTED,
+        lambda limit: 1.0 if math.isinf(limit) else limit / math.hypot(1.0, limit),
+        lambda k: (1.0 + k * k) ** -1.5,
+        lambda limit: math.asinh(limit) * math.hypot(1.0 / limit, 1.0) - 1.0,
+        _correlate_exponential_printed,
+    ),
+    "gaussian": HeightSpectrum(
+        kernels.GAUSSIAN,
+        lambda limit: -math.expm1(-0.25 * limit * limit),
+        lambda k: 0.5 * k * np.exp(-0.25 * k * k),
+        _gaussian_mean_square,
+        lambda r: np.exp(-r * r),
+    ),
+}
+CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
+
+
+def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """Return the quantile function of the density p(λ) λ, p linear between its points."""
+    slope = np.diff(density) / np.diff(wave_number)
+
+    def mass(cell: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """∫ p λ dλ from the beginning of a cell, exact: p(λ) λ is a parabola."""
+        step = upper - wave_number[cell]
+        p, a = density[cell], wave_number[cell]
+        return step * (p * a + step * (0.5 * (p + slope[cell] * a) + step * slope[cell] / 3.0))
+
+    cells = np.arange(wave_number.size - 1)
+    cumulative = np.concatenate([[0.0], np.cumsum(mass(cells, wave_number[1:]))])
+    wanted = make_table_probabilities(N_QUANTILES) * cumulative[-1]
+    # Cells without mass hold no quantile but those at the very ends.
+    cell = np.clip(np.searchsorted(cumulative, wanted, side="left") - 1, 0, wave_number.size - 2)
+    first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
+    cell = np.maximum(cell, first)
+    low, high = wave_number[cell], wave_number[cell + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = cumulative[cell] + mass(cell, middle) < wanted
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return 0.5 * (low + high)
+
+
+def average_over_quantiles(
+    table: np.ndarray, function: Callable[[np.ndarray], np.ndarray], pieces: int = 1
+) -> float:
+    """Return the mean of a function of what a quantile table, linear in its cells, stands for."""
+    points = (table.size - 1) * pieces
+    x = (np.arange(points)[:, None] + 0.5 * (1.0 + _GAUSS_NODES)) / points
+    # Derivative of the probabilities of `make_table_probabilities`.
+    weight = 2.0 * np.minimum(x, 1.0 - x) * _GAUSS_WEIGHTS / points
+    where = np.linspace(0.0, 1.0, table.size)
+    return float((weight * function(np.interp(x, where, table))).sum())
+
+
+def average_bessel_j0(table: np.ndarray, distance: float) -> float:
+    """Return the mean of J0(λ r), in pieces of less than a period."""
+    widest = float(np.diff(table).max())
+    j0 = _import_scipy_special().j0
+    return average_over_quantiles(table, lambda k: j0(k * distance), 1 + int(widest * distance / math.pi))
+
+
+def integrate_bessel_j0(density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float) -> float:
+    """Return ∫ J0(λr) density dλ from 0 to the limit, in pieces of less than a period."""
+    octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
+    edges = [np.array([0.0]), octaves, np.arange(0.0, limit, 2.0 * math.pi / max(distance, 1e-300))[1:]]
+    edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
+    half = 0.5 * np.diff(edge)[:, None]
+    k = edge[:-1, None] + half * (1.0 + _GAUSS_NODES)
+    return float((half * _GAUSS_WEIGHTS * _import_scipy_special().j0(k * distance) * density(k)).sum())

@@ -1,0 +1,124 @@
+"""Figures: a dataset in, a matplotlib figure out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.core.validation import invalid
+from splits.plotting.sensitivity import draw_sensitivity_bars
+from splits.plotting.annotations import describe_conditions
+from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
+from splits.plotting.sand_fit import draw_fits
+from splits.plotting.hemispheres import draw_hemispheres
+from splits.plotting.lobes import draw_lobes
+from splits.plotting.spectra import draw_measured_albedo
+from splits.plotting.annotations import add_notes
+from splits.plotting.direction_axes import QUANTITY_LABELS
+from splits.plotting.points import draw_points
+from splits.plotting.polarization import draw_polarization
+from splits.plotting.interpretations import draw_interpretation_shifts
+from splits.plotting.spectra import draw_refractive_indices, draw_spectra
+from splits.plotting.beam_spread import draw_beam_spread
+from splits.plotting.style import save_figure, use_style
+from splits.plotting.points import draw_summary
+from splits.plotting.surface_area import draw_area_law, draw_fitted_spectra
+from splits.plotting.colour import draw_swatches
+from splits.plotting.rough_surface import draw_lens, draw_surface
+
+__all__ = [
+    "area_law",
+    "collectors",
+    "conditions",
+    "draw",
+    "fits",
+    "fitted_spectra",
+    "hemispheres",
+    "lens",
+    "lobes",
+    "measured_albedo",
+    "points",
+    "polarization",
+    "principal_planes",
+    "readings_shifts",
+    "refractive_indices",
+    "save_figure",
+    "sensitivity_bars",
+    "spectra",
+    "spread",
+    "summary",
+    "surface",
+    "swatches",
+]
+
+
+SINGLE_POINT_FUNCTIONS = {
+    "lobes": draw_lobes, "cells": draw_bin_sizes, "spread": draw_beam_spread, "surface": draw_surface, "lens": draw_lens,
+}  # fmt: skip
+"""Kinds of figures that only need to know which point of a grid to show."""
+
+
+def draw(
+    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None = None
+) -> Figure:
+    """Draw a dataset as an experiment's figure section says.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+    section : mapping
+        See `splits.experiments.model.FigureSection`.
+    measured : pandas.DataFrame, optional
+        Measured values to show with spectra.
+
+    Raises
+    ------
+    ValueError
+        For a section that draws nothing, or more than can be shown.
+    """
+    if section["kind"] == "none":
+        raise invalid("figure.kind", "none", "a kind of figure")
+    figure = _draw_kind(dataset, section, measured)
+    with use_style():
+        add_notes(figure, section.get("note") or "")
+    return figure
+
+
+def _draw_kind(
+    dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None
+) -> Figure:
+    """Draw a dataset; see `draw`."""
+    if section["kind"] == "refractive_index":
+        return draw_refractive_indices(dataset)
+    if section["kind"] == "points":
+        return draw_points(dataset, section["quantity"], section["at"], section["legend"])
+    if section["kind"] == "summary":
+        return draw_summary(dataset, section["quantity"], section["at"], section["legend"])
+    if section["kind"] == "fit":
+        return draw_fits(dataset, section["at"], section["legend"])
+    if section["kind"] == "swatches":
+        return draw_swatches(dataset, section["at"])
+    quantity = [name for name in section["quantity"] if name in QUANTITY_LABELS] or ["brdf"]
+    if section["kind"] == "hemisphere":
+        return draw_hemispheres(dataset, quantity, section["at"], section["legend"])
+    if section["kind"] == "principal_plane":
+        return draw_principal_planes(
+            dataset, quantity, section["at"], section["legend"], section["ylim"]
+        )
+    if section["kind"] == "polarization":
+        return draw_polarization(dataset, section["at"], section["legend"])
+    if section["kind"] in SINGLE_POINT_FUNCTIONS:
+        return SINGLE_POINT_FUNCTIONS[section["kind"]](dataset, section["at"])
+    return draw_spectra(
+        dataset,
+        section["quantity"],
+        section["wavelength_nm"],
+        section["at"],
+        measured,
+        section["legend"],
+        section["ylim"],
+    )

@@ -1,0 +1,78 @@
+"""Where light leaves: profiles and maps of a thin beam."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from splits.io.netcdf import select_points
+from splits.plotting.annotations import describe_conditions
+from splits.plotting.lines import MAX_INSET_ENTRIES, place_legend_beside
+from splits.plotting.annotations import annotate_figure
+from splits.plotting.style import (
+    BAND_SIGMA,
+    TWO_COLUMNS_INCHES,
+    pick_colours,
+    use_style,
+    make_subplots,
+)
+
+MAX_RELATIVE_ERROR = 0.25
+"""Relative error beyond which a value is not drawn."""
+
+
+def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+    """Draw the light that leaves over the distance from the entry, and a map of it.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.bssrdf`, without a grid or at one point of it.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    """
+    dataset = select_points(dataset, at or {})
+    with use_style():
+        figure, (left, right) = make_subplots(
+            1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)
+        )
+        shades = pick_colours(dataset.sizes["wavelength"])
+        for colour, wavelength in zip(shades, dataset.wavelength.values, strict=True):
+            for side, dash in (("reflected", "-"), ("transmitted", "--")):
+                part = dataset.sel(wavelength=wavelength, side=side)
+                value, error = part.profile.values, part.profile_stderr.values
+                clear = (value > 0.0) & (error < MAX_RELATIVE_ERROR * value)
+                if clear.sum() < 2:
+                    continue
+                x = 1e3 * part.radius.values[clear]
+                value, error = value[clear], BAND_SIGMA * error[clear]
+                label = f"{wavelength:g} nm, {side}"
+                left.plot(x, value, color=colour, ls=dash, label=label)
+                left.fill_between(
+                    x, np.maximum(value - error, 0.1 * value), value + error,
+                    color=colour, alpha=0.3, lw=0,
+                )  # fmt: skip
+        left.set(xscale="log", yscale="log", xlabel="distance from the entry (mm)")
+        left.set_ylabel("light leaving per area (m⁻²)")
+        left.spines[["top", "right"]].set_visible(False)
+        handles, _ = left.get_legend_handles_labels()
+        if len(handles) > MAX_INSET_ENTRIES:
+            place_legend_beside(figure, handles, None)
+        elif handles:
+            left.legend(frameon=False)
+        first = dataset.isel(wavelength=0).sel(side="reflected")
+        values = first.profile_map.transpose("y", "x").values
+        lit = values[values > 0.0]
+        norm = LogNorm(np.quantile(lit, 0.02), lit.max()) if lit.size else None
+        image = right.pcolormesh(
+            1e3 * first.x, 1e3 * first.y, np.where(values > 0.0, values, np.nan), norm=norm,
+            cmap="viridis", rasterized=True,
+        )  # fmt: skip
+        right.set(xlabel="along the beam's travel (mm)", ylabel="across (mm)", aspect="equal")
+        right.set_title(f"{float(first.wavelength):g} nm, reflected")
+        figure.colorbar(image, ax=right, label="light leaving per area (m⁻²)", shrink=0.85)
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, at))

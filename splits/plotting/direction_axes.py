@@ -1,0 +1,112 @@
+"""Principal planes of datasets over directions, and how half circles show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from splits.analysis.directions import select_principal_plane
+from splits.io.netcdf import select_points
+from splits.plotting.lines import PlotLines
+from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value
+
+MAX_POLAR_DEG = 82.5
+"""Angle from the normal up to which directions are drawn; errors are held up to there."""
+
+QUANTITY_LABELS = {
+    "brdf": "BRDF (sr⁻¹)",
+    "btdf": "BTDF (sr⁻¹)",
+    "reflectance_factor": "bidirectional reflectance factor",
+    "anisotropy_factor": "anisotropy factor",
+}
+VIEWING_ANGLE_LABEL = "viewing angle, forward positive (°)"
+SHORT_ANGLE_LABEL = "viewing angle (°)"
+"""Label of the axis of angles where there is room, and where there is not."""
+_MAX_TITLE_CHARS = 24
+"""Letters that fit above a small panel."""
+MAX_INSET_LINES = 4
+"""Up to so many lines have their legend on the axes."""
+
+
+def select_point(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
+    """Return the dataset at labels of its grid; its attributes keep the angle of incidence."""
+    at = at or {}
+    known = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
+    return select_points(dataset, at).assign_attrs(known)
+
+
+def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where no cell looks."""
+    plane = select_principal_plane(dataset)
+    plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
+    return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "cells" else plane
+
+
+def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:
+    """Return a plane without values at the zenith, so that no line joins its halves."""
+    if 0.0 in plane.angle.values:
+        return plane
+    return plane.reindex(angle=np.sort(np.append(plane.angle.values, 0.0)))
+
+
+def make_lines(dataset: xr.Dataset, quantity: str) -> PlotLines:
+    """Return the lines of a quantity over directions; one wavelength needs no words."""
+    directions = ("angle", "polar", "azimuth")
+    dims = [str(d) for d in dataset[quantity].dims if d not in directions]
+    dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
+    return PlotLines(dataset, dims, use_dashes=True)
+
+
+def select_line(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Dataset:
+    """Return what one line shows."""
+    dataset = dataset.sel(labels)
+    return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
+
+
+def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
+    """Return what a small panel says of its point, a line per parameter, two where it is long.
+
+    Parameters
+    ----------
+    labels : mapping
+        Of the grid.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+    """
+    said = []
+    for parameter, given in labels.items():
+        name = legend if legend and len(labels) == 1 else format_parameter(parameter)
+        value = format_value(given, parameter)
+        said.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
+    return "\n".join(said)
+
+
+def to_plot_angle(angle_deg: np.ndarray, downward: bool = False) -> np.ndarray:
+    """Return the polar plot's angles (radians) of viewing angles, for light going up or down."""
+    angle = np.radians(angle_deg)
+    return np.pi - angle if downward else angle
+
+
+def get_incidence_deg(line: xr.Dataset) -> float:
+    """Return the angle of incidence (degrees) of a line."""
+    place = line.coords.get("incidence_deg")
+    return float(line.attrs["incidence_deg"] if place is None else place)
+
+
+def format_half_circle(axes: Axes, top: float | None, downward: bool = False) -> None:
+    """Make polar axes a half circle of viewing angles, above the surface or below."""
+    ticks = np.arange(-90, 91, 30)
+    axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
+    axes.set_theta_direction(-1)  # type: ignore[attr-defined]
+    axes.set_thetalim(*np.sort(to_plot_angle(np.array([-90.0, 90.0]), downward)))  # type: ignore[attr-defined]
+    axes.set_ylim(0.0, top)
+    axes.set_thetagrids(  # type: ignore[attr-defined]
+        np.degrees(to_plot_angle(ticks, downward)), [f"{t}°".replace("-", "−") for t in ticks]
+    )
+    axes.tick_params(labelsize=SMALL_FONT_PT, pad=1.0)
+    axes.yaxis.set_major_locator(MaxNLocator(3))
+    axes.grid(color=".85", lw=0.5)

@@ -1,0 +1,205 @@
+"""The explorer: tables of spectra in one file of HTML that needs no server and no network."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from splits.core.validation import invalid
+from splits.core.escaping import escape_json
+from splits.core.atomic import atomic_write
+from splits.tables.interpolation import apply_axis_transform, transform_axis
+from splits.tables.table import Table
+from splits.core.parameter_names import parse_impurity_parameter
+
+MAX_PAGE_BYTES = 5_000_000
+_ASSET_FOLDER = Path(__file__).parent
+
+
+class ExplorerTable(NamedTuple):
+    """A table that the page shows.
+
+    Attributes
+    ----------
+    table : Table
+        Of reflectance, over axes of numbers.
+    file : str
+        Its name, for the line of Python that the page shows.
+    about : str
+        What it holds, in a sentence.
+    directions : xarray.Dataset, optional
+        Reflectance factors over ``optical_radius_um``, ``incidence_deg``, wavelength, polar angle
+        and azimuth: where the light goes; attribute ``relative_stderr_reached``.
+    """
+
+    table: Table
+    file_name: str
+    description: str
+    directions: xr.Dataset | None = None
+
+
+def write_explorer(tables: Mapping[str, ExplorerTable], path: str | Path) -> None:
+    """Write the explorer of some tables.
+
+    Parameters
+    ----------
+    tables : mapping
+        From what the page calls them to the tables.
+    path : path
+        The file appears whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        For an axis of texts, or tables too large for a page.
+    """
+    data = [_serialize_table(label, one) for label, one in tables.items()]
+    page = (_ASSET_FOLDER / "page.html").read_text(encoding="utf-8")
+    parts = {
+        "{{STYLE}}": (_ASSET_FOLDER / "page.css").read_text(encoding="utf-8"),
+        "{{SCRIPT}}": (_ASSET_FOLDER / "page.js").read_text(encoding="utf-8"),
+        "{{DATA}}": escape_json(data),
+    }
+    for key, text in parts.items():
+        page = page.replace(key, text)
+    content = page.encode("utf-8")
+    if len(content) > MAX_PAGE_BYTES:
+        allowed = f"small enough for a page of {MAX_PAGE_BYTES} bytes"
+        raise invalid("explorer", f"{len(content)} bytes", allowed, "fewer nodes or wavelengths")
+    with atomic_write(path) as aside:
+        aside.write_bytes(content)
+
+
+def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
+    """Return what the page holds of a table."""
+    dataset = entry.table.dataset
+    names = entry.table.axes[:-1]
+    axes = []
+    for name in names:
+        nodes = dataset[name].values
+        if nodes.dtype.kind != "f" or nodes.size < 2:
+            raise invalid("explorer", name, "an axis of at least two numbers")
+        kind, at = transform_axis(name, nodes)
+        middle = float(nodes[np.abs(at - 0.5 * (at[0] + at[-1])).argmin()])
+        about = dataset[name].attrs
+        axes.append(
+            {
+                "name": name,
+                "label": _make_axis_label(name, str(about.get("long_name", name))),
+                "unit": _UNIT_SYMBOLS.get(str(about.get("units", "1")), str(about.get("units", ""))),
+                "nodes": nodes.tolist(),
+                "law": kind,
+                "start": middle,
+            }
+        )
+        assert np.array_equal(apply_axis_transform(kind, nodes), at)
+    wavelength = dataset.wavelength.values
+    return {
+        "label": label,
+        "file": entry.file_name,
+        "about": entry.description,
+        "note": "The band is two standard errors wide on either side; it holds the noise of the "
+        "simulation and what reading between the nodes of the table may miss.",
+        "axes": axes,
+        "wavelength": wavelength.tolist(),
+        "value": _encode_float32(dataset.reflectance.values),
+        "stderr": _encode_float32(dataset.reflectance_stderr.values),
+        "weights": compute_colour_weights(wavelength).tolist(),
+        "directions": None if entry.directions is None else _serialize_directions(entry.directions, names),
+    }
+
+
+MAX_POLAR_DEG = 80.0
+POLAR_STEP_DEG = 5.0
+"""Polar angle up to which the page shows directions, and the step of that and half that around."""
+_DIRECTION_DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar", "azimuth")
+
+
+def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
+    """Return what the page holds of where light goes: every 5° from above, every 10° around."""
+    found = [str(dim) for dim in dataset.reflectance_factor.dims]
+    if set(found) != {*_DIRECTION_DIMS}:
+        raise invalid("explorer", found, f"reflectance factors over {', '.join(_DIRECTION_DIMS)}")
+    for name in _DIRECTION_DIMS[:2]:
+        if name not in axes:
+            raise invalid("explorer", list(axes), f"a table with {name}, as its directions have")
+        if dataset.sizes[name] < 2:
+            raise invalid("explorer", f"{dataset.sizes[name]} {name}", "at least two of directions")
+    polar, azimuth = np.arange(0.0, MAX_POLAR_DEG + 1.0, POLAR_STEP_DEG), np.arange(0.0, 181.0, 10.0)
+    if not (np.isin(polar, dataset.polar).all() and np.isin(azimuth, dataset.azimuth).all()):
+        allowed = f"every {POLAR_STEP_DEG:g}° to {MAX_POLAR_DEG:g}°, and every 10° of azimuth to 180°"
+        raise invalid("explorer", "angles of directions", allowed)
+    some = dataset.reflectance_factor.transpose(*_DIRECTION_DIMS).sel(polar=polar, azimuth=azimuth)
+    if not (some > 0.0).all():
+        raise invalid("explorer", f"{float(some.min()):g}", "above 0 in all directions")
+    nodes = {name: some[name].values.astype(float) for name in _DIRECTION_DIMS}
+    stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(polar=polar, azimuth=azimuth)
+    missed = np.concatenate(
+        [
+            _estimate_interpolation_error(some.values, axis, apply_axis_transform(kind, nodes[name])).ravel()
+            for axis, (name, kind) in enumerate(zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False))
+        ]
+    )
+    largest = np.hypot(dataset.attrs["relative_stderr_reached"], missed.max(initial=0.0))
+    square = float(((stderr / some) ** 2).mean())
+    typical = np.sqrt(square + (float((missed**2).mean()) if missed.size else 0.0))
+    listed = {name: values.tolist() for name, values in nodes.items()}
+    return listed | {
+        "value": _encode_float32(some.values), "error": float(largest), "typical": float(typical),
+    }  # fmt: skip
+
+
+def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarray) -> np.ndarray:
+    """Return what reading between two nodes of an axis misses, relative, near each inner node.
+
+    Logarithms are read, linear between nodes.  A quarter of what a node is off that is left out,
+    for half the distance.
+    """
+    rows = np.moveaxis(np.log(values), axis, 0)
+    share = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(-1, *[1] * (rows.ndim - 1))
+    found: np.ndarray = 0.25 * np.abs((1.0 - share) * rows[:-2] + share * rows[2:] - rows[1:-1])
+    return found
+
+
+_UNIT_SYMBOLS = {
+    "1": "", "degree": "°", "um": "µm", "m2 kg-1": "m²/kg", "kg m-3": "kg/m³", "1e-9": "ng/g",
+}  # fmt: skip
+
+
+def _make_axis_label(name: str, long_name: str) -> str:
+    """Return a short name of an axis."""
+    amount = parse_impurity_parameter(name)
+    return amount[1].replace("_", " ") if amount else _AXIS_LABELS.get(name, long_name)
+
+
+_AXIS_LABELS = {
+    "depth_m": "depth",
+    "ground": "albedo of the ground",
+    "hematite_ratio": "hematite in iron oxide",
+    "iron_oxide": "iron oxide by mass",
+    "liquid_water_content": "liquid water by volume",
+    "optical_radius_um": "optical radius",
+    "saturation": "water in pores",
+}
+
+
+def _encode_float32(values: np.ndarray) -> str:
+    """Return numbers in single precision as text."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def compute_colour_weights(wavelength: np.ndarray) -> np.ndarray:
+    """Return what X, Y, Z take from each wavelength, shape (3, wavelengths).
+
+    Spectra are linear between the wavelengths, and level beyond the last.
+    """
+    from splits.analysis.colour import compute_tristimulus
+
+    fine = np.arange(400.0, 781.0, 5.0)
+    hats = np.stack([np.interp(fine, wavelength, unit) for unit in np.eye(wavelength.size)])
+    return np.stack([compute_tristimulus(fine, hat) for hat in hats], axis=1)

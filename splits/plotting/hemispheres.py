@@ -1,0 +1,199 @@
+"""Maps of the hemisphere: what goes into every direction, seen along the normal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.ticker import LogLocator
+
+from splits.plotting.annotations import describe_conditions
+from splits.plotting.annotations import annotate_figure
+from splits.plotting.direction_axes import (
+    QUANTITY_LABELS,
+    MAX_POLAR_DEG,
+    get_incidence_deg,
+    make_lines,
+    select_point,
+    select_line,
+    make_panel_title,
+)
+from splits.plotting.style import (
+    ONE_COLUMN_INCHES,
+    TWO_COLUMNS_INCHES,
+    OffscreenFigure,
+    use_style,
+)
+
+MAX_MAP_COLUMNS = 4
+RING_ANGLES_DEG = (30.0, 60.0)
+_LOG_SCALE_RATIO = 10.0
+"""Values that span a larger factor have a logarithmic scale."""
+_MIN_RELATIVE_VALUE = 0.01
+"""What is fainter than this part of the brightest has the darkest colour."""
+_MAP_HEIGHT_INCHES = 1.75
+_MIN_AZIMUTH_STEPS = 180
+"""Cells around from which on their borders look round."""
+_MARKER_STYLE: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
+
+
+def draw_hemispheres(
+    dataset: xr.Dataset,
+    quantity: Sequence[str] = ("brdf",),
+    at: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
+) -> Figure:
+    """Draw a map of the hemisphere for every point of a grid.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.goniophotometer`, or of an experiment with it, with azimuths all around.
+    quantity : sequence of str
+        Of `splits.figures.planes.NAMES`, a block of maps each with a scale of its own.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+    """
+    dataset = select_point(dataset, at)
+    count = len(make_lines(dataset, quantity[0]).lines)
+    columns = min(MAX_MAP_COLUMNS, count)
+    rows = -(-count // columns)
+    with use_style():
+        width = ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES
+        high = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
+        figure = OffscreenFigure(width, high * len(quantity))
+        grid = figure.add_gridspec(rows * len(quantity), columns)
+        panels = []
+        for number, name in enumerate(quantity):
+            places = [grid[number * rows + i // columns, i % columns] for i in range(count)]
+            panels += draw_maps(figure, places, dataset, name, legend)
+        return annotate_figure(figure, panels, describe_conditions(dataset, at, ""), make_maps_note(quantity))
+
+
+def make_maps_note(quantity: Sequence[str]) -> str:
+    """Return what a reader of maps has to know."""
+    below = "diamond: straight on" if "btdf" in quantity else ""
+    above = ["circle: towards the source", "diamond: mirror direction"]
+    circles = " and ".join(f"{c:g}°" for c in RING_ANGLES_DEG)
+    marks = [below] if tuple(quantity) == ("btdf",) else above + ([f"of BTDF {below}"] if below
+                                                                 else [])  # fmt: skip
+    return f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; {'; '.join(marks)}."
+
+
+def draw_maps(
+    figure: Figure,
+    grid_cells: Sequence[SubplotSpec],
+    dataset: xr.Dataset,
+    name: str,
+    legend: str | None = None,
+) -> list[Axes]:
+    """Draw the maps of a quantity for every point of a grid, with one scale.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    places : sequence of matplotlib.gridspec.SubplotSpec
+        One per point.
+    dataset : xarray.Dataset
+        See `splits.figures.planes.part_at`.
+    name : str
+        The quantity.
+    legend : str, optional
+        What varies, where it is one parameter; the parameter's name by default.
+
+    Returns
+    -------
+    list of matplotlib.axes.Axes
+        Those of the maps, in the order of the points.
+    """
+    shown = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
+    points = make_lines(dataset, name).lines
+    parts = [select_line(shown, one.labels) for one in points]
+    titles = [make_panel_title(one.labels, legend) for one in points]
+    return draw_dataset_maps(figure, grid_cells, parts, titles, name)
+
+
+def draw_dataset_maps(
+    figure: Figure,
+    grid_cells: Sequence[SubplotSpec],
+    parts: Sequence[xr.Dataset],
+    titles: Sequence[str],
+    name: str,
+) -> list[Axes]:
+    """Draw maps of datasets over ``polar`` and ``azimuth`` alone, see `draw_maps`."""
+    norm = _make_colour_scale(np.concatenate([part[name].values.ravel() for part in parts]))
+    panels = []
+    for place, part, title in zip(grid_cells, parts, titles, strict=True):
+        axes = figure.add_subplot(place, projection="polar")
+        image = _draw_map(axes, part, name, norm)
+        axes.set_title(title)
+        panels.append(axes)
+    label = QUANTITY_LABELS[name]
+    bar = figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
+    if isinstance(norm, LogNorm):
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+        bar.minorticks_off()
+    return panels
+
+
+def _make_colour_scale(values: np.ndarray) -> Normalize:
+    """Return a scale of colours for values, logarithmic where they span a large factor."""
+    lit = values[values > 0.0]
+    if lit.size == 0:
+        return Normalize(0.0, 1.0)
+    low, high = float(np.quantile(lit, 0.01)), float(lit.max())
+    if high > _LOG_SCALE_RATIO * low:
+        return LogNorm(max(low, _MIN_RELATIVE_VALUE * high), high)
+    return Normalize(low, high)
+
+
+def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the borders of cells around (radians) and down (degrees), and their values.
+
+    Wide cells are cut so that their borders are round.
+    """
+    part = part.sortby("azimuth").sortby("polar")
+    azimuth, polar = part.azimuth.values, part.polar.values
+    cuts = -(-_MIN_AZIMUTH_STEPS // azimuth.size)
+    gap = np.diff(azimuth, append=azimuth[0] + 360.0)
+    first = azimuth[0] - 0.5 * gap[-1]
+    ends = np.append(first, azimuth + 0.5 * gap)
+    around = np.interp(np.arange(cuts * gap.size + 1) / cuts, np.arange(ends.size), ends)
+    middle = 0.5 * (polar[1:] + polar[:-1])
+    step = polar[-1] - polar[-2] if polar.size > 1 else 90.0
+    last = min(90.0, polar[-1] + 0.5 * step)
+    values = part[name].transpose("polar", "azimuth").values
+    down = np.concatenate([[0.0], middle, [last]])
+    return np.radians(around), down, np.repeat(values, cuts, axis=1)
+
+
+def _draw_map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
+    """Draw one map, forward to the right, and the directions that belong to the beam."""
+    around, down, values = _make_mesh(part, name)
+    axes.grid(False)
+    image = axes.pcolormesh(
+        around, down, np.clip(values, norm.vmin, norm.vmax), norm=norm, cmap="cividis",
+        rasterized=True,
+    )  # fmt: skip
+    for circle in RING_ANGLES_DEG:
+        axes.plot(around, np.full(around.size, circle), color="white", lw=0.5, alpha=0.7)
+    incidence = get_incidence_deg(part)
+    axes.plot([0.0], [incidence], "D", ms=3, **_MARKER_STYLE)
+    if name != "btdf":
+        axes.plot([np.pi], [incidence], "o", ms=4, **_MARKER_STYLE)
+    axes.set_ylim(0.0, 90.0)
+    axes.set(xticks=[], yticks=[])
+    axes.set_xlabel("forward →", labelpad=1.0)
+    if not (values > 0.0).any():
+        axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", va="center",
+                  color="white")  # fmt: skip
+    return image

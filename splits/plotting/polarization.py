@@ -1,0 +1,73 @@
+"""How light that layers send back is polarized."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from splits.io.netcdf import select_points
+from splits.plotting.annotations import describe_conditions
+from splits.plotting.annotations import annotate_figure
+from splits.plotting.direction_axes import (
+    MAX_INSET_LINES,
+    QUANTITY_LABELS,
+    MAX_POLAR_DEG,
+    VIEWING_ANGLE_LABEL,
+    make_lines,
+    select_line,
+    extract_plane,
+)
+from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, use_style, make_subplots
+
+
+def draw_polarization(
+    dataset: xr.Dataset,
+    at: Mapping[str, float | str] | None = None,
+    legend: str | None = None,
+) -> Figure:
+    """Draw the BRDF and its degree of linear polarization in the principal plane.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of `splits.goniophotometer` with Stokes parameters, or of an experiment with it.
+    at : mapping, optional
+        Grid labels to hold fixed.
+    legend : str, optional
+        Title of the legend; the grid's parameters by default.
+    """
+    dataset = select_points(dataset, at or {})
+    plane = extract_plane(dataset)
+    lines = make_lines(plane, "brdf")
+    with use_style():
+        figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.6)
+        for one in lines.lines:
+            line = select_line(plane, one.labels)
+            angle = line.angle.values
+            value, error = line.brdf.values, line.brdf_stderr.values
+            q, q_error = line.brdf_q.values, line.brdf_q_stderr.values
+            # Where no light is, or no cell, there is no degree.
+            lit = value > 0.0
+            nothing = np.full_like(q, np.nan)
+            degree = np.divide(-q, value, out=nothing.copy(), where=lit)
+            # Q and I are taken as independent: where light is polarized, they vary together.
+            spread = np.hypot(q_error, degree * error)
+            spread = np.divide(spread, value, out=nothing, where=lit)
+            for axes, y, e in ((left, value, error), (right, degree, spread)):
+                axes.plot(angle, y, label=one.label, **one.to_plot_style())
+                axes.fill_between(
+                    angle, y - BAND_SIGMA * e, y + BAND_SIGMA * e, color=one.colour, alpha=0.3, lw=0
+                )
+        left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
+        right.set_ylabel("degree of polarization across the plane")
+        right.axhline(0.0, color="0.6", lw=0.6)
+        for axes in (left, right):
+            axes.set(xlabel=VIEWING_ANGLE_LABEL)
+            axes.set_xlim(-MAX_POLAR_DEG - 5.0, MAX_POLAR_DEG + 5.0)
+            axes.set_xticks(np.arange(-90, 91, 30))
+            axes.spines[["top", "right"]].set_visible(False)
+        lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, at))

@@ -1,0 +1,253 @@
+"""One look for all figures, and writing them whole or not at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.style
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
+
+from splits.core.escaping import escape_mathtext
+from splits.core.atomic import atomic_write
+from splits.core.parameter_names import parse_impurity_parameter
+from splits.core.paths import expand_path
+
+Colour = tuple[float, float, float] | str
+Dash = str | tuple[int, tuple[int, ...]]
+
+BAND_SIGMA = 2.0
+"""Error bands and bars reach this many standard errors to either side."""
+ONE_COLUMN_INCHES = 3.5
+TWO_COLUMNS_INCHES = 7.2
+"""Widths (inches) of all figures: a column of a printed page (89 mm), or the page (183 mm)."""
+SMALL_FONT_PT = 6.5
+"""Size (points) of the smallest text; `paper.mplstyle` has the others."""
+DPI = 300
+
+PARAMETER_LABELS = {
+    "wavelength": "wavelength (nm)",
+    "grain_size_um": "grain size (µm)",
+    "facetness": "mean facetness",
+    "sphericity": "mean sphericity",
+    "saturation": "water saturation",
+    "liquid_water_content": "liquid water content",
+    "optical_radius_um": "optical radius (µm)",
+    "specific_surface_area_m2_kg": "specific surface area (m²/kg)",
+    "impurities_ng_g": "impurities (ng/g)",
+    "algae_cells_ml": "algae (cells/ml)",
+    "impurities_in": "impurities in",
+    "density_kg_m3": "density (kg m⁻³)",
+    "temperature_c": "temperature (°C)",
+    "depth_m": "depth (m)",
+    "incidence_deg": "incidence (°)",
+    "medium": "sample",
+    "iron_oxide": "hematite and goethite by mass",
+    "hematite_ratio": "hematite / iron oxide",
+    "magnetite": "magnetite by mass",
+    "partition": "pure / mixed / coated",
+    "roundness": "roundness (mean, sd)",
+    "size_tail": "tail by mass",
+    "readings": "reading",
+}
+"""How figures name parameters whose own names would not do."""
+
+VALUE_LABELS = {
+    "bottom_albedo": {"None": "no bottom"},
+    "surface": {"None": "smooth"},
+    "ground": {"None": "open"},
+    "model": {"kokhanovsky_zege_2004": "Kokhanovsky & Zege", "splits": "this model"},
+    "polarized": {"0": "no", "1": "yes"},
+    "opaque": {"0": "no", "1": "yes"},
+    "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},
+}
+"""Values of parameters that are not numbers to a reader."""
+COMMON_VALUE_LABELS = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
+VALUE_SEPARATORS = {"texture": " / ", "partition": " / ", "roundness": ", "}
+"""What stands between the numbers of a value, where they are not the ends of a range."""
+NOMINAL_PARAMETERS = (
+    "medium",
+    "refractive_index",
+    "pores",
+    "impurities_ng_g",
+    "algae_cells_ml",
+    "impurities_in",
+    "readings",
+    "sample",
+    "phase_function",
+    "polarized",
+    "ground",
+    "layers",
+)
+"""Parameters whose values have no order."""
+_NUMBER_PATTERN = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def format_parameter(parameter: str) -> str:
+    """Return how a figure names a parameter of the grid, or one of a layer by its path."""
+    stack, _, rest = parameter.partition(".")
+    number, _, key = rest.partition(".")
+    if stack == "layers" and key:
+        return f"layer {number}: {format_parameter(key)}"
+    amount = parse_impurity_parameter(parameter)
+    if amount:
+        unit = "ng/g" if amount[0] == "impurities_ng_g" else "cells/ml"
+        return escape_mathtext(f"{amount[1].replace('_', ' ')} ({unit})")
+    return PARAMETER_LABELS.get(parameter, escape_mathtext(parameter.replace("_", " ")))
+
+
+def format_value(value: object, parameter: str | None = None) -> str:
+    """Return how a figure names a value of the grid.
+
+    Parameters
+    ----------
+    value : number or str
+        Ranges and other tuples as labels of a grid have them: "300-750".
+    parameter : str, optional
+        Whose value it is.
+
+    Returns
+    -------
+    str
+        A word or a number as print has it: 10⁻⁵ and not 1e-05.
+    """
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    text = f"{value:g}" if number else str(value)
+    parameter = (parameter or "").rpartition(".")[2]
+    word = VALUE_LABELS.get(parameter, {}).get(text) or COMMON_VALUE_LABELS.get(text)
+    if word:
+        return word
+    if re.fullmatch(f"-?{_NUMBER_PATTERN}(-{_NUMBER_PATTERN})*", text):
+        between = VALUE_SEPARATORS.get(parameter, "–")
+        sign = "−" if text.startswith("-") else ""
+        return sign + between.join(map(_format_number, re.findall(_NUMBER_PATTERN, text)))
+    if whole := re.fullmatch(f"({_NUMBER_PATTERN})([+-])({_NUMBER_PATTERN})j", text):
+        real, sign, imaginary = whole.groups()
+        return f"{_format_number(real)} {sign.replace('-', '−')} {_format_number(imaginary)}i"
+    return escape_mathtext(text.replace("_", " "))
+
+
+def _format_number(number: str) -> str:
+    """Return a number without an e for its power of ten."""
+    if 0.0 < float(number) < 1e-3 and "e" not in number:
+        number = f"{float(number):e}"
+    mantissa, _, power = number.partition("e")
+    if not power:
+        return number
+    tens = "10" + str(int(power)).translate(_SUPERSCRIPTS)
+    return tens if float(mantissa) == 1.0 else f"{float(mantissa):g} × {tens}"
+
+
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+FIGURE_METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
+}  # fmt: skip
+"""What would name the occasion, or the program's version, is left out."""
+FALLBACK_FONTS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
+    "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
+    "Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai",
+)  # fmt: skip
+"""Fonts for what DejaVu has no letters for; matplotlib warns where none of them has one."""
+
+
+@contextmanager
+def use_style() -> Iterator[None]:
+    """Draw in the project's style, labels of other scripts in fonts that are there."""
+    found = {font.name for font in fontManager.ttflist}
+    fonts = ["sans-serif", *(name for name in FALLBACK_FONTS if name in found)]
+    with matplotlib.style.context(
+        [Path(__file__).with_name("paper.mplstyle"), {"font.family": fonts}]
+    ):
+        yield
+
+
+class OffscreenFigure(Figure):
+    """A figure beside pyplot: it needs no display, and no backend is chosen for the process.
+
+    A notebook shows it where it is the value of a cell.
+
+    Parameters
+    ----------
+    width : float
+        `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
+    height : float
+        Inches.
+    """
+
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__(figsize=(width, height), layout="constrained")
+        # It measures its text before it is written.
+        FigureCanvasAgg(self)
+
+    def _repr_png_(self) -> bytes:
+        held = BytesIO()
+        with use_style():
+            self.savefig(held, format="png", dpi=DPI // 2)
+        return held.getvalue()
+
+
+def make_subplots(
+    rows: int = 1, columns: int = 1, *, height: float, width: float = ONE_COLUMN_INCHES, **settings: Any
+) -> tuple[Figure, Any]:
+    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `OffscreenFigure`.
+
+    Parameters
+    ----------
+    rows, columns : int
+    height : float
+        Inches; notes and legends may add to it.
+    width : float
+        `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
+    """
+    figure = OffscreenFigure(width, height)
+    return figure, figure.subplots(rows, columns, **settings)
+
+
+def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:
+    """Return colours that can be told apart: a scale of them for values that have an order."""
+    if parameter not in NOMINAL_PARAMETERS:
+        places = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
+        shades = matplotlib.colormaps["viridis"](places)
+        return [(r, g, b) for r, g, b, _ in shades.tolist()]
+    import seaborn  # takes as long to import as all the rest
+
+    return list(seaborn.color_palette("colorblind", count))
+
+
+def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
+    """Write ``stem.png``, ``stem.svg`` and ``stem.pdf``: the same bytes for the same figure.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    stem : path
+        Without suffix.
+
+    Returns
+    -------
+    list of Path
+    """
+    stem = expand_path(stem, "stem")
+    paths = []
+    layout = figure.get_layout_engine()
+    try:
+        for suffix in FIGURE_SUFFIXES:
+            path = stem.with_name(stem.name + suffix)
+            with use_style(), atomic_write(path) as aside:
+                figure.savefig(aside, format=suffix[1:], dpi=DPI, metadata=FIGURE_METADATA[suffix])
+            paths.append(path)
+            # Everything now has its place, and finding it takes as long as drawing.
+            figure.set_layout_engine("none")
+    finally:
+        figure.set_layout_engine(layout)
+    return paths

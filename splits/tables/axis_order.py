@@ -1,0 +1,58 @@
+"""Tables in order: what passed through other hands has its axes ascending again, or is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.validation import invalid
+
+
+def sort_axes(dataset: Any) -> xr.Dataset:
+    """Return a table whose axes of numbers ascend, the wavelength last, or refuse it.
+
+    Selections, sorting, transposing and conversions leave tables as xarray has them.
+    """
+    allowed = "what splits.table returned, or wrote"
+    if not isinstance(dataset, xr.Dataset):
+        hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
+        raise invalid("table", type(dataset).__name__, allowed, hint)
+    if "axes_that_share_paths" not in dataset.attrs:
+        raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed)
+    errors = [name for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
+    if not errors:
+        raise invalid("table", list(map(str, dataset.data_vars)), "with a quantity and its error")
+    axes = [str(dimension) for dimension in dataset[errors[0]].dims]
+    if "wavelength" not in axes:
+        hint = "select a list: sel(wavelength=[500]), which keeps the axis"
+        raise invalid("table", f"over {', '.join(axes) or 'nothing'}", "over wavelength", hint)
+    for name in axes:
+        dataset = _sort_axis(dataset, name)
+    return dataset.transpose(..., *(name for name in axes if name != "wavelength"), "wavelength")
+
+
+def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
+    """Return a table with one axis in order, its numbers as floats."""
+    if name not in dataset.coords:
+        raise invalid(f"table.{name}", None, "given: the values of the axis")
+    # Whatever holds them: pandas has objects.
+    values = np.array(dataset[name].values.tolist())
+    text = values.dtype.kind in "OUS"
+    if not text and not (values.dtype.kind in "iuf" and np.isfinite(values).all()):
+        raise invalid(f"table.{name}", values.tolist(), "numbers, or texts")
+    if len(set(values.tolist())) < values.size:
+        raise invalid(f"table.{name}", values.tolist(), "different values")
+    if dataset[name].dtype.kind not in "fUS":
+        axis = (name, values if text else values.astype(float), dataset[name].attrs)
+        dataset = dataset.assign_coords({name: axis})
+    return dataset if text or (np.diff(values) > 0.0).all() else dataset.sortby(name)
+
+
+def check_complete(dataset: xr.Dataset) -> None:
+    """Refuse a table that lacks values."""
+    for name, variable in dataset.data_vars.items():
+        if variable.dtype.kind == "f" and not np.isfinite(variable).all():
+            hint = "aligning or reindexing leaves gaps: select the nodes that there are"
+            raise invalid(f"table.{name}", np.nan, "a number at every node", hint)

@@ -1,0 +1,52 @@
+"""Scatter of seeds over the errors that instruments state."""
+
+from __future__ import annotations
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from splits.plotting.style import (
+    BAND_SIGMA,
+    TWO_COLUMNS_INCHES,
+    pick_colours,
+    use_style,
+    make_subplots,
+)
+
+SHADED_RATIOS = (0.85, 1.15)
+"""Ratios of scatter to stated error that are shaded."""
+ALL_LABEL = "all"
+
+
+def draw_calibration(table: pd.DataFrame) -> Figure:
+    """Draw the ratio of each instrument with its error bar, and faintly those it is a mean of.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns ``instrument``, ``medium``, ``quantity``, ``ratio`` and ``ratio_stderr``; rows whose
+        medium is "all" are means over all media and quantities of an instrument, of others those
+        whose quantity is not "all" are shown.
+    """
+    means = table[table.medium == ALL_LABEL]
+    names = list(means.instrument)
+    parts = table[(table.medium != ALL_LABEL) & (table.quantity != ALL_LABEL)]
+    shade, faint = pick_colours(2, "sample")
+    with use_style():
+        figure, axes = make_subplots(height=1.3 + 0.3 * len(names), width=TWO_COLUMNS_INCHES)
+        axes.axvspan(*SHADED_RATIOS, color="0.92", zorder=0)
+        axes.axvline(1.0, color="0.5", lw=0.8, zorder=1)
+        axes.plot(
+            parts.ratio, parts.instrument.map(names.index), "|", color=faint, ms=8, ls="none",
+            label="one group of quantities",
+        )  # fmt: skip
+        axes.errorbar(
+            means.ratio, range(len(names)), xerr=BAND_SIGMA * means.ratio_stderr, fmt="o", color=shade,
+            capsize=3, label="all of an instrument",
+        )  # fmt: skip
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.set_xlabel("scatter between seeds over stated error")
+        axes.spines[["top", "right"]].set_visible(False)
+        figure.legend(frameon=False, ncols=2, loc="outside lower center")
+    return figure
